@@ -21,9 +21,9 @@ from pcretrieve.evaluation.measures import (
     query_scores,
 )
 from pcretrieve.ingestion.labels import LAYOUTS
-from pcretrieve.matching import DistanceMatrix, Matcher, PairwiseIndex, distance_matrix, known_matcher
+from pcretrieve.matching import DistanceMatrix, Matcher, known_matcher, match_all
 from pcretrieve.options import OptionsLike, PipelineOptions
-from pcretrieve.retrieval import Ranking, SignatureIndex, Whitening, write_whitening
+from pcretrieve.retrieval import SignatureIndex, Whitening, write_whitening
 from pcretrieve.values import Failure, FloatArray, SignatureTable
 
 
@@ -267,14 +267,12 @@ def matrix(
         labels = {record.id: record.label for record in store.records(status="done")}
         if not labels:
             raise InputError(f"{store.location} holds no shapes: ingest some first")
-        ranking: Ranking
         if matcher is None:
             chosen = PipelineOptions.of(options, store.options)
             whitening = store.whitening(chosen)
-            ranking = SignatureIndex(store.signatures(chosen), chosen.retrieval, whitening=whitening)
+            index = SignatureIndex(store.signatures(chosen), chosen.retrieval, whitening=whitening)
+            made = DistanceMatrix(tuple(index.ids), index.between(index.ids))
         else:
             method = known_matcher(matcher)
-            ranking = PairwiseIndex(method, labels, lambda shape_id: store.shape(shape_id, method.needs))
-            for failure in ranking.failures:
-                on_failure(failure)
-        return distance_matrix(ranking, tuple(labels[shape_id] for shape_id in ranking.ids))
+            made = match_all(method, labels, lambda name: store.shape(name, method.needs), on_failure)
+        return replace(made, labels=tuple(labels[shape_id] for shape_id in made.ids))

@@ -1,25 +1,23 @@
-"""Matchers, which compare two shapes and have no vector for a single one, and galleries ranked by them."""
+"""Matchers, which compare two shapes and have no vector for a single one, and all distances by them."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar, get_args
+from typing import Any, get_args
 
 import numpy as np
 from scipy.spatial.distance import cityblock
 
-from pcretrieve.errors import InputError, OptionError, PcretrieveError, ShapeError, Stage
+from pcretrieve.errors import OptionError, PcretrieveError, ShapeError, Stage
 from pcretrieve.matching.cm_bof import clock_distance, view_descriptors, view_words
 from pcretrieve.matching.heat import heat_distance, heat_points, heat_set, word_frequencies
+from pcretrieve.matching.matrix import DistanceMatrix
 from pcretrieve.matching.meshsift import match_distance, mesh_features
-from pcretrieve.retrieval import DistanceBlock, Positions, nearest_of, position_of
-from pcretrieve.values import Failure, FloatArray, Need, Neighbors, Shape
+from pcretrieve.values import Failure, Need, Shape
 
 _log = logging.getLogger(__name__)
-
-_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,15 +25,13 @@ class Matcher:
     """The declaration of a method that compares two shapes and has no vector for a single one.
 
     name: value of the option `--matcher`.
-    prepare: called once for each shape, with a shape that holds the parts in `needs`; returns the features of
-        the shape, of any type that can be pickled.
+    prepare: called once for each shape, with a shape that holds the parts in `needs`; returns its features.
     distance: from the features of a query to those of a shape of the gallery: not NaN, not negative, may be
         infinite.
     needs: the parts of a shape that `prepare` uses, as in `pcretrieve.descriptors.Descriptor`.
     symmetric: whether the distance from a to b is that from b to a, so that half of them need computing.
-    learn: what is learned from the features of the gallery, such as a vocabulary. It is called once, for a
-        gallery of at least one shape, and the function that it returns once for each shape of the gallery and
-        each query: `distance` is given what this function returns. If it can be pickled, so can the index.
+    learn: what is learned from the features of all shapes, such as a vocabulary. It returns a function that
+        is called once for each shape: `distance` is given what this function returns.
     """
 
     name: str
@@ -72,80 +68,42 @@ def known_matcher(matcher: str | Matcher) -> Matcher:
     return MATCHERS[matcher]
 
 
-class PairwiseIndex:
-    """The features of a gallery of shapes, which a matcher compares one by one: a `Ranking`."""
-
-    def __init__(self, matcher: Matcher, ids: Iterable[str], shape_of: Callable[[str], Shape]) -> None:
-        self.matcher = matcher
-        features: dict[str, Any] = {}
-        failures = []
-        for shape_id in ids:
-            if shape_id in features:
-                raise InputError(f"ids must be distinct, {shape_id!r} comes twice")
-            try:
-                features[shape_id] = self._called(matcher.prepare, shape_of(shape_id))
-                _log.info("prepared: %d shapes", len(features))
-            except ShapeError as error:
-                failures.append(
-                    Failure(shape_id, str(error.stage or ""), type(error).__name__, error.message)
-                )
-        self.ids = tuple(features)
-        made = list(features.values())
-        self._learned = self._called(matcher.learn, made) if matcher.learn and made else None
-        self.features = tuple(map(self._after_learning, made))
-        self.failures = tuple(failures)
-
-    def __len__(self) -> int:
-        return len(self.ids)
-
-    def query(self, shape: Shape, k: int = 10) -> Neighbors:
-        """The shapes of the gallery nearest to any shape."""
-        features = self._after_learning(self._called(self.matcher.prepare, shape))
-        return nearest_of(self.ids, self._row(features), k)
-
-    def nearest(self, shape_id: str, k: int = 10) -> Neighbors:
-        """The shapes nearest to a shape of the gallery, itself included."""
-        return nearest_of(self.ids, self._row(self.features[position_of(self.ids, shape_id)]), k)
-
-    def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:
-        """Distances from shapes of the gallery to all of the gallery, one query a block.
-
-        By default, all queries in one block; of a symmetric distance, half are then computed.
-        """
-        if queries is not None:
-            for position in queries:
-                row = self._row(self.features[position])
-                yield DistanceBlock(np.array([position]), row[np.newaxis])
-            return
-        n = len(self)
-        distances = np.empty((n, n))
-        for position, features in enumerate(self.features):
-            start = position if self.matcher.symmetric else 0
-            distances[position, start:] = self._row(features, start)
-            if self.matcher.symmetric:
-                distances[start:, position] = distances[position, start:]
-            _log.info("compared with all: %d of %d shapes", position + 1, n)
-        yield DistanceBlock(np.arange(n), distances)
-
-    def _after_learning(self, features: Any) -> Any:
-        """What the distance is given for a shape."""
-        return features if self._learned is None else self._called(self._learned, features)
-
-    def _row(self, query: Any, start: int = 0) -> FloatArray:
-        """(N − start,) distances from the features of a query to those of the gallery."""
-        return np.array(
-            [self._called(self.matcher.distance, query, other) for other in self.features[start:]],
-            dtype=np.float64,
-        )
-
-    def _called(self, function: Callable[..., _Result], *arguments: Any) -> _Result:
-        """The result of a function of the matcher, which may be one's own."""
+def match_all(
+    matcher: Matcher,
+    ids: Iterable[str],
+    shape_of: Callable[[str], Shape],
+    on_failure: Callable[[Failure], None] = lambda failure: None,
+) -> DistanceMatrix:
+    """All distances between some shapes by a matcher; shapes to which it cannot be applied are left out."""
+    features: dict[str, Any] = {}
+    for shape_id in ids:
         try:
-            return function(*arguments)
-        except (PcretrieveError, MemoryError):
-            raise
-        except Exception as error:
-            raise ShapeError(
-                f"the matcher {self.matcher.name!r} failed, {type(error).__name__}: {error}",
-                stage=Stage.SIGNATURE,
-            ) from error
+            features[shape_id] = _called(matcher.name, matcher.prepare, shape_of(shape_id))
+            _log.info("prepared: %d shapes", len(features))
+        except ShapeError as error:
+            on_failure(Failure(shape_id, str(error.stage or ""), type(error).__name__, error.message))
+    compared = list(features.values())
+    if matcher.learn and compared:
+        learned = _called(matcher.name, matcher.learn, compared)
+        compared = [_called(matcher.name, learned, each) for each in compared]
+    distances = np.empty((len(compared), len(compared)))
+    for row, query in enumerate(compared):
+        start = row if matcher.symmetric else 0
+        others = compared[start:]
+        distances[row, start:] = [_called(matcher.name, matcher.distance, query, each) for each in others]
+        if matcher.symmetric:
+            distances[start:, row] = distances[row, start:]
+        _log.info("compared with all: %d of %d shapes", row + 1, len(compared))
+    return DistanceMatrix(tuple(features), distances)
+
+
+def _called(name: str, function: Callable[..., Any], *arguments: Any) -> Any:
+    """The result of a function of a matcher, which may be one's own."""
+    try:
+        return function(*arguments)
+    except (PcretrieveError, MemoryError):
+        raise
+    except Exception as error:
+        raise ShapeError(
+            f"the matcher {name!r} failed, {type(error).__name__}: {error}", stage=Stage.SIGNATURE
+        ) from error

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import InputError
-from pcretrieve.retrieval import DistanceBlock, Positions, Ranking, nearest_of, position_of
+from pcretrieve.retrieval import DistanceBlock, Positions, nearest_of, position_of
 from pcretrieve.values import FloatArray, Neighbors
 from pcretrieve.values.base import Value, locked
 from pcretrieve.values.files import write_file
@@ -73,14 +73,6 @@ class DistanceMatrix(Value):
     def nearest(self, shape_id: str, k: int = 10) -> Neighbors:
         """The k shapes nearest to a shape of the gallery, itself included."""
         return nearest_of(self.ids, self.values[position_of(self.ids, shape_id)], k)
-
-
-def distance_matrix(ranking: Ranking, labels: tuple[str | None, ...] = ()) -> DistanceMatrix:
-    """Compute all distances of a gallery."""
-    values = np.empty((len(ranking.ids), len(ranking.ids)))
-    for block in ranking.blocks():
-        values[block.queries] = block.distances
-    return DistanceMatrix(tuple(ranking.ids), values, labels)
 
 
 # Significant digits that every float64 is restored from exactly.

@@ -17,7 +17,7 @@ import pcretrieve as pr
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.evaluation import MEASURES, query_scores, read_scores
 from pcretrieve.formats import write_mesh
-from pcretrieve.matching import MATCHERS, PairwiseIndex, distance_matrix
+from pcretrieve.matching import MATCHERS, match_all
 
 N_KINDS, N_EACH = 4, 4
 PCA = ("--whitening", "pca", "--distance", "d1", "--n-values", 9)
@@ -137,8 +137,8 @@ def test_a_matcher_makes_a_matrix_that_ranks(eggs: Path, tmp_path: Path) -> None
     run(*asked, "heat-hausdorff", "-o", path)
     made = pr.matrix(catalogue, matcher="heat-hausdorff")
     with pr.Catalogue(catalogue) as store:
-        index = PairwiseIndex(MATCHERS["heat-hausdorff"], made.ids, store.shape)
-    assert pr.read_matrix(path) == replace(made, labels=()) == distance_matrix(index)
+        expected = match_all(MATCHERS["heat-hausdorff"], made.ids, store.shape)
+    assert pr.read_matrix(path) == replace(made, labels=()) == expected
     assert made.labels == tuple(f"kind{shape_id[0]}" for shape_id in made.ids)
     found = result("evaluate", "-c", catalogue, "--matrix", path)
     assert (found["n_queries"], found["n_failed"]) == (17, 1)

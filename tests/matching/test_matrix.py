@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,9 @@ import pytest
 
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation import evaluate, rank
-from pcretrieve.matching import DistanceMatrix, distance_matrix, read_matrix, write_matrix
+from pcretrieve.matching import DistanceMatrix, read_matrix, write_matrix
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval import DISTANCES, Ranking, SignatureIndex
+from pcretrieve.retrieval import DISTANCES, SignatureIndex
 from pcretrieve.values import SignatureTable
 
 # Not symmetric: from d all others are equally far.
@@ -29,27 +30,25 @@ def a_table(n: int = 40) -> SignatureTable:
     return SignatureTable(ids, values, "r-bihdm", "3f2a", tuple("ABCD"[number % 4] for number in range(n)))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+def test_what_is_no_distance_matrix() -> None:
+    arguments: Any
+    for arguments, message in (
         ((("a", "b"), np.zeros((2, 3))), "a distance matrix must have shape (2, 2), got (2, 3)"),
         ((("a", "b"), [[0, np.nan], [0, 0]]), "must be numbers, got 1 values that are NaN"),
         ((("a", "b"), [[0, -1.0], [-2, 0]]), "distances must be 0 or more, got 2 that are negative"),
         ((("a", "b", "a"), np.zeros((3, 3))), "ids of a distance matrix must be distinct, 'a' comes twice"),
         ((("a", "b"), np.zeros((2, 2)), ("A",)), "labels must be as many as ids (2), got 1"),
-    ],
-)
-def test_what_is_no_distance_matrix(arguments: Any, message: str) -> None:
-    with pytest.raises(InputError, match=re.escape(message)):
-        DistanceMatrix(*arguments)
+    ):
+        with pytest.raises(InputError, match=re.escape(message)):
+            DistanceMatrix(*arguments)
 
 
 def test_the_matrix_of_an_index_ranks_as_the_index_does() -> None:
     table = a_table()
     label_of = dict(zip(table.ids, table.labels, strict=True))
     for distance in DISTANCES:
-        index: Ranking = SignatureIndex(table, RetrievalOptions(distance=distance, whitening="pca"))
-        matrix = distance_matrix(index)
+        index = SignatureIndex(table, RetrievalOptions(distance=distance, whitening="pca"))
+        matrix = DistanceMatrix(tuple(index.ids), index.between(index.ids))
         for shape_id in table.ids:
             assert matrix.nearest(shape_id, 7) == index.nearest(shape_id, 7)
         labels = [label_of[shape_id] for shape_id in index.ids]
@@ -57,7 +56,8 @@ def test_the_matrix_of_an_index_ranks_as_the_index_does() -> None:
 
 
 def test_a_file_restores_every_bit(tmp_path: Path) -> None:
-    matrix = distance_matrix(SignatureIndex(a_table()))
+    index = SignatureIndex(a_table())
+    matrix = DistanceMatrix(tuple(index.ids), index.between(index.ids))
     for number, name in enumerate(("run.txt", "run.npy", "run")):
         folder = tmp_path / str(number)
         folder.mkdir()
@@ -73,51 +73,46 @@ def test_a_matrix_of_a_track_is_plain_rows_of_numbers(tmp_path: Path) -> None:
     assert read_matrix(tmp_path / "run.txt") == MATRIX
 
 
-@pytest.mark.parametrize(
-    ("text", "ids", "message"),
-    [
-        ("0 1\n1 0\n", None, r"cannot read .*run.ids, which must name the rows of run.txt, one id a line"),
-        ("0 1\n1 0\n", "a\nb\nc\n", r"run.ids must name the 2 rows of run.txt, got 3 ids"),
-        ("0 1\n1 0\n", "a\na\n", r"run.txt: ids of a distance matrix must be distinct, 'a' comes twice"),
-        ("0 1 2\n1 0 2\n", "a\nb\n", r"run.txt must hold a square matrix, rows by columns, got 2 by 3"),
-        ("0 1\n1 0 2\n", "a\nb\n", r"run.txt is not a distance matrix: .*columns"),
-        ("0 x\n1 0\n", "a\nb\n", r"run.txt is not a distance matrix: could not convert string 'x'"),
-        ("0 nan\n1 0\n", "a\nb\n", r"run.txt: a distance matrix must be numbers, got 1 values that are NaN"),
-        ("0 -1\n1 0\n", "a\nb\n", r"run.txt: distances must be 0 or more, got 1 that are negative"),
-        ("", "", r"run.txt must hold a square matrix"),
-    ],
-)
-def test_text_that_is_no_matrix(text: str, ids: str | None, message: str, tmp_path: Path) -> None:
-    (tmp_path / "run.txt").write_text(text)
-    if ids is not None:
-        (tmp_path / "run.ids").write_text(ids)
-    with pytest.raises(InputError, match=message):
-        read_matrix(tmp_path / "run.txt")
-
-
 def huge(path: Path) -> None:
     """A header that declares eight terabytes."""
     np.save(path, np.zeros((2, 2)))
     path.write_bytes(path.read_bytes().replace(b"(2, 2)", b"(1000000, 1000000)"))
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda path: None, r"cannot read the distance matrix .*: No such file"),
-        (lambda path: path.touch(), r"is not a distance matrix"),
-        (lambda path: path.write_bytes(b"ply\n" * 99), r"is not a distance matrix"),
-        (huge, r"is not a distance matrix"),
-        (lambda path: np.save(path, np.array([[{}]]), allow_pickle=True), r"is not a distance matrix"),
-        (lambda path: np.save(path, np.zeros(4)), r"must hold a square matrix, rows by columns, got 4"),
-        (lambda path: np.save(path, np.zeros((2, 2)) * 1j), r"must be an array of numbers, got .*complex"),
-    ],
+TEXTS = (
+    ("0 1\n1 0\n", None, r"cannot read .*run.ids, which must name the rows of run.txt, one id a line"),
+    ("0 1\n1 0\n", "a\nb\nc\n", r"run.ids must name the 2 rows of run.txt, got 3 ids"),
+    ("0 1\n1 0\n", "a\na\n", r"run.txt: ids of a distance matrix must be distinct, 'a' comes twice"),
+    ("0 1 2\n1 0 2\n", "a\nb\n", r"run.txt must hold a square matrix, rows by columns, got 2 by 3"),
+    ("0 1\n1 0 2\n", "a\nb\n", r"run.txt is not a distance matrix: .*columns"),
+    ("0 x\n1 0\n", "a\nb\n", r"run.txt is not a distance matrix: could not convert string 'x'"),
+    ("0 nan\n1 0\n", "a\nb\n", r"run.txt: a distance matrix must be numbers, got 1 values that are NaN"),
+    ("0 -1\n1 0\n", "a\nb\n", r"run.txt: distances must be 0 or more, got 1 that are negative"),
+    ("", "", r"run.txt must hold a square matrix"),
 )
-def test_arrays_that_are_no_matrix(make: Any, message: str, tmp_path: Path) -> None:
-    make(tmp_path / "run.npy")
-    (tmp_path / "run.ids").write_text("a\nb\n")
-    with pytest.raises(InputError, match=message):
-        read_matrix(tmp_path / "run.npy")
+ARRAYS: tuple[tuple[Callable[[Path], object], str], ...] = (
+    (lambda path: None, r"cannot read the distance matrix .*: No such file"),
+    (lambda path: path.touch(), r"is not a distance matrix"),
+    (lambda path: path.write_bytes(b"ply\n" * 99), r"is not a distance matrix"),
+    (huge, r"is not a distance matrix"),
+    (lambda path: np.save(path, np.array([[{}]]), allow_pickle=True), r"is not a distance matrix"),
+    (lambda path: np.save(path, np.zeros(4)), r"must hold a square matrix, rows by columns, got 4"),
+    (lambda path: np.save(path, np.zeros((2, 2)) * 1j), r"must be an array of numbers, got .*complex"),
+)
+
+
+def test_files_that_are_no_matrix(tmp_path: Path) -> None:
+    ids = tmp_path / "run.ids"
+    for text, names, message in TEXTS:
+        (tmp_path / "run.txt").write_text(text)
+        ids.unlink(missing_ok=True) if names is None else ids.write_text(names)
+        with pytest.raises(InputError, match=message):
+            read_matrix(tmp_path / "run.txt")
+    ids.write_text("a\nb\n")
+    for make, message in ARRAYS:
+        make(tmp_path / "run.npy")
+        with pytest.raises(InputError, match=message):
+            read_matrix(tmp_path / "run.npy")
 
 
 def test_where_a_matrix_cannot_be_written(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -10,11 +9,9 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve.errors import ShapeError
-from pcretrieve.matching import MATCHERS, Matcher, PairwiseIndex, distance_matrix
-from pcretrieve.matching.heat import HeatPoints, heat_distance, heat_set
-from pcretrieve.retrieval import Ranking
-from pcretrieve.values import FloatArray, Shape
+from pcretrieve.matching import MATCHERS, DistanceMatrix, Matcher, match_all
+from pcretrieve.matching.heat import HeatPoints, heat_distance, heat_points, heat_set, word_frequencies
+from pcretrieve.values import Failure, FloatArray, Shape
 
 
 def egg(length: float, *, subdivisions: int = 3) -> Shape:
@@ -34,47 +31,30 @@ LACKING = Matcher("lacking", width_of, lacking, needs=("mesh",), symmetric=False
 LENGTHS = {"c": 1.0, "a": 2.0, "b": 1.5, "d": 1.5}
 
 
-def lengths(matcher: Matcher = LACKING) -> PairwiseIndex:
-    return PairwiseIndex(matcher, LENGTHS, lambda shape_id: egg(LENGTHS[shape_id], subdivisions=1))
+def lengths(matcher: Matcher, failures: list[Failure] | None = None) -> DistanceMatrix:
+    failed = [] if failures is None else failures
+    return match_all(matcher, LENGTHS, lambda name: egg(LENGTHS[name], subdivisions=1), failed.append)
 
 
-# --- the gallery ----------------------------------------------------------------------------------------
+def apart(query: float, other: float) -> float:
+    return abs(query - other)
 
 
 def test_each_distance_is_that_of_the_matcher_from_the_query() -> None:
-    index: Ranking = lengths()
-    assert index.ids == ("c", "a", "b", "d")
+    """Of a symmetric distance, half are computed."""
+    matrix = lengths(LACKING)
+    assert matrix.ids == ("c", "a", "b", "d")
     size = [width_of(egg(length, subdivisions=1)) for length in LENGTHS.values()]
-    expected = [[max(0.0, query - other) for other in size] for query in size]
-    matrix = distance_matrix(index)
-    np.testing.assert_array_equal(matrix.values, expected)
-    rows = {int(block.queries[0]): block.distances[0] for block in index.blocks(np.array([3, 1]))}
-    np.testing.assert_array_equal([rows[1], rows[3]], [expected[1], expected[3]])
-    for shape_id in index.ids:
-        assert index.nearest(shape_id, 3) == matrix.nearest(shape_id, 3)
-    assert index.nearest("a", 4).ids == ("a", "b", "d", "c")
-
-
-def test_of_a_symmetric_distance_half_are_computed() -> None:
+    np.testing.assert_array_equal(matrix.values, [[lacking(one, two) for two in size] for one in size])
     calls = []
 
-    def apart(query: float, other: float) -> float:
+    def counted(query: float, other: float) -> float:
         calls.append((query, other))
-        return abs(query - other)
+        return apart(query, other)
 
-    matrix = distance_matrix(lengths(replace(LACKING, distance=apart, symmetric=True)))
+    matrix = lengths(replace(LACKING, distance=counted, symmetric=True))
     assert len(calls) == 4 + 3 + 2 + 1
-    np.testing.assert_array_equal(matrix.values, matrix.values.T)
-    np.testing.assert_array_equal(
-        matrix.values, distance_matrix(lengths(replace(LACKING, distance=apart))).values
-    )
-
-
-def test_a_new_shape_is_compared_with_the_gallery() -> None:
-    found = lengths().query(egg(1.5, subdivisions=1), 3)
-    assert found.ids == ("a", "b", "d")
-    assert found.distances.tolist() == [0, 0, 0]
-    assert pickle.loads(pickle.dumps(lengths())).query(egg(1.5, subdivisions=1), 3) == found
+    np.testing.assert_array_equal(matrix.values, [[apart(one, two) for two in size] for one in size])
 
 
 def test_a_shape_that_a_matcher_fails_on_is_left_out() -> None:
@@ -83,32 +63,20 @@ def test_a_shape_that_a_matcher_fails_on_is_left_out() -> None:
             raise IndexError("list index out of range")
         return width_of(shape)
 
-    index = lengths(replace(LACKING, prepare=clumsy))
-    assert index.ids == ("c", "b", "d")
-    (failure,) = index.failures
+    failures: list[Failure] = []
+    assert lengths(replace(LACKING, prepare=clumsy), failures).ids == ("c", "b", "d")
+    (failure,) = failures
     assert (failure.shape_id, failure.stage, failure.error) == ("a", "signature", "ShapeError")
     assert failure.message == "the matcher 'lacking' failed, IndexError: list index out of range"
-    with pytest.raises(ShapeError, match="the matcher 'lacking' failed, IndexError"):
-        index.query(egg(2, subdivisions=1))
 
 
-def relative_to_the_longest(gallery: Sequence[float]) -> Callable[[float], float]:
-    longest = max(gallery)
-    return lambda length: length / longest
-
-
-def test_distances_are_those_of_what_the_gallery_taught() -> None:
-    def apart(query: float, other: float) -> float:
-        return abs(query - other)
+def test_distances_are_those_of_what_all_shapes_taught() -> None:
+    def relative_to_the_longest(gallery: Sequence[float]) -> Callable[[float], float]:
+        longest = max(gallery)
+        return lambda length: length / longest
 
     matcher = Matcher("relative", width_of, apart, needs=("mesh",), learn=relative_to_the_longest)
-    index = lengths(matcher)
-    assert index.features == pytest.approx((0.5, 1, 0.75, 0.75))
-    assert distance_matrix(index).values[1] == pytest.approx([0.5, 0, 0.25, 0.25])
-    # A query is measured by the gallery, and teaches it nothing.
-    found = index.query(egg(3.0, subdivisions=1), 4)
-    assert found.ids == ("a", "b", "d", "c")
-    assert found.distances == pytest.approx((0.5, 0.75, 0.75, 1))
+    assert lengths(matcher).values[1] == pytest.approx([0.5, 0, 0.25, 0.25])
 
 
 # --- heat kernel signatures -----------------------------------------------------------------------------
@@ -143,15 +111,14 @@ def test_words_of_a_gallery_are_shares_of_the_surface_by_which_a_moved_copy_is_n
         "body": shapes.body(3),
     }
     meshes |= {f"{name} again": shapes.moved(mesh, 1) for name, mesh in meshes.items()}
-    index = PairwiseIndex(
-        MATCHERS["hks-bow-gallery"], meshes, lambda shape_id: shapes.shape(meshes[shape_id])
-    )
-    for frequencies in index.features:
+    features = {name: heat_points(shapes.shape(mesh)) for name, mesh in meshes.items()}
+    frequencies_of = word_frequencies(list(features.values()))
+    for each in features.values():
+        frequencies = frequencies_of(each)
         assert frequencies.shape == (48,)
         assert frequencies.sum() == pytest.approx(1)
         assert (frequencies >= 0).all()
+    matrix = match_all(MATCHERS["hks-bow-gallery"], meshes, lambda name: shapes.shape(meshes[name]))
     for name in ("egg", "long", "body"):
-        assert index.nearest(name, 2).ids[1] == f"{name} again"
-    assert np.abs(index.features[0] - index.features[2]).sum() > 0.1
-    query = shapes.shape(shapes.moved(meshes["long"], 2))
-    assert pickle.loads(pickle.dumps(index)).query(query) == index.query(query)
+        assert matrix.nearest(name, 2).ids[1] == f"{name} again"
+    assert matrix.values[0, 2] > 0.1

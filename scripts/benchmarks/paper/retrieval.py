@@ -33,7 +33,7 @@ from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import discover_labelled, read_labels
 from pcretrieve.ingestion.pool import in_processes
-from pcretrieve.matching import MATCHERS, PairwiseIndex
+from pcretrieve.matching import MATCHERS, match_all
 from pcretrieve.options import PipelineOptions, RetrievalOptions, Scale, SignatureOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import table_whitening
@@ -194,10 +194,10 @@ def _matched(catalogue: Catalogue, system: System) -> Rankings:
     """Rank all pairs; shapes without features count as misses."""
     matcher = MATCHERS[system.method]
     ids = catalogue.signatures().ids
-    index = PairwiseIndex(matcher, ids, lambda shape_id: catalogue.shape(shape_id, matcher.needs))
+    matrix = match_all(matcher, ids, lambda shape_id: catalogue.shape(shape_id, matcher.needs))
     classes = {record.id: record.label for record in catalogue.records()}
-    labels = [classes.pop(shape_id) for shape_id in index.ids]
-    return rank(index, labels, failed=classes)
+    labels = [classes.pop(shape_id) for shape_id in matrix.ids]
+    return rank(matrix, labels, failed=classes)
 
 
 def _row(system: System, ranked: Rankings, published: Sequence[float] | None) -> str:
