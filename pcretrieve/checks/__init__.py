@@ -6,9 +6,9 @@ checked; an inspection adds rescans, and shows the findings.
 """
 
 from pcretrieve.checks.findings import findings_of
-from pcretrieve.checks.grading import NEXT_BODY, OUTCOMES, Check, verdict_of
-from pcretrieve.checks.inspection import Inspection, NextBody, failure_check, rescan_check, spread_check
-from pcretrieve.checks.surfaces import fit_checks, surface_checks
+from pcretrieve.checks.grading import NEXT_BODY, OUTCOMES, Check, graded, verdict_of
+from pcretrieve.checks.inspection import Inspection, NextBody
+from pcretrieve.checks.stages import fit_checks, surface_checks
 
 __all__ = [
     "NEXT_BODY",
@@ -16,11 +16,9 @@ __all__ = [
     "Check",
     "Inspection",
     "NextBody",
-    "failure_check",
     "findings_of",
     "fit_checks",
-    "rescan_check",
-    "spread_check",
+    "graded",
     "surface_checks",
     "verdict_of",
 ]

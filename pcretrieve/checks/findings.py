@@ -11,12 +11,13 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from pcretrieve.checks.grading import Check
-from pcretrieve.checks.points import normal_checks, point_checks
-from pcretrieve.checks.surfaces import (
+from pcretrieve.checks.stages import (
     base_check,
     fit_checks,
     marks_check,
     mesh_check,
+    normal_checks,
+    point_checks,
     spectrum_checks,
     surface_checks,
 )

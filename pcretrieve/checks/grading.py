@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -45,15 +46,129 @@ class Check:
     error: float = 0.0
 
 
-def graded(
-    name: str, value: float, limits: Limits, shown: str, *, passed: str, poor: str, error: float = 0.0
-) -> Check:
-    """A check of a measurement by its limits.
+class Measure(NamedTuple):
+    """What a check says if it is passed, and if it is not; and its limits, which scans of known quality have.
 
-    shown: the measurement with its unit, as text.
+    Without limits, the check itself knows whether it is passed, and never fails.
     """
-    good, bad = limits
-    verdict: Outcome = "passed" if value <= good else "look" if value <= bad else "failed"
+
+    limits: Limits | None
+    passed: str
+    poor: str
+
+
+MEASURES = {
+    "Points": Measure(
+        (0.005, 0.015),
+        "Dense enough for limbs and fingers.",
+        "Thin parts may be lost: scan more densely, or from nearer.",
+    ),
+    "Outliers": Measure(
+        (0.04, 0.15),
+        "Single points off the surface were removed.",
+        "Look at the points in red: if they belong to the body, raise scan.outlier_std; else scan again.",
+    ),
+    "Outside": Measure(
+        None,
+        "It is known which side is outside.",
+        "The scan has holes and no sensor positions: save the positions with it.",
+    ),
+    "Normals": Measure(
+        (0.05, 0.25),
+        "Neighbouring points agree on which side is outside.",
+        "Normals of some patches point inwards, or the points are noisy: look at the orange patches, and "
+        "keep the sensor positions when scanning.",
+    ),
+    "Sides seen": Measure(
+        (0.15, 0.25),
+        "The normals point to all sides.",
+        "Most normals point the same way, as in a single view: scan the other sides too, and merge the "
+        "views.",
+    ),
+    "Closed surface": Measure(
+        None,
+        "One closed, consistently oriented surface.",
+        "It has holes, or edges that no closed surface has: reconstruct it with surface.mode = "
+        "'reconstruct'.",
+    ),
+    "Handles": Measure(
+        None,
+        "No parts that touch have fused into a ring.",
+        "Right for a ring or a mug. If the body has no handle, parts that touch have fused: pose it with "
+        "limbs apart, or set surface.genus = 'sphere'.",
+    ),
+    "Welds": Measure(
+        None,
+        "No vertex or edge joins parts of the mesh.",
+        "Parts of the body may be joined where they only touch: separate these vertices and edges.",
+    ),
+    "Filled in": Measure(
+        (0.01, 0.15),
+        "Nearly all of the surface lies on points.",
+        "The orange surface is interpolated, because there are no points: scan these places too.",
+    ),
+    "Closed ends": Measure(
+        (0.005, 0.03),
+        "The filled parts continue the surface around them.",
+        "The surface was closed across a limb that ends in a hole: scan the part that is missing.",
+    ),
+    "Gaps": Measure(
+        (0.008, 0.025),
+        "Points are dense everywhere.",
+        "Parts of the body have few points: scan these parts more densely, or from nearer.",
+    ),
+    "Left out": Measure(
+        (0.005, 0.05),
+        "The surface passes by all points.",
+        "A part of the body was cut off, or something else was scanned with it: compare the points with the "
+        "surface.",
+    ),
+    "Noise": Measure(
+        (0.0025, 0.01),
+        "Points lie close to the surface.",
+        "Points scatter about the surface: scan from nearer, hold still, or align the views better.",
+    ),
+    "Closed base": Measure(
+        None,
+        "The body stands on the ground that was scanned, and its base was closed there.",
+        "The side on which the body can stand was not seen, and was closed flat: scan the ground too, or "
+        "merge views from below; if limbs were cut off there, scan them.",
+    ),
+    "Cuts and bridges": Measure(
+        None,
+        "No parts had to be separated or connected.",
+        "Look at the rings: parts that touch were separated there, or a loose part was connected; pose limbs "
+        "apart, and scan between them.",
+    ),
+    "One body": Measure(
+        None,
+        "No narrow neck divides the surface into halves.",
+        "A narrow neck joins two parts of one size, as where two bodies touch: give each body a file of its "
+        "own.",
+    ),
+    "Surfaces": Measure(
+        (0.08, 0.4),
+        "The surfaces on grids of different voxels agree.",
+        "The surface depends on the grid where parts touch or are thin: scan more densely, pose limbs apart, "
+        "and repair a mesh that is welded.",
+    ),
+    "Signature": Measure(
+        (0.15, 0.5),
+        "It hardly changes when a tenth of the points is left out.",
+        "It changes when a tenth of the points is left out, and so do its nearest neighbours: correct what "
+        "the other checks name, and scan more than once.",
+    ),
+}
+
+
+def graded(name: str, value: float | None, shown: str, *, is_good: bool = False, error: float = 0.0) -> Check:
+    """The check of a measurement, which is `shown` with its unit; `is_good` counts if there are no limits."""
+    limits, passed, poor = MEASURES[name]
+    verdict: Outcome
+    if limits is None or value is None:
+        verdict = "passed" if is_good else "look"
+    else:
+        verdict = OUTCOMES[-1 - bisect_left(limits, value)]
     return Check(name, verdict, value, shown, passed if verdict == "passed" else poor, error)
 
 

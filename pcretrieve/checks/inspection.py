@@ -2,35 +2,14 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.checks.grading import NEXT_BODY, Check, Limits, Outcome, graded, verdict_of
+from pcretrieve.checks.grading import NEXT_BODY, Check, Outcome, percent, verdict_of
 from pcretrieve.values import Failure, FloatArray, PointCloud, Signature, Step, TriangleMesh, Verdict
-
-# What scans of known quality have.
-SPREAD: Limits = (0.15, 0.5)
-
-# Parts in words, and the smallest ratio of each, midway to the part before.
-PARTS = (
-    (0.0, "less than a twentieth of"),
-    (0.045, "a twentieth of"),
-    (0.075, "a tenth of"),
-    (0.125, "a seventh of"),
-    (0.17, "a fifth of"),
-    (0.225, "a quarter of"),
-    (0.29, "a third of"),
-    (0.365, "two fifths of"),
-    (0.45, "half of"),
-    (0.58, "two thirds of"),
-    (0.71, "three quarters of"),
-    (0.87, "as large as"),
-)
-LARGEST_PART = 1.15
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +119,8 @@ class Inspection:
             because = f"; look at: {', '.join(causes)}" if causes else ""
             return f"No signature, the {stage} stage failed{because}."
         ratio = judged.uncertainty / self.next_body.distance if self.next_body.distance else np.inf
-        size = f"± {judged.uncertainty:.2g}, is {ratio_words(ratio)} the distance to the next body."
+        times = f"{percent(ratio)} of" if ratio <= 1 else f"{min(ratio, 100):.2g} times"
+        size = f"± {judged.uncertainty:.2g}, is {times} the distance to the next body."
         words = {"sound": "A good scan", "doubtful": "A doubtful scan", "unusable": "Do not trust this scan"}
         before = f"{', '.join(failed)} failed; by the other checks, " if failed else ""
         after = f" Look at: {', '.join(look)}." if look else ""
@@ -157,33 +137,3 @@ class Inspection:
         if self.mesh is not None:
             parts.append(self.mesh.vertices)
         return np.concatenate(parts)
-
-
-def ratio_words(ratio: float) -> str:
-    """A ratio in words that stand before "the distance", such as "a third of" and "2.5 times"."""
-    if ratio > LARGEST_PART:
-        return f"{ratio:.2g} times" if ratio < 100 else "more than 100 times"
-    return PARTS[bisect_right([least for least, _ in PARTS], ratio) - 1][1]
-
-
-def spread_check(spread: float) -> Check:
-    """Check the spread of the signature over simulated rescans."""
-    return graded(
-        "Signature",
-        spread,
-        SPREAD,
-        f"± {spread:.2g} over rescans",
-        passed="It hardly changes when a tenth of the points is left out.",
-        poor="It changes when a tenth of the points is left out, and so do its nearest neighbours: correct "
-        "what the other checks name, and scan more than once.",
-    )
-
-
-def failure_check(failure: Failure) -> Check:
-    """Report the stage that failed."""
-    return Check(f"The {failure.stage} stage", "failed", None, failure.error, failure.message)
-
-
-def rescan_check(failure: Failure) -> Check:
-    """Report a signature without an error bar, because a part of the points has no signature."""
-    return Check("Signature", "failed", None, "none for nine tenths of the points", failure.message)

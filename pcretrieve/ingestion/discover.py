@@ -11,12 +11,13 @@ import os
 import re
 import stat
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 from pcretrieve.errors import InputError, OptionError, ScanReadError
 from pcretrieve.formats import (
+    Part,
     is_scan,
     members_of,
     missing_extra,
@@ -26,8 +27,6 @@ from pcretrieve.formats import (
     suffixes,
     url_of,
 )
-from pcretrieve.formats.identity import content_hash as content_hash
-from pcretrieve.formats.identity import printable as printable
 
 logger = logging.getLogger(__name__)
 
@@ -59,7 +58,7 @@ def discover(arguments: Sequence[str | Path], beside: Iterable[str | Path] = ())
     for argument in arguments:
         for path in _expand(argument, known):
             found.setdefault(_absolute(path))
-    parts = _parts(found)
+    parts = {part.path for path in found for part in parts_in(path)}
     return [scan for path in found if path not in parts for scan in _scans_in(path)]
 
 
@@ -148,7 +147,7 @@ def _expand(argument: str | Path, beside: Collection[Path]) -> list[Path]:
     except OSError as error:
         raise InputError(f"cannot look into {path}: {error.strerror}") from error
     scans = {file: None for file in files if is_scan(file)}
-    expected = _parts(scans).union(beside)
+    expected = {*beside, *(part.path for scan in scans for part in parts_in(scan))}
     unread = unread_files(file for file in files if file not in scans and _absolute(file) not in expected)
     if not scans:
         left = f", but {unread}" if unread else ""
@@ -162,24 +161,11 @@ def _named_by(path: Path) -> list[Path]:
     """The scans that a manifest names, or the file itself."""
     if path.suffix.lower() not in MANIFESTS or is_scan(path):
         return [path]
-    try:
-        # Reading a pipe or a device may never end.
-        if not path.is_file():
-            raise InputError(f"the manifest {path} must be a regular file, not a pipe or a device")
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
-        raise InputError(f"cannot read the manifest {path}: {reason}") from error
+    if path.exists() and not path.is_file():  # reading a pipe or a device may never end
+        raise InputError(f"the manifest {path} must be a regular file, not a pipe or a device")
+    text = read_text(path, "manifest")
     if path.suffix.lower() == ".csv":
-        try:
-            rows = csv.DictReader(io.StringIO(text, newline=""), strict=True)
-            header = {name.strip().lower(): name for name in rows.fieldnames or ()}
-            column = next((header[name] for name in PATH_COLUMNS if name in header), None)
-            if column is None:
-                raise InputError(f"the manifest {path} must have a column {' or '.join(PATH_COLUMNS)}")
-            names = [(row[column] or "").strip() for row in rows]
-        except csv.Error as error:
-            raise InputError(f"the manifest {path} is not a CSV file: {error}") from error
+        names = [name for (name,) in read_table(path, "manifest", text, PATH_COLUMNS)]
     else:
         # Not by splitlines: names may have its other separators, such as U+2028.
         names = [line.strip() for line in text.split("\n") if not line.lstrip().startswith("#")]
@@ -188,6 +174,39 @@ def _named_by(path: Path) -> list[Path]:
     if not scans:
         raise InputError(f"the manifest {path} names no scans")
     return scans
+
+
+def read_text(path: Path, kind: str) -> str:
+    """The text of a file; `kind` says in messages what the file is."""
+    try:
+        return path.read_bytes().decode("utf-8-sig")  # names may have the end of a line of any system
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
+        raise InputError(f"cannot read the {kind} {path}: {reason}") from error
+
+
+def read_table(path: Path, kind: str, text: str, *columns: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    """The values of some columns of a CSV file, each of which has one of several names."""
+    # Spreadsheets separate columns by semicolons where the comma is the decimal point.
+    head = text.partition("\n")[0]
+    separator = ";" if ";" in head and "," not in head else ","
+    try:
+        rows = csv.DictReader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
+        header = {name.strip().lower(): name for name in rows.fieldnames or ()}
+        found = [header[known[0]] for names in columns if (known := [n for n in names if n in header])]
+        if len(found) < len(columns):
+            needed = " and one of ".join(", ".join(names) for names in columns)
+            raise InputError(
+                f"the {kind} {path} must have a header with one of {needed}, got "
+                f"{', '.join(header) or 'nothing'}"
+            )
+        for row in rows:
+            yield tuple((row[name] or "").strip() for name in found)
+    except csv.Error as error:
+        raise InputError(
+            f"the {kind} {path} is not a CSV file ({error}): close each quotation mark, and write one within "
+            'quotes as ""'
+        ) from error
 
 
 def _files_below(path: Path) -> list[Path]:
@@ -216,13 +235,12 @@ def _scans_in(path: Path) -> tuple[Path, ...]:
     return (path,)
 
 
-def _parts(paths: Iterable[Path]) -> set[Path]:
-    """The files that belong to scans, by their absolute names."""
-    parts: set[Path] = set()
-    for path in (path for path in paths if url_of(path) is None):
-        with suppress(ScanReadError, OSError):  # reading the file as a scan will report the error
-            parts.update(_absolute(part.path) for part in parts_of(path))
-    return parts
+def parts_in(path: Path) -> list[Part]:
+    """The files that belong to a scan, by their absolute names; of one at a URL, none is looked for."""
+    with suppress(ScanReadError, OSError):  # reading the file as a scan will report the error
+        if url_of(path) is None:
+            return [Part(_absolute(part.path), part.pose) for part in parts_of(path)]
+    return []
 
 
 def _absolute(path: Path) -> Path:

@@ -6,8 +6,6 @@ label file beside them. Label files are looked for in the folder of the scans, a
 
 from __future__ import annotations
 
-import csv
-import io
 import logging
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,7 +16,7 @@ from typing import NamedTuple
 
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.formats import split_member
-from pcretrieve.ingestion.discover import discover
+from pcretrieve.ingestion.discover import discover, read_table, read_text
 
 logger = logging.getLogger(__name__)
 
@@ -175,12 +173,20 @@ def _label_file(layout: Layout, names: tuple[str, ...], folder: Path) -> Path:
 def read_labels(path: str | Path) -> dict[str, str]:
     """Read a label file."""
     path = Path(path)
+    labels: dict[str, str] = {}
     try:
-        text = path.read_bytes().decode("utf-8-sig")  # names may have the end of a line of any system
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
-        raise BenchmarkError(f"cannot read the label file {path}: {reason}") from error
-    return _princeton(path, text) if text.startswith("PSB") else _table(path, text)
+        text = read_text(path, "label file")
+        if text.startswith("PSB"):
+            return _princeton(path, text)
+        for shape, its_class in read_table(path, "label file", text, NAME_COLUMNS, LABEL_COLUMNS):
+            if shape and its_class and labels.setdefault(shape, its_class) != its_class:
+                raise InputError(
+                    f"the label file {path} must give each shape one class, {shape!r} has "
+                    f"{labels[shape]!r} and {its_class!r}"
+                )
+    except InputError as error:
+        raise BenchmarkError(error.message) from error
+    return labels
 
 
 def match_labels(labels: Mapping[str, str], paths: Mapping[str, str]) -> tuple[dict[str, str], list[str]]:
@@ -236,37 +242,6 @@ def _ambiguous(name: str, shapes: Sequence[str]) -> BenchmarkError:
     )
 
 
-def _table(path: Path, text: str) -> dict[str, str]:
-    labels: dict[str, str] = {}
-    # Spreadsheets separate columns by semicolons where the comma is the decimal point.
-    head = text.partition("\n")[0]
-    separator = ";" if ";" in head and "," not in head else ","
-    try:
-        rows = csv.DictReader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
-        header = {name.strip().lower(): name for name in rows.fieldnames or ()}
-        names, labelled = (
-            [header[one] for one in few if one in header] for few in (NAME_COLUMNS, LABEL_COLUMNS)
-        )
-        if not (names and labelled):
-            raise BenchmarkError(
-                f"the label file {path} must have a header with one of {', '.join(NAME_COLUMNS)} and one of "
-                f"{', '.join(LABEL_COLUMNS)}, got {', '.join(header) or 'nothing'}"
-            )
-        for row in rows:
-            shape, its_class = (row[names[0]] or "").strip(), (row[labelled[0]] or "").strip()
-            if shape and its_class and labels.setdefault(shape, its_class) != its_class:
-                raise BenchmarkError(
-                    f"the label file {path} must give each shape one class, {shape!r} has "
-                    f"{labels[shape]!r} and {its_class!r} (line {rows.line_num})"
-                )
-    except csv.Error as error:
-        raise BenchmarkError(
-            f"the label file {path} is not a CSV file ({error}): close each quotation mark, and write "
-            'one within quotes as ""'
-        ) from error
-    return labels
-
-
 def _princeton(path: Path, text: str) -> dict[str, str]:
     """Classes of the models in a ``.cla`` file."""
     # After "PSB 1" and a line of counts, each class has a line "name parent n", in which the parent 0 means
@@ -285,5 +260,5 @@ def _princeton(path: Path, text: str) -> dict[str, str]:
         if len(labels) != int(head[3]):
             raise ValueError(f"its header declares {head[3]} models, {len(labels)} follow")
     except (IndexError, ValueError) as error:
-        raise BenchmarkError(f"the label file {path} is not a complete .cla file ({error})") from error
+        raise InputError(f"the label file {path} is not a complete .cla file ({error})") from error
     return labels

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from pcretrieve.catalogue import Catalogue, CatalogueLike, Content, Record, opened
-from pcretrieve.errors import InputError, PcretrieveError, ScanReadError
-from pcretrieve.formats import Part, is_scan, parts_of
+from pcretrieve.errors import InputError, PcretrieveError
+from pcretrieve.formats import is_scan
 from pcretrieve.formats.identity import printable
 from pcretrieve.ingestion.attempts import Attempt, next_attempt, work_on
-from pcretrieve.ingestion.discover import discover, scans_of
+from pcretrieve.ingestion.discover import discover, parts_in, scans_of
 from pcretrieve.ingestion.labels import discover_labelled
 from pcretrieve.ingestion.plan import Plan, Planner, Processing, failed
 from pcretrieve.ingestion.pool import Executor, in_processes, remove_abandoned
@@ -27,8 +27,8 @@ from pcretrieve.pipeline.process import log_steps, scan_name
 
 logger = logging.getLogger(__name__)
 
-# Of a file: inode, bytes, and time of the last change, nanoseconds.
-State = tuple[int, int, int]
+# Of each file of a scan: inode, bytes, and time of the last change, nanoseconds.
+State = tuple[tuple[int, int, int], ...]
 
 
 @dataclass(slots=True)
@@ -155,11 +155,8 @@ def ingest(
     how = Processing(workers, timeout, memory, executor, retry_failed, retries, max_failures, on_shape)
     on_start(len(part))
     if dry_run:
-        is_new = (
-            isinstance(catalogue, (str, Path))
-            and "://" not in str(catalogue)
-            and not Path(catalogue).exists()
-        )
+        is_path = isinstance(catalogue, (str, Path)) and "://" not in str(catalogue)
+        is_new = is_path and not Path(str(catalogue)).exists()
         with nullcontext() if is_new else opened(catalogue, chosen) as known:
             planner = Planner(scans, [] if known is None else known.records(), how, classes, part)
         return _planned(planner, on_shape)
@@ -392,38 +389,30 @@ class Arrivals:
         self._folder = folder.absolute()
         self._seen: dict[Path, State] = {}
         self._given: dict[Path, State] = {}
-        self._parts: dict[Path, tuple[Part, ...]] = {}  # of the scans that consist of several files
 
     def look(self) -> list[Path]:
         """Find the scans whose files are unchanged since the last look, and changed since they were found.
 
         A scan of several files is found when all its views are there.
         """
-        now = self._states()
-        still = {path for path, state in now.items() if self._seen.get(path) == state}
-        fresh = {path for path in still if self._given.get(path) != now[path]}
-        self._seen = now
-        for path in fresh:
-            self._given[path] = now[path]
-            self._parts.pop(path, None)
-            with suppress(OSError, ScanReadError):  # reading the file as a scan will report the error
-                if parts := parts_of(path):
-                    self._parts[path] = parts
-        owned = {part.path for parts in self._parts.values() for part in parts}
-        found = {path for path in fresh - owned if path not in self._parts and is_scan(path)}
-        for path, parts in self._parts.items():
-            files = {path, *(part.path for part in parts)}
-            needed = {path, *(part.path for part in parts if part.pose is not None), *(files & now.keys())}
-            if files & fresh and needed <= still:
-                found.add(path)
-        return discover(sorted(found))
-
-    def _states(self) -> dict[Path, State]:
-        """The state of each file that is not hidden; files that vanish meanwhile are left out."""
-        states = {}
+        now: dict[Path, State] = {}
+        owned: set[Path] = set()
         for place, _, names in os.walk(self._folder):
             for path in (Path(place, name) for name in names if not name.startswith(".")):
-                with suppress(OSError):
-                    found = path.stat()
-                    states[path] = found.st_ino, found.st_size, found.st_mtime_ns
-        return states
+                if is_scan(path):
+                    parts = parts_in(path)
+                    owned.update(part.path for part in parts)
+                    needed = (part.path for part in parts if part.pose is not None or part.path.exists())
+                    with suppress(OSError):  # it has vanished meanwhile, or a view is not there yet
+                        now[path] = tuple(_state(file) for file in (path, *needed))
+        found = [
+            path for path, state in now.items() if self._seen.get(path) == state != self._given.get(path)
+        ]
+        self._seen = now
+        self._given |= {path: now[path] for path in found}
+        return discover(sorted({*found} - owned))
+
+
+def _state(file: Path) -> tuple[int, int, int]:
+    found = file.stat()
+    return found.st_ino, found.st_size, found.st_mtime_ns

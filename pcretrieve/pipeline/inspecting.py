@@ -13,12 +13,11 @@ from scipy.spatial import cKDTree
 from pcretrieve.checks import (
     NEXT_BODY,
     OUTCOMES,
+    Check,
     Inspection,
     NextBody,
-    failure_check,
     findings_of,
-    rescan_check,
-    spread_check,
+    graded,
 )
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import InputError, OptionError, ShapeError
@@ -79,9 +78,12 @@ def inspect_scan(
     found = findings_of(seen.cloud, seen.mesh, seen.marks, shape)
     checks = [*found.checks]
     if spread is not None:
-        checks.append(spread_check(spread))
-    if failure is not None:
-        checks.append(failure_check(failure) if described is None else rescan_check(failure))
+        checks.append(graded("Signature", spread, f"± {spread:.2g} over rescans"))
+    if failure is not None and described is None:
+        checks.append(Check(f"The {failure.stage} stage", "failed", None, failure.error, failure.message))
+    elif failure is not None:
+        shown = "none for nine tenths of the points"
+        checks.append(Check("Signature", "failed", None, shown, failure.message))
     if catalogue is not None and described is not None:
         next_body = _next_body(catalogue, described, options, path=file)
     cut_away, dropped = _removed(seen, options)

@@ -16,8 +16,9 @@ from pcretrieve import PointCloud, read_scan
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats import is_scan, parts_of
 from pcretrieve.formats.depth import KINECTS, TUM_CAMERAS, camera_of
+from pcretrieve.formats.identity import content_hash
 from pcretrieve.formats.registry import read_raw
-from pcretrieve.ingestion.discover import content_hash, discover
+from pcretrieve.ingestion.discover import discover
 
 WIDTH, HEIGHT = 80, 60
 FX, FY, CX, CY = 70.0, 72.0, 38.0, 31.0

@@ -17,8 +17,9 @@ from scan_files import CUBE, HALVES, SIDES, SQUARE, collada, glb, gltf, mesh, ne
 from pcretrieve import TriangleMesh, read_scan
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats import members_of, parts_of, split_member
+from pcretrieve.formats.identity import content_hash
 from pcretrieve.formats.registry import read_raw
-from pcretrieve.ingestion.discover import content_hash, discover, shape_ids
+from pcretrieve.ingestion.discover import discover, shape_ids
 from pcretrieve.ingestion.views import read_views
 from pcretrieve.surface import defects
 from pcretrieve.values import METRES

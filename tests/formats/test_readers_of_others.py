@@ -13,7 +13,8 @@ from scan_files import CUBE, cloud
 from pcretrieve import PointCloud, read_scan
 from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.formats import write_cloud, write_mesh
-from pcretrieve.ingestion.discover import content_hash, discover
+from pcretrieve.formats.identity import content_hash
+from pcretrieve.ingestion.discover import discover
 
 
 @pytest.fixture

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.ingestion.discover import content_hash, discover, printable
+from pcretrieve.formats.identity import content_hash, printable
+from pcretrieve.ingestion.discover import discover
 
 # The user without rights, on Linux.
 NOBODY = 65534
@@ -93,11 +94,11 @@ def test_what_means_no_scans(folder: Path) -> None:
         "none*.ply": r"none\*\.ply names no scans; known are \.3mf",
         "hollow": r"hollow names no scans",
         "x" * 300: "File name too long",
-        "column.csv": r"column\.csv must have a column path or file",
+        "column.csv": r"column\.csv must have a header with one of path, file, .* got cat, dog",
         "hollow.txt": r"hollow\.txt names no scans",
-        "hollow.csv": r"hollow\.csv must have a column",
+        "hollow.csv": r"hollow\.csv must have a header .* got nothing",
         "bytes.txt": r"cannot read the manifest bytes\.txt",
-        "long.csv": r"long\.csv is not a CSV file: field larger than field limit",
+        "long.csv": r"long\.csv is not a CSV file \(field larger than field limit",
         "pipe.txt": "pipe.txt must be a regular file",
         "pipe.csv": "pipe.csv must be a regular file",
         "endless.txt": "endless.txt must be a regular file",

@@ -14,7 +14,7 @@ import shapes
 from numpy.typing import NDArray
 from PIL import Image
 
-from pcretrieve.checks import Check, Inspection, fit_checks, spread_check, surface_checks
+from pcretrieve.checks import Check, Inspection, fit_checks, graded, surface_checks
 from pcretrieve.draw import Colour
 from pcretrieve.pages import write_inspection_page, write_inspection_png
 from pcretrieve.pages.inspection_pictures import DROPPED, KEPT, inspection_cameras, rows_of
@@ -155,10 +155,10 @@ def test_a_scan_that_could_not_be_read_has_a_page_and_a_sheet(tmp_path: Path) ->
 
 def test_the_summary_compares_the_error_bar_with_the_next_body() -> None:
     seen = inspection()  # with a spread of .2
-    error = "its error bar, ± 0.2, is two fifths of the distance to the next body."
+    error = "its error bar, ± 0.2, is 40 % of the distance to the next body."
     assert (seen.verdict, seen.summary) == ("passed", f"A good scan: {error} Look at: outliers.")
     passed = replace(seen, checks=seen.checks[1:], spread=0.0)
-    least = "its error bar, ± 0, is less than a twentieth of the distance to the next body."
+    least = "its error bar, ± 0, is 0 % of the distance to the next body."
     assert (passed.verdict, passed.summary) == ("passed", f"A good scan: {least}")
     doubtful = replace(passed, spread=0.6)
     assert doubtful.verdict == "look"
@@ -172,7 +172,7 @@ def test_the_summary_compares_the_error_bar_with_the_next_body() -> None:
     failed = replace(seen, checks=(Check("Noise", "failed", 1.0, "much", "Hold still."), *seen.checks))
     assert failed.verdict == "failed"
     assert failed.summary == (
-        "Do not trust this scan: noise failed; by the other checks, its error bar, ± 0.2, is two fifths of "
+        "Do not trust this scan: noise failed; by the other checks, its error bar, ± 0.2, is 40 % of "
         "the distance to the next body. Look at: outliers."
     )
     stopped = replace(
@@ -203,4 +203,5 @@ def test_worse_numbers_get_worse_verdicts() -> None:
         verdicts, errors = [check.verdict for check in found], [check.error for check in found]
         assert errors == sorted(set(errors))
         assert verdicts[0] == "passed" and verdicts[-1] == "failed" and "look" in verdicts
-    assert [spread_check(spread).verdict for spread in (0.05, 0.3, 1)] == ["passed", "look", "failed"]
+    found = [graded("Signature", spread, "").verdict for spread in (0.05, 0.3, 1)]
+    assert found == ["passed", "look", "failed"]
