@@ -203,5 +203,5 @@ def test_worse_numbers_get_worse_verdicts() -> None:
         verdicts, errors = [check.verdict for check in found], [check.error for check in found]
         assert errors == sorted(set(errors))
         assert verdicts[0] == "passed" and verdicts[-1] == "failed" and "look" in verdicts
-    found = [graded("Signature", spread, "").verdict for spread in (0.05, 0.3, 1)]
-    assert found == ["passed", "look", "failed"]
+    spreads = [graded("Signature", spread, "").verdict for spread in (0.05, 0.3, 1)]
+    assert spreads == ["passed", "look", "failed"]
