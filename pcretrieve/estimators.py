@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, ClassVar, Literal, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.base import (
     BaseEstimator,
     ClassNamePrefixFeaturesOutMixin,
@@ -41,15 +41,6 @@ from pcretrieve.retrieval import (
 )
 from pcretrieve.values import FloatArray
 
-__all__ = [
-    "NeighbourWhitening",
-    "PCAWhitening",
-    "ResolutionWhitening",
-    "SignatureNeighbors",
-    "SignatureTransformer",
-    "WithinClassWhitening",
-]
-
 Found: TypeAlias = "tuple[FloatArray, Positions] | Positions"
 
 
@@ -59,6 +50,9 @@ class _Whitener(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):  # type:
     _kind: ClassVar[str]
     _least_samples: ClassVar[int] = 2
     whitening_: Whitening
+
+    def __init__(self, shrinkage: Shrinkage = "auto") -> None:
+        self.shrinkage = shrinkage
 
     def fit(self, X: ArrayLike, y: object = None) -> Self:
         """Fit the whitening to signatures X."""
@@ -80,9 +74,6 @@ class NeighbourWhitening(_Whitener):
 
     Parameters
     ----------
-    n_neighbors : int or "auto", default "auto"
-        Two signatures are a pair if each is among the other's `n_neighbors` nearest. auto: the number at
-        which neighbourhoods overlap most, if it stands out, else 5.
     shrinkage : float or "auto", default "auto"
         Shrinkage in (0, 1] of the covariance towards its mean variance times the identity. auto: .2, with a
         prior .03.
@@ -93,13 +84,7 @@ class NeighbourWhitening(_Whitener):
     _kind = "neighbours"
     _least_samples = 1
 
-    def __init__(
-        self,
-        n_neighbors: int | Literal["auto"] = "auto",
-        shrinkage: Shrinkage = "auto",
-        prior: FloatArray | None = None,
-    ) -> None:
-        self.n_neighbors = n_neighbors
+    def __init__(self, shrinkage: Shrinkage = "auto", prior: FloatArray | None = None) -> None:
         self.shrinkage = shrinkage
         self.prior = prior
 
@@ -107,7 +92,7 @@ class NeighbourWhitening(_Whitener):
 class PCAWhitening(_Whitener):
     """Whitening by the covariance of all signatures; ``pca`` of `RetrievalOptions.whitening`.
 
-    A warning is logged where it is likely to make rankings worse, as for bodies of one kind.
+    It is likely to make rankings worse for bodies of one kind.
 
     Parameters
     ----------
@@ -116,9 +101,6 @@ class PCAWhitening(_Whitener):
     """
 
     _kind = "pca"
-
-    def __init__(self, shrinkage: Shrinkage = "auto") -> None:
-        self.shrinkage = shrinkage
 
 
 class WithinClassWhitening(_Whitener):
@@ -130,9 +112,6 @@ class WithinClassWhitening(_Whitener):
         Shrinkage in (0, 1] of the covariance towards its mean variance times the identity. auto: the
         intensity between .0003 and .3 at which classes that are left out are most likely.
     """
-
-    def __init__(self, shrinkage: Shrinkage = "auto") -> None:
-        self.shrinkage = shrinkage
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:  # type: ignore[override]
         """Fit the whitening to signatures X of classes y, of which one must have two distinct signatures.
@@ -187,15 +166,12 @@ class SignatureNeighbors(BaseEstimator):  # type: ignore[misc]
     ----------
     n_neighbors : int, default 5
         Number of neighbours that `kneighbors` returns.
-    radius : float, default 1.0
-        Distance within which `radius_neighbors` returns neighbours; dimensionless.
     distance : str, default "log"
         The distance.
     """
 
-    def __init__(self, n_neighbors: int = 5, radius: float = 1.0, distance: str = "log") -> None:
+    def __init__(self, n_neighbors: int = 5, distance: str = "log") -> None:
         self.n_neighbors = n_neighbors
-        self.radius = radius
         self.distance = distance
 
     def fit(self, X: ArrayLike, y: ArrayLike | None = None) -> Self:
@@ -211,23 +187,10 @@ class SignatureNeighbors(BaseEstimator):  # type: ignore[misc]
     def kneighbors(
         self, X: ArrayLike | None = None, n_neighbors: int | None = None, return_distance: bool = True
     ) -> Found:
-        """The nearest of the fitted signatures.
+        """The distances (Q, k) to the nearest of the fitted signatures, ascending, and their rows (Q, k).
 
-        Parameters
-        ----------
-        X : (Q, L) array_like, optional
-            The queries. By default the fitted signatures, each of which is then not its own neighbour.
-        n_neighbors : int, optional
-            Number of neighbours k; by default that of the constructor.
-        return_distance : bool, default True
-            Whether distances are returned too.
-
-        Returns
-        -------
-        distances : (Q, k) float64
-            Ascending in each row; only if `return_distance`.
-        indices : (Q, k) intp
-            Rows of the fitted signatures.
+        X: (Q, L), the queries; by default the fitted signatures, each of which is then not its own neighbour.
+        return_distance: False for the rows alone.
         """
         k = self.n_neighbors if n_neighbors is None else n_neighbors
         check_is_fitted(self)
@@ -237,19 +200,6 @@ class SignatureNeighbors(BaseEstimator):  # type: ignore[misc]
         rows = [(own[:k], order[:k]) for own, order in self._sorted(X)]
         distances = np.array([own for own, _ in rows]).reshape(-1, k)
         indices = np.array([order for _, order in rows], dtype=np.intp).reshape(-1, k)
-        return (distances, indices) if return_distance else indices
-
-    def radius_neighbors(
-        self, X: ArrayLike | None = None, radius: float | None = None, return_distance: bool = True
-    ) -> tuple[NDArray[Any], NDArray[Any]] | NDArray[Any]:
-        """The fitted signatures within a distance: as `kneighbors`, but (Q,) arrays of arrays."""
-        largest = self.radius if radius is None else radius
-        check_is_fitted(self)
-        rows = list(self._sorted(X))
-        distances, indices = (np.empty(len(rows), dtype=object) for _ in range(2))
-        for number, (own, order) in enumerate(rows):
-            n = np.searchsorted(own, largest, side="right")
-            distances[number], indices[number] = own[:n], order[:n]
         return (distances, indices) if return_distance else indices
 
     def score(self, X: ArrayLike, y: ArrayLike) -> float:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,7 +29,6 @@ from pcretrieve.errors import (
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.retrieval import (
     LEAST_SHAPES,
-    N_NEAR,
     NearPair,
     SignatureIndex,
     Vote,
@@ -40,7 +39,6 @@ from pcretrieve.retrieval import (
     nearest_of,
     position_of,
     rank_ranges,
-    reranked_neighbors,
     swapping_ranks,
 )
 from pcretrieve.values import FloatArray, Neighbors, Signature, Verdict
@@ -49,20 +47,6 @@ from pcretrieve.values.base import Value
 if TYPE_CHECKING:
     from pcretrieve.formats import ScanLike
     from pcretrieve.matching import DistanceMatrix
-
-__all__ = [
-    "Answer",
-    "Described",
-    "Question",
-    "answer_to",
-    "answers",
-    "cluster",
-    "described_scan",
-    "duplicates",
-    "search",
-    "search_many",
-    "without_labels",
-]
 
 # Pairs with a smaller score are of two classes more often than of one (a convention).
 LIKELY_SCORE = 0.5
@@ -128,12 +112,11 @@ class Answer(Value):
         The neighbours, nearest first.
     records : tuple of Record, length k
         The record of each neighbour.
-    vote : Vote or None
-        The class that the neighbours vote for, weighted by their scores; the query itself does not vote. None
-        if no class is known.
-    rank_ranges : (k, 2) intp or None
-        The lowest and the highest rank that each neighbour has within the error bar of the query. None if the
-        error bar is not known, and for ranks of a distance matrix or of re-ranked lists.
+    vote : Vote, optional
+        The class that the neighbours but the query itself vote for, weighted by their scores.
+    rank_ranges : (k, 2) intp, optional
+        The lowest and the highest rank that each neighbour has within the error bar of the query, if this is
+        known; not for ranks of a distance matrix or of re-ranked lists.
     query : str, Described or None
         The query: its id in the catalogue, or its signature.
     """
@@ -217,21 +200,20 @@ def search(
         shape of the same content; the id of a shape of the catalogue, as a str that is not the path of a
         file; an array or geometry, which is processed; or a signature that was made with the same options.
     k : int, default 10
-        Number of shapes. If the catalogue has fewer, all of them are returned.
+        Number of shapes, or all if the catalogue has fewer.
     options : OptionsLike, optional
         Signature, distance and whitening. By default the options of the catalogue.
     matrix : DistanceMatrix, optional
         Distances that replace the distances of signatures, for a query that the catalogue has.
     unit : str, optional
-        Unit of the query (``um mm cm dm m km in ft``), if it does not have one itself; by default that of the
-        options of the catalogue. Matters only if sizes are compared.
+        Unit of the query (``um mm cm dm m km in ft``), if it has none itself and sizes are compared; by
+        default that of the options of the catalogue.
     labels : collection of str, optional
         The classes whose shapes are searched; by default all shapes.
     exclude_self : bool, default False
         Whether a query that is a shape of the catalogue is left out of its own results.
     min_score : float, optional
-        Least score of a result, between 0 and 1; no results then mean "no match". By default results have any
-        score.
+        Least score of a result, between 0 and 1; no results then mean "no match".
 
     Returns
     -------
@@ -284,7 +266,7 @@ def search_many(
     k, options, matrix, unit, labels, exclude_self, min_score : object
         As in `search`, for each query.
     timeout : float, optional
-        Longest time for each scan, which is then processed in another process, not in this one; seconds.
+        Longest time in seconds for each scan, which is then processed in another process.
     memory : float, optional
         Largest heap of that process; GiB.
 
@@ -312,7 +294,14 @@ def answers(
     """Answer several queries as `search_many`."""
     asked = [each for query in queries for each in _expanded(catalogue, query, question)]
     scans = [query for _, query in asked if isinstance(query, Path)]
-    described = _described(scans, question, question.scan_options(catalogue))
+    of_scan = partial(described_scan, question.scan_options(catalogue), question.has_picture, question.up)
+    described: Iterator[tuple[Path, Described | PcretrieveError]] = map(partial(_attempted, of_scan), scans)
+    if scans and question.timeout is not None:
+        # Imported here, because it is not needed for shapes that the catalogue has.
+        from pcretrieve.ingestion import in_processes
+
+        timeout, memory = question.timeout, question.memory
+        described = in_processes(of_scan, scans, workers=1, timeout=timeout, memory=memory)
     for name, query in asked:
         known = next(described)[1] if isinstance(query, Path) else query
         if isinstance(known, ShapeError):
@@ -351,8 +340,7 @@ def duplicates(
     catalogue : Catalogue, str or Path
         The shapes.
     options : OptionsLike, optional
-        The signatures; with a `threshold` also the distance and the whitening. By default those of the
-        catalogue.
+        The signatures, with a `threshold` also distance and whitening; by default those of the catalogue.
     threshold : float, optional
         The largest distance of a pair. By default the root of the sum of squares of the uncertainties of both
         shapes, for the distance ``log`` without whitening, to which they are comparable; doubtful and
@@ -367,8 +355,6 @@ def duplicates(
     ------
     CatalogueError, InputError
         As by `search`; and without `threshold`, if the signatures are not compared by logarithms.
-    OptionError
-        If the threshold is negative or not finite.
     """
     with opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
@@ -416,15 +402,12 @@ def cluster(
     Returns
     -------
     dict of str to (str or None)
-        For each shape, in ascending order of id, ``cluster-1`` for the largest cluster, and so on; None for
-        shapes in no cluster.
+        For each shape, by id, ``cluster-1`` for the largest cluster, and so on; None for shapes in none.
 
     Raises
     ------
     CatalogueError, InputError
         As by `search`.
-    OptionError
-        If `min_size` is less than 2.
     """
     with opened(catalogue) as store:
         index = store.index(without_labels(PipelineOptions.of(options, store.options)))
@@ -458,27 +441,11 @@ def described_scan(options: PipelineOptions, has_picture: bool, up: str | None, 
     return Described(signature, shape.verdict, picture)
 
 
-def _described(
-    scans: Sequence[Path], question: Question, options: PipelineOptions
-) -> Iterator[tuple[Path, Described | PcretrieveError]]:
-    """The signature of each scan, or its error, in their order."""
-    of_scan = partial(described_scan, options, question.has_picture, question.up)
-    if scans and question.timeout is not None:
-        # Imported here, because it is not needed for shapes that the catalogue has.
-        from pcretrieve.ingestion import in_processes
-
-        return in_processes(of_scan, scans, workers=1, timeout=question.timeout, memory=question.memory)
-    return _described_here(of_scan, scans)
-
-
-def _described_here(
-    of_scan: Callable[[Path], Described], scans: Sequence[Path]
-) -> Iterator[tuple[Path, Described | PcretrieveError]]:
-    for scan in scans:
-        try:
-            yield scan, of_scan(scan)
-        except ShapeError as error:
-            yield scan, error
+def _attempted(of_scan: Callable[[Path], Described], scan: Path) -> tuple[Path, Described | PcretrieveError]:
+    try:
+        return scan, of_scan(scan)
+    except ShapeError as error:
+        return scan, error
 
 
 def _expanded(
@@ -565,25 +532,10 @@ def _ranked(catalogue: Catalogue, query: str | Described, question: Question, k:
         chosen = [number for number, name in enumerate(matrix.ids) if among is None or name in among]
         found = nearest_of([matrix.ids[number] for number in chosen], row[chosen], most)
     else:
-        found = _of_index(catalogue, query, question, among, most)
+        index = catalogue.index(question.options)
+        found = index.ranked(_compared(query), most, among=among, rerank=question.options.retrieval.rerank)
     left_out = query if question.exclude_self else None
     return _some(found, [row for row, name in enumerate(found.ids) if name != left_out][:k])
-
-
-def _of_index(
-    catalogue: Catalogue, query: str | Described, question: Question, among: set[str] | None, k: int
-) -> Neighbors:
-    """The `k` first results by signatures, or more, among some shapes or all, with their scores."""
-    index, method = catalogue.index(question.options), question.options.retrieval.rerank
-    # The neighbourhoods of the results, among which a list is sorted again, need more shapes than asked for.
-    most = k if method == "none" else max(k, N_NEAR)
-    compared = _compared(query)
-    found = index.query(compared, most) if among is None else index.nearest_among(compared, among, most)
-    ranked = reranked_neighbors(index, found, method, shape_id=query if isinstance(query, str) else None)
-    if index.scores is None:
-        return ranked
-    score_of = dict(zip(found.ids, index.scores.of(found.distances).tolist(), strict=True))
-    return replace(ranked, scores=np.array([score_of[shape_id] for shape_id in ranked.ids]))
 
 
 def _labelled(catalogue: Catalogue, labels: Collection[str]) -> set[str]:

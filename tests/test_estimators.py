@@ -53,7 +53,7 @@ def test_whitenings_are_those_of_the_functions() -> None:
     logs, labels = some_logs()
     relative = SignatureOptions(method="r-bihdm", n_values=8, scale="relative")
     for estimator, whitening in (
-        (NeighbourWhitening(3, 0.2), fit_whitening("neighbours", logs, n_neighbors=3, shrinkage=0.2)),
+        (NeighbourWhitening(0.2), fit_whitening("neighbours", logs, shrinkage=0.2)),
         (NeighbourWhitening(prior=np.eye(8) / 8), fit_whitening("neighbours", logs, prior=np.eye(8) / 8)),
         (PCAWhitening(0.2), fit_whitening("pca", logs, shrinkage=0.2)),
         (WithinClassWhitening(), fit_whitening("within-class", logs, labels)),
@@ -69,7 +69,7 @@ def test_whitenings_are_those_of_the_functions() -> None:
 
 
 @pytest.mark.parametrize("distance", DISTANCES)
-def test_neighbours_are_those_of_the_index_and_within_a_radius(distance: str) -> None:
+def test_neighbours_are_those_of_the_index_without_themselves(distance: str) -> None:
     logs, _ = some_logs()
     logs[-6:] = logs[:6]  # equally far
     ids = tuple(f"{row:02}" for row in range(60))
@@ -83,15 +83,11 @@ def test_neighbours_are_those_of_the_index_and_within_a_radius(distance: str) ->
         assert found.ids == tuple(ids[row] for row in nearest)
         np.testing.assert_allclose(found.distances, own, rtol=1e-9)
     np.testing.assert_array_equal(estimator.kneighbors(logs[:9] + 0.01, 7, return_distance=False), rows)
+    own, rows = estimator.kneighbors(n_neighbors=59)
     apart = pairwise(distance, logs, logs)
-    limit = float(np.sort(apart, axis=1)[:, 5].max())
-    for queries, expected in ((logs, apart), (None, np.where(np.eye(60, dtype=bool), np.inf, apart))):
-        distances, rows = estimator.radius_neighbors(queries, limit)
-        for own, near, all_of in zip(distances, rows, expected, strict=True):
-            assert sorted(near) == np.flatnonzero(all_of <= limit).tolist()
-            np.testing.assert_array_equal(own, np.sort(all_of[near]))
-    alone = estimator.radius_neighbors(radius=0.0, return_distance=False)
-    assert [len(near) for near in alone] == [1] * 6 + [0] * 48 + [1] * 6
+    for number, (distances, nearest) in enumerate(zip(own, rows, strict=True)):
+        assert sorted(nearest) == [row for row in range(60) if row != number]
+        np.testing.assert_array_equal(distances, np.sort(apart[number][nearest]))
 
 
 def test_the_score_is_the_mean_average_precision_of_new_queries() -> None:

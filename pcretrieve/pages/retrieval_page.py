@@ -40,7 +40,7 @@ from pcretrieve.pages.map_page import map_drawing
 from pcretrieve.pages.queries_page import settings_in_words
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.query import Question, without_labels
-from pcretrieve.retrieval import N_NEAR, Ranking, plane_map, reranked_neighbors
+from pcretrieve.retrieval import Ranking, plane_map
 
 # Side of the pictures, so that a page of 600 shapes stays below 3 MB.
 PIXELS = 88
@@ -277,9 +277,8 @@ def _map(ranking: Ranking, records: Mapping[str, Record]) -> dict[str, object] |
 
 def _near(ranking: Ranking, shape_id: str, k: int, rerank: str) -> list[tuple[str, float]]:
     """The `k` shapes nearest to a shape of the gallery, and their distances."""
-    if isinstance(ranking, SignatureIndex) and rerank != "none":
-        wide = ranking.nearest(shape_id, max(k + 1, N_NEAR))
-        near = reranked_neighbors(ranking, wide, rerank, shape_id=shape_id)
+    if isinstance(ranking, SignatureIndex):
+        near = ranking.ranked(shape_id, k + 1, rerank=rerank)
     else:
         near = ranking.nearest(shape_id, k + 1)
     hits = zip(near.ids, near.distances.tolist(), strict=True)

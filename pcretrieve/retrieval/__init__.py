@@ -20,21 +20,17 @@ from pcretrieve.retrieval.distances import (
 )
 from pcretrieve.retrieval.index import N_INTERPRETED, SignatureIndex
 from pcretrieve.retrieval.reranking import (
-    N_NEAR,
     N_RERANKED,
     RERANKINGS,
     NeighbourLists,
     rerank,
-    reranked_neighbors,
 )
-from pcretrieve.retrieval.scores import MatchScores, fit_scores
+from pcretrieve.retrieval.scores import fit_scores
 from pcretrieve.retrieval.votes import Vote, class_vote, rank_ranges, swapping_ranks
 from pcretrieve.retrieval.whitening import (
-    CALIBRATED,
     WHITENINGS,
     Whitening,
     fit_whitening,
-    is_measured,
     read_whitening,
     resolution_covariance,
     resolution_whitening,
@@ -44,17 +40,14 @@ from pcretrieve.retrieval.whitening import (
 
 __all__ = [
     "BLOCK_DISTANCES",
-    "CALIBRATED",
     "DISTANCES",
     "LEAST_SHAPES",
     "N_INTERPRETED",
-    "N_NEAR",
     "N_RERANKED",
     "RERANKINGS",
     "WHITENINGS",
     "Distance",
     "DistanceBlock",
-    "MatchScores",
     "NearPair",
     "NeighbourLists",
     "Positions",
@@ -68,7 +61,6 @@ __all__ = [
     "coordinates",
     "fit_scores",
     "fit_whitening",
-    "is_measured",
     "known_distance",
     "near_pairs",
     "nearest_of",
@@ -79,7 +71,6 @@ __all__ = [
     "rank_ranges",
     "read_whitening",
     "rerank",
-    "reranked_neighbors",
     "resolution_covariance",
     "resolution_whitening",
     "swapping_ranks",

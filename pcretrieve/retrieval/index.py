@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple, cast
 
@@ -40,6 +40,7 @@ from pcretrieve.retrieval.distances import (
     pairwise_blocks,
     position_of,
 )
+from pcretrieve.retrieval.reranking import N_NEAR, reranked_neighbors
 from pcretrieve.retrieval.scores import MatchScores
 from pcretrieve.retrieval.whitening import Whitening, table_whitening
 from pcretrieve.values import FloatArray, Metric, Neighbors, Signature, SignatureTable, SizeUnit
@@ -59,6 +60,16 @@ ROUNDING = 64 * float(np.finfo(np.float64).eps)
 WHITENING = "whitening_"
 SCORES = "scores_"
 
+# What is wrong with the unit of a query and that of the shapes.
+WRONG_UNITS = {
+    ("unknown", "m"): "the shapes are in metres, the unit of the query is unknown; say the unit of the query "
+    "by --unit (scan.unit)",
+    (
+        "m",
+        "unknown",
+    ): "the query is in metres, the unit of the shapes is unknown; ingest the shapes into a new "
+    "catalogue with --unit (scan.unit)",
+}
 INSTEAD = "or compare the form alone (size_weight = 0, and the scale area)"
 
 
@@ -120,19 +131,7 @@ class _MadeBy(NamedTuple):
                 f"signatures must be made by the same method and options as the table, "
                 f"{self.kind!r} {self.digest!r}, got {query.kind!r} {query.digest!r}"
             )
-        units = {
-            (
-                "unknown",
-                "m",
-            ): "the shapes are in metres, the unit of the query is unknown; say the unit of the "
-            "query by --unit (scan.unit)",
-            (
-                "m",
-                "unknown",
-            ): "the query is in metres, the unit of the shapes is unknown; ingest the shapes into "
-            "a new catalogue with --unit (scan.unit)",
-        }
-        if wrong := units.get((str(query.unit), str(self.unit))):
+        if wrong := WRONG_UNITS.get((str(query.unit), str(self.unit))):
             raise InputError(f"sizes must be in one unit to be compared: {wrong}, {INSTEAD}")
 
 
@@ -260,11 +259,30 @@ class SignatureIndex:
         """The nearest neighbours of a shape of the table, itself included, as `query` gives them."""
         return self.query(shape_id, k)
 
-    def nearest_among(self, query: str | Signature, ids: Collection[str], k: int) -> Neighbors:
-        """The nearest of some shapes to a shape of the table or to a signature; all are compared."""
-        point = self.point_of(query)
-        known = [shape_id for shape_id in sorted(ids) if shape_id in self.ids]
-        return nearest_of(known, pairwise(self._distance, point, self._rows(known))[0], k)
+    def ranked(
+        self,
+        query: str | Signature,
+        k: int,
+        *,
+        among: Collection[str] | None = None,
+        rerank: str = "none",
+    ) -> Neighbors:
+        """The `k` first results, or more, with their scores; of some shapes, all of which are compared."""
+        # The neighbourhoods among which a list is sorted again need more shapes than asked for.
+        most = k if rerank == "none" else max(k, N_NEAR)
+        if among is None:
+            found = self.query(query, most)
+        else:
+            known = [shape_id for shape_id in sorted(among) if shape_id in self.ids]
+            found = nearest_of(known, self.between(known, self.point_of(query))[0], most)
+        results = found
+        if rerank != "none":
+            shape_id = query if isinstance(query, str) else None
+            results = reranked_neighbors(found, self.between(found.ids), rerank, shape_id)
+        if self.scores is None:
+            return results
+        score_of = dict(zip(found.ids, self.scores.of(found.distances).tolist(), strict=True))
+        return replace(results, scores=np.array([score_of[shape_id] for shape_id in results.ids]))
 
     def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:
         """Distances from shapes of the table, positions (Q,) in `ids` or all, to the whole table."""
@@ -273,7 +291,7 @@ class SignatureIndex:
 
     def between(self, ids: Sequence[str], points: FloatArray | None = None) -> FloatArray:
         """Distances (Q, m) of whitened coordinates (Q, L), or (m, m) of some shapes, to these shapes."""
-        rows = self._rows(ids)
+        rows: FloatArray = self.points[[position_of(self.ids, shape_id) for shape_id in ids]]
         return pairwise(self._distance, rows if points is None else points, rows)
 
     def point_of(self, query: str | Signature | ArrayLike) -> FloatArray:
@@ -290,11 +308,6 @@ class SignatureIndex:
         if point.shape != row:
             raise InputError(f"the query must have shape {row}, as the table's rows have, got {point.shape}")
         return self.whitening.apply(point[np.newaxis])
-
-    def _rows(self, ids: Sequence[str]) -> FloatArray:
-        """The whitened coordinates (m, L) of some shapes of the table."""
-        rows: FloatArray = self.points[[position_of(self.ids, shape_id) for shape_id in ids]]
-        return rows
 
     def _candidates(self, point: FloatArray, k: int) -> NDArray[np.intp]:
         """Rows, ascending, that include the `k` nearest to a point and all rows at equal distance."""

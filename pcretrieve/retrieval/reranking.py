@@ -29,8 +29,6 @@ from pcretrieve.values import FloatArray, Neighbors
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-    from pcretrieve.retrieval.index import SignatureIndex
-
 RERANKINGS: tuple[str, ...] = get_args(RerankKind)
 
 #: Number of results of each query that are sorted again.
@@ -108,15 +106,16 @@ def rerank(
     return np.take_along_axis(lists.order[rows], order, axis=1)
 
 
-def reranked_neighbors(
-    gallery: SignatureIndex, found: Neighbors, method: str, *, shape_id: str | None = None
-) -> Neighbors:
-    """Sort the results of one query again, which is itself the shape of an id, if it has one."""
-    if method == "none" or len(found) < 3:
-        return found
+def reranked_neighbors(found: Neighbors, apart: FloatArray, method: str, shape_id: str | None) -> Neighbors:
+    """Sort the results of one query again, which is itself the shape of an id, if it has one.
+
+    apart: (n, n) float64, the distances of the results from each other.
+    """
     n = len(found)
+    if n < 3:
+        return found
     distances = np.zeros((n + 1, n + 1))  # the query is last
-    distances[:n, :n] = gallery.between(found.ids)
+    distances[:n, :n] = apart
     distances[n, :n] = distances[:n, n] = found.distances
     held = [(0.0, shape_id)] if shape_id is not None and shape_id in found.ids else []
     query, size = (found.ids.index(held[0][1]), n) if held else (n, n + 1)

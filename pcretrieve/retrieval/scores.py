@@ -27,9 +27,8 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import InputError
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval.covariances import LEAST_SHAPES
+from pcretrieve.retrieval.covariances import LEAST_SHAPES, near_groups, neighbour_pairs
 from pcretrieve.retrieval.distances import Positions, coordinates, pairwise
-from pcretrieve.retrieval.pairs import near_groups, neighbour_pairs
 from pcretrieve.retrieval.whitening import Arrays, Whitening, fit_whitening
 from pcretrieve.values import FloatArray, SignatureTable
 from pcretrieve.values.base import locked

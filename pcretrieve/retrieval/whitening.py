@@ -32,14 +32,13 @@ References
 from __future__ import annotations
 
 import io
-import logging
 import zipfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +47,6 @@ from typing_extensions import Self
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import RetrievalOptions, Shrinkage, SignatureOptions, WhiteningKind
 from pcretrieve.retrieval.covariances import (
-    LEAST_SHAPES,
     Fit,
     check_distinct,
     checked_shrinkage,
@@ -58,12 +56,9 @@ from pcretrieve.retrieval.covariances import (
     within_class_covariance,
 )
 from pcretrieve.retrieval.distances import table_coordinates
-from pcretrieve.retrieval.pairs import neighbour_pairs
 from pcretrieve.values import FloatArray, Metric, SignatureTable
 from pcretrieve.values.base import Value, locked
 from pcretrieve.values.files import write_file
-
-logger = logging.getLogger(__name__)
 
 #: What a whitening can be; "auto" stands for one of them.
 WHITENINGS: tuple[str, ...] = tuple(kind for kind in get_args(WhiteningKind) if kind != "auto")
@@ -73,10 +68,6 @@ CALIBRATED = "calibrated"
 
 # Least number of classes from which labels are used by "auto".
 LEAST_CLASSES = 5
-
-# Mean squared difference of neighbouring shapes as a share of the total variance, after PCA whitening, above
-# which PCA whitening is likely to do harm.
-PCA_NOISE = 0.1
 
 # (2, n, m + 1) float32, written by scripts/sample_resolution: logarithms of |μ_1| … |μ_m| and μ_0, divided by
 # the squared area, of n bodies reconstructed with the smaller and with the larger voxel edge.
@@ -196,7 +187,6 @@ def fit_whitening(
     labels: Sequence[str | None] | None = None,
     *,
     shrinkage: Shrinkage = "auto",
-    n_neighbors: int | Literal["auto"] = "auto",
     prior: FloatArray | None = None,
     metric: Metric = "logarithms",
     options_digest: str = "",
@@ -223,7 +213,7 @@ def fit_whitening(
     elif used == "within-class":
         fit = within_class_covariance(logs, labels, shrinkage, one_unit=metric != "values")
     elif used == "neighbours":
-        fit = neighbour_covariance(logs, shrinkage, n_neighbors, prior)
+        fit = neighbour_covariance(logs, shrinkage, prior)
     if fit.covariance is None:
         n_values = logs.shape[1]
         zero, identity = np.zeros(n_values), np.eye(n_values)
@@ -268,34 +258,7 @@ def _pca(logs: FloatArray, shrinkage: Shrinkage) -> Fit:
     used = checked_shrinkage("pca", shrinkage)
     total = covariance_of(logs)
     covariance = total + used * np.linalg.eigvalsh(total)[-1] * np.eye(len(total))
-    _warn_of_noise(logs, total, inverse_square_root(covariance))
     return Fit(logs, covariance, used, f"pca: the covariance of {len(logs)} shapes")
-
-
-def _warn_of_noise(logs: FloatArray, total: FloatArray, root: FloatArray) -> None:
-    """Warn if whitening by `root` makes neighbours distant, as with bodies of one kind.
-
-    total: (L, L) float64, the covariance of the shapes.
-    """
-    if len(logs) < LEAST_SHAPES:
-        return
-    pairs = neighbour_pairs(logs)
-    if not len(pairs.weights):
-        return
-    difference = (logs[pairs.first] - logs[pairs.second]) @ root
-    share = (difference**2).sum(axis=1).mean() / 2 / np.trace(root @ total @ root)
-    if share > PCA_NOISE:
-        logger.warning(
-            "PCA whitening is likely to make rankings worse here: after it, neighbouring shapes differ by "
-            "%.0f %% of the total variance, as in collections of one kind of body; the whitening "
-            "'neighbours' has no such effect",
-            100 * share,
-        )
-
-
-def is_measured(options: SignatureOptions) -> bool:
-    """Whether `resolution_whitening` is defined for signatures with these options."""
-    return options.method == METHOD and options.n_modes == N_MODES and options.measured_by != "absolute"
 
 
 def resolution_whitening(
@@ -303,7 +266,13 @@ def resolution_whitening(
 ) -> Whitening:
     """W = s (C + d c I)^(−1/2): C second moment of the changes, c its largest eigenvalue, d the shrinkage."""
     used = checked_shrinkage("resolution", shrinkage)
-    mean, change = _changes(options)
+    if (known := _changes(options)) is None:
+        raise OptionError(
+            f"whitening 'resolution' has been measured for {METHOD} with n_modes = {N_MODES}, by area or "
+            f"relative, got {options.method} with {options.n_modes}, {options.measured_by}: take 'pca' or "
+            "'none'"
+        )
+    mean, change = known
     covariance = change.T @ change / len(change)
     largest = np.linalg.eigvalsh(covariance)[-1]
     root = inverse_square_root(covariance + used * largest * np.eye(len(covariance)))
@@ -317,22 +286,20 @@ def resolution_whitening(
 
 def resolution_covariance(options: SignatureOptions) -> FloatArray | None:
     """The covariance (L, L) of the changes, of trace 1, zero for a size; None if it was not measured."""
-    if not is_measured(options):
+    if (known := _changes(options)) is None:
         return None
-    _, change = _changes(options)
-    covariance = change.T @ change
+    covariance = known[1].T @ known[1]
     covariance /= np.trace(covariance)
     return np.pad(covariance, (0, 1)) if options.size_weight else covariance
 
 
-def _changes(options: SignatureOptions) -> tuple[FloatArray, FloatArray]:
-    """The mean log-signature (L,), and the changes (n, L) of the bodies of the sample that change least."""
-    if not is_measured(options):
-        raise OptionError(
-            f"whitening 'resolution' has been measured for {METHOD} with n_modes = {N_MODES}, by area or "
-            f"relative, got {options.method} with {options.n_modes}, {options.measured_by}: take 'pca' or "
-            "'none'"
-        )
+def _changes(options: SignatureOptions) -> tuple[FloatArray, FloatArray] | None:
+    """The mean log-signature (L,), and the changes (n, L) of the bodies of the sample that change least.
+
+    None if the changes of such signatures were not measured.
+    """
+    if options.method != METHOD or options.n_modes != N_MODES or options.measured_by == "absolute":
+        return None
     sample = np.load(str(resources.files(__package__).joinpath(SAMPLE))).astype(np.float64)
     if options.measured_by == "relative":
         sample -= sample[:, :, -1:]

@@ -54,7 +54,7 @@ from pcretrieve.options import PipelineOptions, RetrievalOptions, WhiteningKind
 from pcretrieve.pipeline.process import process, signature
 from pcretrieve.points import clean, oriented_normals
 from pcretrieve.points.normals import estimate_normals, orient_by_tangent_planes
-from pcretrieve.retrieval import coordinates, is_measured, resolution_whitening
+from pcretrieve.retrieval import coordinates, resolution_covariance, resolution_whitening
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.surface import defects, tetwild
 from pcretrieve.surface.poisson import poisson
@@ -338,7 +338,7 @@ def retrieval(
     found: dict[str, float] = {}
     for way, (whitening, values) in ways.items():
         found |= {f"nn{way}": NAN, f"map{way}": NAN}
-        if whitening == "resolution" and not is_measured(form):
+        if whitening == "resolution" and resolution_covariance(form) is None:
             continue
         table = SignatureTable(names, values, kind="scan", labels=classes)
         with contextlib.suppress(InputError):  # too few shapes

@@ -51,7 +51,8 @@ from pcretrieve.evaluation import (
 )
 from pcretrieve.evaluation.rankings import NO_FAILURES
 from pcretrieve.options import PipelineOptions, RetrievalOptions, SignatureOptions
-from pcretrieve.retrieval import CALIBRATED, RERANKINGS, resolution_covariance, table_whitening
+from pcretrieve.retrieval import RERANKINGS, resolution_covariance, table_whitening
+from pcretrieve.retrieval.whitening import CALIBRATED
 from pcretrieve.values import FloatArray, Metric, SignatureTable
 
 MESHES = {"shrec11": "shrec11", "tosca": "tosca", "people": "humans"}

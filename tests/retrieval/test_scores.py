@@ -12,7 +12,6 @@ from sklearn.isotonic import IsotonicRegression
 from pcretrieve.errors import InputError
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import (
-    MatchScores,
     SignatureIndex,
     Vote,
     Whitening,
@@ -26,6 +25,7 @@ from pcretrieve.retrieval import (
     scores,
 )
 from pcretrieve.retrieval.clusters import GAP
+from pcretrieve.retrieval.scores import MatchScores
 from pcretrieve.values import FloatArray, Signature, SignatureTable
 
 N_VALUES = 6
