@@ -48,7 +48,6 @@ from .ingestion.views import merge_views
 from .matching import DistanceMatrix, read_matrix, write_matrix
 from .options import MergeOptions, PipelineOptions
 from .pages import draw_map, inspect, query_page, report
-from .pipeline.inspecting import signature_spread
 from .pipeline.process import process, reconstruct, signature
 from .query import Answer, cluster, duplicates, search, search_many
 from .retrieval import SignatureIndex, Whitening
@@ -155,7 +154,6 @@ __all__ = [
     "serve",
     "shape_dna",
     "signature",
-    "signature_spread",
     "status",
     "watch",
     "write_cloud",

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from pcretrieve.catalogue import Content, Record
-from pcretrieve.descriptors import describe
 from pcretrieve.draw import thumbnail
 from pcretrieve.errors import (
     DegenerateMeshError,
@@ -16,14 +15,12 @@ from pcretrieve.errors import (
     MemoryExceeded,
     PcretrieveError,
     ScanReadError,
-    Stage,
     StageTimeout,
     UnexpectedError,
     WorkerDied,
-    in_stage,
 )
 from pcretrieve.options import PipelineOptions, SurfaceOptions
-from pcretrieve.pipeline.process import process
+from pcretrieve.pipeline.process import process, signature_of
 from pcretrieve.values import Step
 
 Changes = dict[str, Any]  # of options of the table `surface`
@@ -65,8 +62,7 @@ def work_on(options: PipelineOptions, attempt: Attempt) -> Content:
 def content_of(path: Path, options: PipelineOptions) -> Content:
     """Process one scan."""
     shape = process(path, options)
-    with in_stage(Stage.SIGNATURE):
-        signature = describe(shape, options.signature).values
+    signature = signature_of(shape, options, path).values
     picture = None
     if "meshes" in options.catalogue.keep and shape.surfaces[0].mesh is not None:
         with suppress(DegenerateMeshError):

@@ -167,5 +167,5 @@ def _is_unchanged(record: Record) -> bool:
 
 def _again(options: PipelineOptions, task: _Task) -> FloatArray:
     if task.meshes:
-        return signature_of_surfaces(task.meshes, options)
+        return signature_of_surfaces(task.meshes, options).values
     return content_of(Path(task.record.path), options).signature

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,15 +18,13 @@ from pcretrieve.checks import (
     findings_of,
     graded,
 )
-from pcretrieve.descriptors import describe
 from pcretrieve.errors import InputError, OptionError, ShapeError
-from pcretrieve.formats import ScanLike, as_scan
+from pcretrieve.formats import ScanLike
 from pcretrieve.formats.identity import content_hash, printable
 from pcretrieve.options import OptionsLike, PipelineOptions
-from pcretrieve.pipeline.process import Seen, placed, shape_of, signature, stages
+from pcretrieve.pipeline.process import Seen, placed, shape_of, signature, signature_of, stages
 from pcretrieve.points import outliers
-from pcretrieve.surface import sampled, sound_mesh
-from pcretrieve.values import Failure, FloatArray, PointCloud, Signature, TriangleMesh
+from pcretrieve.values import Failure, FloatArray, PointCloud, Signature
 
 if TYPE_CHECKING:
     from pcretrieve.catalogue import Catalogue
@@ -50,15 +47,15 @@ def inspect_scan(
     """Process a scan, and check the result of each stage.
 
     If a stage fails, the results of the earlier stages are checked. Rescans are simulated by reconstructing
-    the surface from random parts of the points, as in `signature_spread`.
+    the surface from random parts of the points.
 
     Returns Inspection: lengths are in the unit of the scan.
     """
     # Without the size: in the plot, it would be orders of magnitude larger than the other values.
     options = PipelineOptions.of(options, None if catalogue is None else catalogue.options)
     options = options.changed(signature={"size_weight": 0})
-    if n_rescans:
-        _check_rescans(n_rescans, RESCAN_SHARE)
+    if n_rescans == 1 or n_rescans < 0:
+        raise OptionError(f"a spread needs at least 2 rescans, got {n_rescans}")
     file = Path(scan) if isinstance(scan, (str, Path)) else None
     path = "" if file is None else printable(file)
     name = Path(path).name or "scan"
@@ -69,10 +66,10 @@ def inspect_scan(
             for reached in stages(scan, options):
                 seen = reached  # which stays if the next stage fails
             shape = shape_of(seen, options)
-            described = replace(describe(shape, options.signature), digest=options.signature_digest)
+            described = signature_of(shape, options)
             if n_rescans and seen.scan is not None:
-                rescans = _rescans(seen.scan, options, n=n_rescans, share=RESCAN_SHARE, seed=0)
-                deviation, spread = _scatter(rescans)
+                deviation = _rescan_deviation(seen.scan, options, n_rescans)
+                spread = float(np.sqrt((deviation**2).sum()))
     except ShapeError as error:
         failure = Failure(name, error.stage or "worker", type(error).__name__, error.message)
     found = findings_of(seen.cloud, seen.mesh, seen.marks, shape)
@@ -109,82 +106,17 @@ def inspect_scan(
     )
 
 
-def signature_spread(
-    scan: ScanLike,
-    options: OptionsLike = None,
-    *,
-    n: int = 4,
-    share: float = RESCAN_SHARE,
-    seed: int = 0,
-) -> tuple[Signature, FloatArray, float]:
-    """The signature of a scan, and its standard deviation over simulated rescans.
+def _rescan_deviation(cloud: PointCloud, options: PipelineOptions, n: int) -> FloatArray:
+    """(L,) the standard deviation (ddof 0) of the log-signature over random parts of the points.
 
-    Each rescan is a random part of the points, of which the surface is reconstructed. The rescan deviation
-    includes the random errors of sampling, and of the cuts, bridges and filled holes that depend on it. It
-    does not include systematic errors, as of a side that was not scanned. It is 0 for a mesh that is used
-    without reconstruction.
-
-    Parameters
-    ----------
-    scan : ScanLike
-        A path, an array, or geometry of this package, Open3D, trimesh or PyVista; see `as_geometry`.
-    options : OptionsLike, optional
-        Options, a preset's name, a TOML file, or a mapping; see `PipelineOptions.of`.
-    n : int, default 4
-        Number of rescans.
-    share : float, default 0.9
-        Number of points in each rescan, relative to all points.
-    seed : int, default 0
-        Seed of the random choice of points.
-
-    Returns
-    -------
-    signature : Signature
-        The signature of all points.
-    rescan_deviation : (L,) float64
-        Standard deviation (ddof 0) of the logarithm of each value over the rescans; dimensionless.
-    spread : float
-        Root mean square distance of the log-signatures of the rescans to their mean, comparable to the
-        distance ``log`` of `SignatureIndex`; dimensionless.
-
-    Raises
-    ------
-    OptionError
-        If `n` is below 2, or `share` not between 0 and 1.
-    ShapeError
-        If no surface can be reconstructed from the scan, or from a part of it.
+    It includes the random errors of sampling, and of the cuts, bridges and filled holes that depend on it. It
+    does not include systematic errors, as of a side that was not scanned.
     """
-    options = PipelineOptions.of(options)
-    _check_rescans(n, share)
-    value = as_scan(scan, options.scan.unit)
-    described = signature(value, options)
-    if isinstance(value, TriangleMesh):
-        if sound_mesh(value, options.surface) is not None:
-            return described, np.zeros(len(described.values)), 0.0
-        value = sampled(value, options.surface)
-    rescan_deviation, spread = _scatter(_rescans(value, options, n=n, share=share, seed=seed))
-    return described, rescan_deviation, spread
-
-
-def _check_rescans(n: int, share: float) -> None:
-    if n < 2:
-        raise OptionError(f"a spread needs at least 2 rescans, got {n}")
-    if not 0 < share < 1:
-        raise OptionError(f"share must lie between 0 and 1, got {share}")
-
-
-def _rescans(cloud: PointCloud, options: PipelineOptions, *, n: int, share: float, seed: int) -> FloatArray:
-    """Log-signatures of random parts of a cloud, (n, L)."""
-    rng = np.random.default_rng(seed)
-    size = round(share * len(cloud.points))
+    rng = np.random.default_rng(0)
+    size = round(RESCAN_SHARE * len(cloud.points))
     parts = [np.sort(rng.choice(len(cloud.points), size, replace=False)) for _ in range(n)]
-    return np.log([signature(cloud.select(part), options).values for part in parts])
-
-
-def _scatter(logs: FloatArray) -> tuple[FloatArray, float]:
-    """The rescan deviation and the spread of log-signatures, as in `signature_spread`."""
-    rescan_deviation: FloatArray = logs.std(axis=0)  # (L,)
-    return rescan_deviation, float(np.sqrt((rescan_deviation**2).sum()))
+    logs = np.log([signature(cloud.select(part), options).values for part in parts])  # (n, L)
+    return np.asarray(logs.std(axis=0))
 
 
 def _removed(seen: Seen, options: PipelineOptions) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

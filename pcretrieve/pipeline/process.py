@@ -12,7 +12,6 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -154,21 +153,16 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
         return shape
 
 
-def signature_of(shape: Shape, options: PipelineOptions, scan: ScanLike) -> Signature:
+def signature_of(shape: Shape, options: PipelineOptions, scan: ScanLike | None = None) -> Signature:
     """The signature of the shape of a scan, by the same options."""
     with placed(scan), in_stage(Stage.SIGNATURE):
         return replace(describe(shape, options.signature), digest=options.signature_digest)
 
 
-def signature_of_surfaces(meshes: Sequence[TriangleMesh], options: PipelineOptions) -> FloatArray:
-    """Compute the signature of a scan again from its surfaces, on one thread, as `process` does.
-
-    Returns (L,) float64: the values of the signature.
-    """
+def signature_of_surfaces(meshes: Sequence[TriangleMesh], options: PipelineOptions) -> Signature:
+    """Compute the signature of a scan again from its surfaces, on one thread, as `process` does."""
     with threadpool_limits(limits=1):
-        shape = shape_of(Seen(mesh=meshes[0], others=tuple(meshes[1:])), options)
-        with in_stage(Stage.SIGNATURE):
-            return describe(shape, options.signature).values
+        return signature_of(shape_of(Seen(mesh=meshes[0], others=tuple(meshes[1:])), options), options)
 
 
 # --- from a scan to its surfaces ----------------------------------------------------------------------
@@ -205,7 +199,6 @@ class Seen:
 
 def stages(scan: object, options: PipelineOptions) -> Iterator[Seen]:
     """Run the stages before the stage ``spectrum``, and log each of them when it has ended."""
-    _announce_compilation()
     name, logged = scan_name(scan), 0
     for seen in _stages(scan, options):
         steps = seen.steps
@@ -401,23 +394,3 @@ def log_steps(name: str | None, steps: Iterable[Step]) -> None:
         _LOGGER.info("%s: %s in %.2f s%s", scan, step.stage, step.seconds, f": {sizes}" if sizes else "")
         for note in step.notes:
             _LOGGER.warning("%s: %s: %s", scan, step.stage, note)
-
-
-@cache
-def _announce_compilation() -> None:
-    """Log at the level INFO, once in a process, that numba compiles functions which it has not cached."""
-    from numba.core import event
-
-    class First(event.Listener):
-        announced = False
-
-        def on_start(self, event: object) -> None:
-            if not self.announced:
-                self.announced = True
-                logging.getLogger("pcretrieve.compilation").info(
-                    "compiling, once: later processes load the compiled functions from the cache of numba"
-                )
-
-        def on_end(self, event: object) -> None: ...
-
-    event.register("numba:compile", First())  # type: ignore[no-untyped-call]

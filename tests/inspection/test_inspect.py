@@ -11,7 +11,7 @@ import shapes
 from pcretrieve import Catalogue, PipelineOptions, PointCloud, TriangleMesh, ingest, signature
 from pcretrieve.checks import Check, Inspection
 from pcretrieve.formats import write_mesh
-from pcretrieve.pipeline.inspecting import inspect_scan, signature_spread
+from pcretrieve.pipeline.inspecting import inspect_scan
 from pcretrieve.values import FloatArray
 
 BODY = shapes.body()
@@ -101,10 +101,10 @@ CLOUD = seen_from_far(shapes.points_on(BODY, 5000, noise=0.003))
 
 
 def test_spread_is_the_rms_distance_to_the_mean() -> None:
-    described, deviation, spread = signature_spread(CLOUD, OPTIONS, n=2)
-    np.testing.assert_allclose(described.values, signature(CLOUD, OPTIONS).values, rtol=1e-9)
-    assert deviation.shape == described.values.shape
-    assert spread > 0
+    seen = inspect_scan(CLOUD, OPTIONS, n_rescans=2)
+    deviation, spread = seen.rescan_deviation, seen.spread
+    assert seen.signature is not None and deviation is not None and spread is not None
+    np.testing.assert_allclose(seen.signature.values, signature(CLOUD, OPTIONS).values, rtol=1e-9)
     assert spread**2 == pytest.approx((deviation**2).sum())
     # Two parts lie on either side of their mean.
     rng = np.random.default_rng(0)
