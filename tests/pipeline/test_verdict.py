@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from pcretrieve import PointCloud, TriangleMesh, process
 from pcretrieve.checks import Check, fit_checks, verdict_of
@@ -19,7 +20,10 @@ from pcretrieve.simulation import UniformOptions, scan_uniformly
 from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.values import FloatArray, Shape, Verdict
 
-Fault = Callable[[TriangleMesh, FloatArray, np.random.Generator], PointCloud | TriangleMesh]
+
+def some(points: FloatArray, share: float) -> NDArray[np.bool_]:
+    """Whether each point is one of a random share of them."""
+    return np.asarray(np.random.default_rng(3).random(len(points)) < share)
 
 
 def heights(points: FloatArray) -> FloatArray:
@@ -28,88 +32,45 @@ def heights(points: FloatArray) -> FloatArray:
     return np.asarray((y - y.min()) / np.ptp(y))
 
 
-def a_tenth_of_the_points(person: TriangleMesh, points: FloatArray, rng: np.random.Generator) -> PointCloud:
-    return PointCloud(points[::10])
-
-
-def the_upper_half_100_times_thinner(
-    person: TriangleMesh, points: FloatArray, rng: np.random.Generator
-) -> PointCloud:
-    return PointCloud(points[(heights(points) < 0.5) | (rng.random(len(points)) < 0.01)])
-
-
-def the_left_half_10_times_thinner(
-    person: TriangleMesh, points: FloatArray, rng: np.random.Generator
-) -> PointCloud:
-    return PointCloud(points[(points[:, 0] < np.median(points[:, 0])) | (rng.random(len(points)) < 0.1)])
-
-
-def a_floor_under_the_feet(person: TriangleMesh, points: FloatArray, rng: np.random.Generator) -> PointCloud:
-    radius, turn = 0.1 * person.diagonal * np.sqrt(rng.random(6000)), 2 * np.pi * rng.random(6000)
+def floor_under(points: FloatArray) -> FloatArray:
+    rng, size = np.random.default_rng(3), 0.1 * np.linalg.norm(np.ptp(points, axis=0))
+    radius, turn = size * np.sqrt(rng.random(6000)), 2 * np.pi * rng.random(6000)
     x, _, z = points[heights(points) < 0.02].mean(axis=0)
     low = np.full(6000, points[:, 1].min())
-    floor = np.column_stack([x + radius * np.cos(turn), low, z + radius * np.sin(turn)])
-    return PointCloud(np.concatenate([points, floor]))
+    return np.column_stack([x + radius * np.cos(turn), low, z + radius * np.sin(turn)])
 
 
-def two_bodies_that_touch(person: TriangleMesh, points: FloatArray, rng: np.random.Generator) -> PointCloud:
-    beside = np.array([0.985 * np.ptp(points[:, 0]), 0, 0])
-    return PointCloud(np.concatenate([points, points + beside]))
-
-
-def the_upper_half_alone(person: TriangleMesh, points: FloatArray, rng: np.random.Generator) -> PointCloud:
-    return PointCloud(points[heights(points) > 0.5])
-
-
-def no_lower_legs(person: TriangleMesh, points: FloatArray, rng: np.random.Generator) -> PointCloud:
-    return PointCloud(points[heights(points) > 0.25])
-
-
-def one_hole(person: TriangleMesh, points: FloatArray, rng: np.random.Generator) -> PointCloud:
+def without_a_knee(points: FloatArray) -> FloatArray:
     knee = points[np.abs(heights(points) - 0.28).argmin()]
-    return PointCloud(points[np.linalg.norm(points - knee, axis=1) > 0.1 * person.diagonal])
+    return np.asarray(
+        points[np.linalg.norm(points - knee, axis=1) > 0.1 * np.linalg.norm(np.ptp(points, axis=0))]
+    )
 
 
-def two_vertices_welded(person: TriangleMesh, points: FloatArray, rng: np.random.Generator) -> TriangleMesh:
-    low, high = person.vertices[:, 1].argmin(), person.vertices[:, 1].argmax()
-    return TriangleMesh(person.vertices, np.where(person.faces == low, high, person.faces))
-
-
-def turned(person: TriangleMesh, points: FloatArray, rng: np.random.Generator) -> PointCloud:
-    return PointCloud(points @ np.linalg.qr(rng.normal(size=(3, 3)))[0])
-
-
-def mirrored(person: TriangleMesh, points: FloatArray, rng: np.random.Generator) -> PointCloud:
-    return PointCloud(points * [-1, 1, 1])
-
-
-def every_point_twice(person: TriangleMesh, points: FloatArray, rng: np.random.Generator) -> PointCloud:
-    return PointCloud(np.concatenate([points, points]))
-
-
-def arms_that_cross_the_trunk(
-    person: TriangleMesh, points: FloatArray, rng: np.random.Generator
-) -> PointCloud:
+def with_arms_that_cross_the_trunk(points: FloatArray) -> FloatArray:
     side = np.abs(points[:, 0])
     folded = np.where(side > 0.2, np.sign(points[:, 0]) * (0.2 - 0.8 * (side - 0.2)), points[:, 0])
-    return PointCloud(np.column_stack([folded, points[:, 1:]]))
+    return np.column_stack([folded, points[:, 1:]])
 
 
-FAULTS: tuple[Fault, ...] = (
-    a_tenth_of_the_points,
-    the_upper_half_100_times_thinner,
-    the_left_half_10_times_thinner,
-    a_floor_under_the_feet,
-    two_bodies_that_touch,
-    the_upper_half_alone,
-    no_lower_legs,
-    one_hole,
-    two_vertices_welded,
-    arms_that_cross_the_trunk,
-    turned,
-    mirrored,
-    every_point_twice,
-)
+FAULTS: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "a tenth of the points": lambda points: points[::10],
+    "the upper half 100 times thinner": lambda points: points[(heights(points) < 0.5) | some(points, 0.01)],
+    "the left half 10 times thinner": lambda points: points[
+        (points[:, 0] < np.median(points[:, 0])) | some(points, 0.1)
+    ],
+    "a floor under the feet": lambda points: np.concatenate([points, floor_under(points)]),
+    "two bodies that touch": lambda points: np.concatenate(
+        [points, points + np.array([0.985 * np.ptp(points[:, 0]), 0, 0])]
+    ),
+    "the upper half alone": lambda points: points[heights(points) > 0.5],
+    "no lower legs": lambda points: points[heights(points) > 0.25],
+    "one hole": without_a_knee,
+    "crossed arms": with_arms_that_cross_the_trunk,
+    "turned": lambda points: points @ np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0],
+    "mirrored": lambda points: points * [-1, 1, 1],
+    "every point twice": lambda points: np.concatenate([points, points]),
+}
 
 
 @pytest.fixture(scope="module")
@@ -123,10 +84,12 @@ def points(person: TriangleMesh) -> FloatArray:
     return scan_uniformly(person, whole, np.random.default_rng(2)).points
 
 
-@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.__name__)
-def test_no_fault_goes_without_a_word(fault: Fault, person: TriangleMesh, points: FloatArray) -> None:
+@pytest.mark.parametrize("fault", [*FAULTS, "two vertices welded"])
+def test_no_fault_goes_without_a_word(fault: str, person: TriangleMesh, points: FloatArray) -> None:
+    low, high = person.vertices[:, 1].argmin(), person.vertices[:, 1].argmax()
+    welded = TriangleMesh(person.vertices, np.where(person.faces == low, high, person.faces))
     try:
-        shape = process(fault(person, points, np.random.default_rng(3)))
+        shape = process(FAULTS[fault](points) if fault in FAULTS else welded)
     except ReconstructionError:
         return  # refused, with its reason
     assert shape.verdict is not None
@@ -159,12 +122,6 @@ def test_garbage_is_removed(person: TriangleMesh, points: FloatArray) -> None:
 
 
 # --- the uncertainty ----------------------------------------------------------------------------------
-
-
-def uncertainty(scan: PointCloud) -> float:
-    verdict = process(scan).verdict
-    assert verdict is not None
-    return verdict.uncertainty
 
 
 MEASURED = {"filled": 0.0, "ends": 0.0, "gaps": 0.004, "lost": 0.0, "noise": 0.001}
