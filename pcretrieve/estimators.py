@@ -30,15 +30,14 @@ from pcretrieve.formats import ScanLike
 from pcretrieve.options import OptionsLike, PipelineOptions, Scale, Shrinkage, SignatureOptions
 from pcretrieve.pipeline.process import signature
 from pcretrieve.retrieval import (
-    BLOCK_DISTANCES,
     Positions,
     Whitening,
     coordinates,
     fit_whitening,
-    known_distance,
     pairwise,
     resolution_whitening,
 )
+from pcretrieve.retrieval.distances import BLOCK_DISTANCES, known_distance
 from pcretrieve.values import FloatArray
 
 Found: TypeAlias = "tuple[FloatArray, Positions] | Positions"

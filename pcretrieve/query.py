@@ -1,8 +1,4 @@
-"""Catalogue and queries → ranked shapes, and what the shapes of a catalogue are among each other.
-
-In come a catalogue, and scans, stored shapes or signatures; out come the identifiers of the nearest shapes
-and their distances.
-"""
+"""Catalogue and queries → ranked shapes, and what the shapes of a catalogue are among each other."""
 
 from __future__ import annotations
 
@@ -27,20 +23,11 @@ from pcretrieve.errors import (
     did_you_mean,
 )
 from pcretrieve.options import OptionsLike, PipelineOptions
-from pcretrieve.retrieval import (
-    LEAST_SHAPES,
-    NearPair,
-    SignatureIndex,
-    Vote,
-    checked_k,
-    class_vote,
-    cluster_numbers,
-    near_pairs,
-    nearest_of,
-    position_of,
-    rank_ranges,
-    swapping_ranks,
-)
+from pcretrieve.retrieval import SignatureIndex
+from pcretrieve.retrieval.clusters import NearPair, cluster_numbers, near_pairs
+from pcretrieve.retrieval.covariances import LEAST_SHAPES
+from pcretrieve.retrieval.distances import checked_k, nearest_of, position_of
+from pcretrieve.retrieval.votes import Vote, class_vote, rank_ranges, swapping_ranks
 from pcretrieve.values import FloatArray, Neighbors, Signature, Verdict
 from pcretrieve.values.base import Value
 
@@ -117,7 +104,7 @@ class Answer(Value):
     rank_ranges : (k, 2) intp, optional
         The lowest and the highest rank that each neighbour has within the error bar of the query, if this is
         known; not for ranks of a distance matrix or of re-ranked lists.
-    query : str, Described or None
+    query : str or Described, optional
         The query: its id in the catalogue, or its signature.
     """
 
@@ -261,8 +248,7 @@ def search_many(
     catalogue : Catalogue, str or Path
         The catalogue that is searched.
     queries : iterable of str, Path or Signature
-        Each as in `search`, or a folder, which stands for all scans in it. A str that is the id of a shape is
-        that shape, also if there is a folder of this name.
+        Each as in `search`, or a folder, which stands for all scans in it, unless it has the id of a shape.
     k, options, matrix, unit, labels, exclude_self, min_score : object
         As in `search`, for each query.
     timeout : float, optional
@@ -272,10 +258,9 @@ def search_many(
 
     Yields
     ------
-    name : str
-        The query: its path or its id, the path of each scan of a folder, or the kind of a signature.
-    answer : Answer or ShapeError
-        The neighbours and their records, or the error of a scan that cannot be read or has no usable surface.
+    tuple of str and (Answer or ShapeError)
+        The path or the id of a query, or the kind of a signature; and its answer, or the error of a scan that
+        cannot be read or has no usable surface.
 
     Raises
     ------
@@ -342,9 +327,8 @@ def duplicates(
     options : OptionsLike, optional
         The signatures, with a `threshold` also distance and whitening; by default those of the catalogue.
     threshold : float, optional
-        The largest distance of a pair. By default the root of the sum of squares of the uncertainties of both
-        shapes, for the distance ``log`` without whitening, to which they are comparable; doubtful and
-        unusable shapes are then left out, because they are near to many.
+        The largest distance of a pair. By default that of the uncertainties of both shapes, for the distance
+        ``log`` without whitening; doubtful and unusable shapes, which are near to many, are then left out.
 
     Returns
     -------

@@ -15,12 +15,13 @@ from mutations import altered, mutated, read_damaged
 
 from pcretrieve import Catalogue, PipelineOptions, calibrate, ingest, status
 from pcretrieve.catalogue import cache
-from pcretrieve.evaluation import evaluate, read_scores, write_evaluation
+from pcretrieve.evaluation import evaluate
+from pcretrieve.evaluation.comparison import read_scores, write_evaluation
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import read_labels
 from pcretrieve.matching import DistanceMatrix, read_matrix, write_matrix
-from pcretrieve.retrieval import read_whitening
+from pcretrieve.retrieval.whitening import read_whitening
 
 N_SEEDS = int(os.environ.get("PCRETRIEVE_SEEDS", "165"))
 # Arrays of a stored index that are damaged: numbers and ids.

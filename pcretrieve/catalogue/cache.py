@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 
 from pcretrieve.options import PipelineOptions
 from pcretrieve.plugins import METHODS
-from pcretrieve.retrieval import SignatureIndex, read_whitening
+from pcretrieve.retrieval import SignatureIndex
+from pcretrieve.retrieval.whitening import read_whitening
 
 logger = logging.getLogger(__name__)
 

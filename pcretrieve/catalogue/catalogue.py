@@ -38,12 +38,12 @@ from pcretrieve.options import PipelineOptions, options_difference
 from pcretrieve.retrieval import (
     SignatureIndex,
     Whitening,
-    fit_scores,
-    read_whitening,
     resolution_covariance,
     resolution_whitening,
     table_whitening,
 )
+from pcretrieve.retrieval.scores import fit_scores
+from pcretrieve.retrieval.whitening import read_whitening
 from pcretrieve.values import (
     FloatArray,
     ModalSpectrum,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pcretrieve.catalogue.catalogue import Catalogue
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import PipelineOptions
-from pcretrieve.retrieval import table_coordinates
+from pcretrieve.retrieval.distances import table_coordinates
 from pcretrieve.values import FloatArray
 
 #: Name of the table in the database, unless another is given.

@@ -18,14 +18,8 @@ from pcretrieve.errors import BenchmarkError
 from pcretrieve.evaluation.measures import RetrievalMeasures, evaluate_rankings
 from pcretrieve.evaluation.rankings import NO_FAILURES, Rankings, Subset, rank_subsets
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval import (
-    Positions,
-    SignatureIndex,
-    Whitening,
-    fit_whitening,
-    pairwise_blocks,
-    table_coordinates,
-)
+from pcretrieve.retrieval import Positions, SignatureIndex, Whitening, fit_whitening
+from pcretrieve.retrieval.distances import pairwise_blocks, table_coordinates
 from pcretrieve.values import SignatureTable
 
 

@@ -23,7 +23,8 @@ from pcretrieve.evaluation.measures import (
 from pcretrieve.ingestion.labels import LAYOUTS
 from pcretrieve.matching import DistanceMatrix, Matcher, known_matcher, match_all
 from pcretrieve.options import OptionsLike, PipelineOptions
-from pcretrieve.retrieval import SignatureIndex, Whitening, write_whitening
+from pcretrieve.retrieval import SignatureIndex, Whitening
+from pcretrieve.retrieval.whitening import write_whitening
 from pcretrieve.values import Failure, FloatArray, SignatureTable
 
 

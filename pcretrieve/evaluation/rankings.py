@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pcretrieve.errors import BenchmarkError, InputError
-from pcretrieve.retrieval import N_RERANKED, DistanceBlock, NeighbourLists, Positions, Ranking, rerank
+from pcretrieve.retrieval import DistanceBlock, Positions, Ranking
+from pcretrieve.retrieval.reranking import N_RERANKED, NeighbourLists, rerank
 from pcretrieve.values.base import Value
 
 #: The classes of failed shapes by id, if no shape failed.

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import InputError
-from pcretrieve.retrieval import DistanceBlock, Positions, nearest_of, position_of
+from pcretrieve.retrieval import DistanceBlock, Positions
+from pcretrieve.retrieval.distances import nearest_of, position_of
 from pcretrieve.values import FloatArray, Neighbors
 from pcretrieve.values.base import Value, locked
 from pcretrieve.values.files import write_file

@@ -16,7 +16,7 @@ from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import encoded, write_page
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.query import without_labels
-from pcretrieve.retrieval import plane_map
+from pcretrieve.retrieval.clusters import plane_map
 from pcretrieve.values import FloatArray
 from pcretrieve.values.files import write_file
 

@@ -17,7 +17,7 @@ from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import write_page
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.query import Described, Question, answers
-from pcretrieve.retrieval import swapping_ranks
+from pcretrieve.retrieval.votes import swapping_ranks
 
 DISTANCES = {
     "log": "log, the Euclidean distance of the logarithms of the values",

@@ -24,23 +24,17 @@ from pcretrieve import (
 )
 from pcretrieve.catalogue import CatalogueLike, opened
 from pcretrieve.errors import InputError
-from pcretrieve.evaluation import (
-    Confusion,
-    QueryScores,
-    check_known,
-    compare_scores,
-    confusion,
-    precision_recall,
-    query_scores,
-    result_scores,
-)
+from pcretrieve.evaluation.catalogue import check_known
+from pcretrieve.evaluation.comparison import compare_scores, result_scores
+from pcretrieve.evaluation.measures import Confusion, QueryScores, confusion, precision_recall, query_scores
 from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import line_of, write_page
 from pcretrieve.pages.map_page import map_drawing
 from pcretrieve.pages.queries_page import settings_in_words
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.query import Question, without_labels
-from pcretrieve.retrieval import Ranking, plane_map
+from pcretrieve.retrieval import Ranking
+from pcretrieve.retrieval.clusters import plane_map
 
 # Side of the pictures, so that a page of 600 shapes stays below 3 MB.
 PIXELS = 88

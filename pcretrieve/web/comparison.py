@@ -16,7 +16,7 @@ from pcretrieve.pages.html import Curves, curves
 from pcretrieve.pages.map_page import map_drawing
 from pcretrieve.pages.scene import surface_scene
 from pcretrieve.pages.thumbnails import Thumbnails
-from pcretrieve.retrieval import plane_map
+from pcretrieve.retrieval.clusters import plane_map
 from pcretrieve.values import FloatArray
 from pcretrieve.web.documents import record_of, shape_document, without_folders
 from pcretrieve.web.requests import NotFound

@@ -14,7 +14,7 @@ from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.draw import upward
 from pcretrieve.errors import InputError
 from pcretrieve.options import OptionsLike
-from pcretrieve.retrieval import N_INTERPRETED
+from pcretrieve.retrieval.index import N_INTERPRETED
 
 if TYPE_CHECKING:
     from pcretrieve.web.guard import Guard

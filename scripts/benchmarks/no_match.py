@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval import fit_scores, pairwise, table_coordinates, table_whitening
+from pcretrieve.retrieval import pairwise, table_whitening
+from pcretrieve.retrieval.distances import table_coordinates
+from pcretrieve.retrieval.scores import fit_scores
 from pcretrieve.values import FloatArray, SignatureTable
 
 # Share of the shapes of a class that are queries; the others are in the gallery, if the class is.

@@ -43,15 +43,12 @@ from benchmarks.measuring import (
 from benchmarks.no_match import no_match_measures
 from benchmarks.sets import SETS, ingested, left_out, pooled_vectors, written_set
 from pcretrieve.errors import OptionError
-from pcretrieve.evaluation import (
-    evaluate_rankings,
-    evaluate_table,
-    rank_table,
-    rerank_table,
-)
+from pcretrieve.evaluation import evaluate_table, rank_table, rerank_table
+from pcretrieve.evaluation.measures import evaluate_rankings
 from pcretrieve.evaluation.rankings import NO_FAILURES
 from pcretrieve.options import PipelineOptions, RetrievalOptions, SignatureOptions
-from pcretrieve.retrieval import RERANKINGS, resolution_covariance, table_whitening
+from pcretrieve.retrieval import resolution_covariance, table_whitening
+from pcretrieve.retrieval.reranking import RERANKINGS
 from pcretrieve.retrieval.whitening import CALIBRATED
 from pcretrieve.values import FloatArray, Metric, SignatureTable
 

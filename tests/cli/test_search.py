@@ -15,7 +15,8 @@ from PIL import Image
 
 import pcretrieve as pr
 from pcretrieve.catalogue import Content, Record
-from pcretrieve.evaluation import MEASURES, query_scores, read_scores
+from pcretrieve.evaluation.comparison import read_scores
+from pcretrieve.evaluation.measures import MEASURES, query_scores
 from pcretrieve.formats import write_mesh
 from pcretrieve.matching import MATCHERS, match_all
 

@@ -7,16 +7,9 @@ import numpy as np
 import pytest
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.evaluation import (
-    Rankings,
-    confusion,
-    evaluate_rankings,
-    query_scores,
-    read_scores,
-    write_evaluation,
-)
-from pcretrieve.evaluation.measures import class_measures
-from pcretrieve.evaluation.rankings import rank_gallery
+from pcretrieve.evaluation.comparison import read_scores, write_evaluation
+from pcretrieve.evaluation.measures import class_measures, confusion, evaluate_rankings, query_scores
+from pcretrieve.evaluation.rankings import Rankings, rank_gallery
 from pcretrieve.retrieval import DistanceBlock
 
 # Who finds whom first: X = abc, Y = de, and z has no class.

@@ -7,8 +7,8 @@ import pytest
 from scipy.stats import bootstrap
 
 from pcretrieve.errors import InputError
-from pcretrieve.evaluation import QueryScores, compare_scores
-from pcretrieve.evaluation.measures import bootstrap_interval
+from pcretrieve.evaluation.comparison import compare_scores
+from pcretrieve.evaluation.measures import QueryScores, bootstrap_interval
 from pcretrieve.values import FloatArray
 
 

@@ -10,15 +10,8 @@ from pcretrieve.evaluation.folds import grouped_folds, within_class_folds, withi
 from pcretrieve.evaluation.rankings import Subset, rank_subsets
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval import (
-    DISTANCES,
-    DistanceBlock,
-    NeighbourLists,
-    coordinates,
-    fit_whitening,
-    pairwise,
-    rerank,
-)
+from pcretrieve.retrieval import DISTANCES, DistanceBlock, coordinates, fit_whitening, pairwise
+from pcretrieve.retrieval.reranking import NeighbourLists, rerank
 from pcretrieve.values import FloatArray, SignatureTable
 
 WITHIN_CLASS = RetrievalOptions(whitening="within-class")

@@ -10,7 +10,8 @@ import pytest
 
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval import DISTANCES, Distance, SignatureIndex, coordinates, pairwise
+from pcretrieve.retrieval import DISTANCES, SignatureIndex, coordinates, pairwise
+from pcretrieve.retrieval.distances import Distance
 from pcretrieve.values import FloatArray, Metric, SignatureTable
 
 

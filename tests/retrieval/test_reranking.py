@@ -6,19 +6,17 @@ import numpy as np
 import pytest
 
 from pcretrieve.errors import OptionError
-from pcretrieve.retrieval import (
-    RERANKINGS,
-    NeighbourLists,
-    pairwise,
-    pairwise_blocks,
-    rerank,
-)
+from pcretrieve.retrieval import pairwise
+from pcretrieve.retrieval.distances import pairwise_blocks
 from pcretrieve.retrieval.reranking import (
     EXPANDED,
     K_RECIPROCAL,
+    RERANKINGS,
+    NeighbourLists,
     k_reciprocal,
     local_scaling,
     neighbour_lists,
+    rerank,
 )
 from pcretrieve.values import FloatArray
 

@@ -11,21 +11,10 @@ from sklearn.isotonic import IsotonicRegression
 
 from pcretrieve.errors import InputError
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval import (
-    SignatureIndex,
-    Vote,
-    Whitening,
-    class_vote,
-    fit_scores,
-    fit_whitening,
-    near_pairs,
-    pairwise,
-    plane_map,
-    rank_ranges,
-    scores,
-)
-from pcretrieve.retrieval.clusters import GAP
-from pcretrieve.retrieval.scores import MatchScores
+from pcretrieve.retrieval import SignatureIndex, Whitening, fit_whitening, pairwise, scores
+from pcretrieve.retrieval.clusters import GAP, near_pairs, plane_map
+from pcretrieve.retrieval.scores import MatchScores, fit_scores
+from pcretrieve.retrieval.votes import Vote, class_vote, rank_ranges
 from pcretrieve.values import FloatArray, Signature, SignatureTable
 
 N_VALUES = 6

@@ -12,14 +12,8 @@ import pcretrieve.retrieval
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.evaluation import evaluate_table
 from pcretrieve.options import RetrievalOptions, SignatureOptions
-from pcretrieve.retrieval import (
-    Whitening,
-    fit_whitening,
-    pairwise,
-    read_whitening,
-    resolution_whitening,
-    write_whitening,
-)
+from pcretrieve.retrieval import Whitening, fit_whitening, pairwise, resolution_whitening
+from pcretrieve.retrieval.whitening import read_whitening, write_whitening
 from pcretrieve.values import FloatArray, Metric, SignatureTable
 
 FITTED = ("neighbours", "pca", "within-class")

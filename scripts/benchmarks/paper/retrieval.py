@@ -20,15 +20,10 @@ from benchmarks.synthetic import quartered
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
 from pcretrieve.errors import PcretrieveError, ShapeError
-from pcretrieve.evaluation import (
-    PUBLISHED,
-    PrecisionRecall,
-    Rankings,
-    evaluate_rankings,
-    precision_recall,
-    rank,
-    rank_table,
-)
+from pcretrieve.evaluation import rank, rank_table
+from pcretrieve.evaluation.front import PUBLISHED
+from pcretrieve.evaluation.measures import PrecisionRecall, evaluate_rankings, precision_recall
+from pcretrieve.evaluation.rankings import Rankings
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import discover_labelled, read_labels

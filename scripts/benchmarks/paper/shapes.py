@@ -16,7 +16,8 @@ from benchmarks.sets import read_mesh, spread
 from pcretrieve.descriptors import describe
 from pcretrieve.draw import thumbnail
 from pcretrieve.errors import BenchmarkError, PcretrieveError
-from pcretrieve.evaluation import evaluate_rankings, evaluate_table
+from pcretrieve.evaluation import evaluate_table
+from pcretrieve.evaluation.measures import evaluate_rankings
 from pcretrieve.evaluation.rankings import rank_gallery
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import read_labels
