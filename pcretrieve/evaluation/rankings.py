@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcretrieve.errors import BenchmarkError, InputError
+from pcretrieve.errors import BenchmarkError
 from pcretrieve.retrieval import DistanceBlock, Positions, Ranking
 from pcretrieve.retrieval.reranking import N_RERANKED, NeighbourLists, rerank
 from pcretrieve.values.base import Value
@@ -31,17 +31,6 @@ class Subset(NamedTuple):
 
     members: Positions
     blocks: Iterable[DistanceBlock]
-
-
-class _SortedBlock(NamedTuple):
-    """Some queries, and the gallery in the order of its distances from each of them.
-
-    queries: (q,) intp, positions of the queries in the gallery.
-    order: (q, m) intp, positions of the shapes that are ranked: first the query itself, then the nearest.
-    """
-
-    queries: Positions
-    order: Positions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +94,7 @@ def rank_subsets(
     again = [method for method in methods if method != "none"]
     lists: list[tuple[Positions, NeighbourLists]] = []
 
-    def plain_blocks() -> Iterator[_SortedBlock]:
+    def plain_blocks() -> Iterator[tuple[Positions, Positions]]:
         for members, blocks in subsets:
             m = len(members)
             length = min(N_RERANKED + 1, m) if again else 0  # with the shape itself
@@ -116,7 +105,7 @@ def rank_subsets(
                 nearest = order[:, :length]
                 kept.order[block.queries] = nearest
                 kept.distances[block.queries] = np.take_along_axis(block.distances, nearest, axis=1)
-                yield _SortedBlock(members[block.queries], members[order])
+                yield members[block.queries], members[order]
             lists.append((members, kept))
 
     plain = _rank_sorted(plain_blocks(), ids, labels, failed)
@@ -126,7 +115,7 @@ def rank_subsets(
     labelled = np.array([label is not None for label in labels], dtype=bool)
     for method in again:
         blocks = (
-            _SortedBlock(members[queries], members[rerank(method, kept, queries)])
+            (members[queries], members[rerank(method, kept, queries)])
             for members, kept in lists
             for queries in [np.flatnonzero(labelled[members])]
         )
@@ -143,14 +132,6 @@ def _by_distance(block: DistanceBlock, ids: Sequence[str]) -> Positions:
 
     Returns (q, N) intp: positions: first the query itself, then the nearest shapes, equal distances by id.
     """
-    if block.distances.shape != (len(block.queries), len(ids)):
-        raise InputError(
-            f"distances must have shape ({len(block.queries)}, {len(ids)}), queries by gallery, "
-            f"got {block.distances.shape}"
-        )
-    usable = block.distances >= 0
-    if not usable.all():
-        raise InputError(f"distances must be 0 or more, got {(~usable).sum()} that are negative or NaN")
     by_id = np.array(sorted(range(len(ids)), key=ids.__getitem__), dtype=np.intp)  # (N,)
     columns = block.distances[:, by_id]  # (q, N): a stable sort then orders equal distances by identifier
     columns[block.queries[:, np.newaxis] == by_id] = -np.inf
@@ -159,14 +140,16 @@ def _by_distance(block: DistanceBlock, ids: Sequence[str]) -> Positions:
 
 
 def _rank_sorted(
-    blocks: Iterable[_SortedBlock],
+    blocks: Iterable[tuple[Positions, Positions]],
     ids: Sequence[str],
     labels: Sequence[str | None],
     failed: Mapping[str, str | None],
 ) -> Rankings:
-    """The ranks of the relevant shapes in a gallery that is sorted for each query."""
-    if len(ids) != len(labels):
-        raise InputError(f"labels must be as many as ids ({len(ids)}), got {len(labels)}")
+    """The ranks of the relevant shapes in a gallery that is sorted for each query.
+
+    blocks: positions of some queries (q,), and of the shapes that are ranked for each (q, m): first the query
+        itself, then the nearest.
+    """
     sizes = Counter(label for label in (*labels, *failed.values()) if label is not None)
     shared = {label for label, size in sizes.items() if size > 1}
     if not shared:
@@ -182,23 +165,16 @@ def _rank_sorted(
     number = np.full(len(ids), -1)  # (N,) of each shape as a query
     number[answered] = np.arange(len(answered))
     hits = [np.empty((2, 0), dtype=np.intp)]
-    times_seen = np.zeros(len(answered), dtype=np.intp)
     nearest = np.full(len(answered), -1)
-    for block in blocks:
-        wanted = np.flatnonzero(number[block.queries] >= 0)
-        queries = block.queries[wanted]
-        np.add.at(times_seen, number[queries], 1)
-        relevant = codes[block.order[wanted]] == codes[queries][:, np.newaxis]
+    for asked, order in blocks:
+        wanted = np.flatnonzero(number[asked] >= 0)
+        queries = asked[wanted]
+        relevant = codes[order[wanted]] == codes[queries][:, np.newaxis]
         relevant[:, :1] = False  # the query itself, at rank 0
         row, rank = np.nonzero(relevant)
         hits.append(np.stack([number[queries][row], rank]))
-        if block.order.shape[1] > 1:
-            nearest[number[queries]] = block.order[wanted, 1]
-    if (times_seen != 1).any():
-        raise InputError(
-            f"every query must be ranked exactly once, got {(times_seen == 0).sum()} queries missing and "
-            f"{(times_seen > 1).sum()} repeated"
-        )
+        if order.shape[1] > 1:
+            nearest[number[queries]] = order[wanted, 1]
     hit_query, hit_rank = np.concatenate(hits, axis=1)
     order = np.lexsort((hit_rank, hit_query))
     query_labels = (*(str(labels[position]) for position in answered), *missed.values())

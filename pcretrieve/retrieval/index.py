@@ -104,11 +104,10 @@ class Names(Sequence[str]):
     def __contains__(self, name: object) -> bool:
         return isinstance(name, str) and self[(row := bisect_left(self, name)) : row + 1] == [name]
 
-    def index(self, name: str, start: int = 0, stop: int | None = None) -> int:
+    def index(self, name: str, *_: Any) -> int:
         """The position of a string."""
-        first, last, _ = slice(start, stop).indices(len(self))
-        row = bisect_left(self, name, first, last)
-        if row >= last or self[row] != name:
+        row = bisect_left(self, name)
+        if self[row : row + 1] != [name]:
             raise ValueError(f"{name!r} is not among the names")
         return row
 
