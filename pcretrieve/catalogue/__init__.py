@@ -5,9 +5,8 @@ In come records and processed shapes; out come records, shapes, tables of signat
 
 from pcretrieve.catalogue.catalogue import Catalogue, CatalogueLike, opened
 from pcretrieve.catalogue.check import Defect, find_defects, set_to_be_ingested_again
-from pcretrieve.catalogue.merge import Merged, backup, merge_catalogues
+from pcretrieve.catalogue.copies import Merged, backup, export_vectors, merge_catalogues
 from pcretrieve.catalogue.records import Content, Origin, Record, numbered_id
-from pcretrieve.catalogue.vectors import export_vectors
 
 __all__ = [
     "Catalogue",

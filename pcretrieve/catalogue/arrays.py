@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.catalogue.tables import Payload, damaged
+from pcretrieve.catalogue.records import Payload, damaged
 from pcretrieve.options import PipelineOptions
 from pcretrieve.values import FloatArray, ModalSpectrum, Shape, Step, Surface, TriangleMesh
 

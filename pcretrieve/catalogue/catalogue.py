@@ -24,15 +24,16 @@ from pcretrieve.catalogue.arrays import (
 from pcretrieve.catalogue.cache import IndexCache, signatures_digest
 from pcretrieve.catalogue.records import (
     OWN,
+    PAYLOADS,
     Content,
     Entry,
+    Payload,
     Record,
     row_of,
     settings_of,
     stored_options,
 )
 from pcretrieve.catalogue.rows import Rows
-from pcretrieve.catalogue.tables import PAYLOADS, Payload
 from pcretrieve.errors import CatalogueError, InputError, ShapeError
 from pcretrieve.options import PipelineOptions, options_difference
 from pcretrieve.retrieval import (

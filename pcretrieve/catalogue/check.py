@@ -12,8 +12,7 @@ from typing import Literal
 
 from pcretrieve.catalogue.arrays import stored_shape, unpacked, unpacked_values
 from pcretrieve.catalogue.catalogue import Catalogue
-from pcretrieve.catalogue.records import OWN, Entry, Record
-from pcretrieve.catalogue.tables import ChangedRow, Payload
+from pcretrieve.catalogue.records import OWN, ChangedRow, Entry, Payload, Record
 from pcretrieve.errors import CatalogueError, ShapeError, Stage
 
 

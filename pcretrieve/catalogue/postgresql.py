@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
-from pcretrieve.catalogue.tables import PAYLOADS, READ_AT_ONCE, created
+from pcretrieve.catalogue.records import PAYLOADS, READ_AT_ONCE, created
 from pcretrieve.errors import CatalogueError
 
 # The schema of the tables, unless the URL names another one.

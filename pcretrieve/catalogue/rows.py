@@ -18,20 +18,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.catalogue.records import (
+    PAYLOADS,
     PROVENANCE_COLUMNS,
     RECORDS,
     SHAPE_COLUMNS,
     Entry,
     Origin,
+    Payload,
     Record,
     Status,
+    check_version,
     checksum,
+    damaged,
     free_id,
+    inserting,
     record_of,
     row_of,
 )
 from pcretrieve.catalogue.sqlite import SqliteDatabase
-from pcretrieve.catalogue.tables import PAYLOADS, Payload, check_version, damaged, inserting
 from pcretrieve.errors import InputError, OptionError, did_you_mean
 
 if TYPE_CHECKING:

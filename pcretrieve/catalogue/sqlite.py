@@ -17,7 +17,7 @@ from os.path import samestat
 from pathlib import Path
 from typing import Any, Literal
 
-from pcretrieve.catalogue.tables import READ_AT_ONCE, changed_row, created, damaged
+from pcretrieve.catalogue.records import READ_AT_ONCE, changed_row, created, damaged
 from pcretrieve.errors import CatalogueError
 
 logger = logging.getLogger(__name__)

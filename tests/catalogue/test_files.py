@@ -24,8 +24,7 @@ from processes import in_this_process, wait_for
 import pcretrieve as pr
 from pcretrieve import Catalogue
 from pcretrieve.catalogue import Record
-from pcretrieve.catalogue.records import RECORDS, checksum
-from pcretrieve.catalogue.tables import SCHEMA_VERSION
+from pcretrieve.catalogue.records import RECORDS, SCHEMA_VERSION, checksum
 from pcretrieve.cli.main import cli
 from pcretrieve.errors import CatalogueError
 from pcretrieve.formats import read_scan, write_mesh
@@ -379,7 +378,7 @@ def test_a_backup_while_writing_goes_on_is_one_state(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another process stores pairs of shapes meanwhile."""
-    monkeypatch.setattr("pcretrieve.catalogue.merge.PAGES_AT_ONCE", 100)
+    monkeypatch.setattr("pcretrieve.catalogue.copies.PAGES_AT_ONCE", 100)
     sizes = [20]
     with subprocess.Popen([sys.executable, "-c", WRITER, str(path)]) as writer, Catalogue(path) as store:
         try:

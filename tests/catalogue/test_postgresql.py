@@ -18,9 +18,9 @@ from postgresql_server import has_pgvector, programs
 from pcretrieve import Catalogue
 from pcretrieve.catalogue import Record, export_vectors
 from pcretrieve.catalogue import postgresql as postgresql_module
+from pcretrieve.catalogue.copies import VECTOR_TABLE, write_vectors
 from pcretrieve.catalogue.records import Entry
 from pcretrieve.catalogue.rows import Rows
-from pcretrieve.catalogue.vectors import VECTOR_TABLE, write_vectors
 from pcretrieve.cli.main import cli
 from pcretrieve.errors import CatalogueError, InputError
 

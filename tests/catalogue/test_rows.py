@@ -15,9 +15,8 @@ from processes import in_this_process
 
 from pcretrieve import Catalogue, PipelineOptions, evaluate, ingest, merge_catalogues
 from pcretrieve.catalogue import Merged, Record
-from pcretrieve.catalogue.records import OWN, Entry, Origin, settings_of
+from pcretrieve.catalogue.records import OWN, PAYLOADS, Entry, Origin, settings_of
 from pcretrieve.catalogue.rows import Rows
-from pcretrieve.catalogue.tables import PAYLOADS
 from pcretrieve.errors import CatalogueError, OptionError
 from pcretrieve.formats import write_mesh
 from pcretrieve.values import Step
