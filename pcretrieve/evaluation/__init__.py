@@ -8,7 +8,7 @@ from pcretrieve.evaluation.comparison import Comparison
 from pcretrieve.evaluation.folds import evaluate_table, rank_table, rerank_table
 from pcretrieve.evaluation.front import Evaluation, calibrate, compare, evaluate, matrix
 from pcretrieve.evaluation.measures import RetrievalMeasures
-from pcretrieve.evaluation.rankings import rank
+from pcretrieve.evaluation.rankings import rank_gallery
 
 __all__ = [
     "Comparison",
@@ -19,7 +19,7 @@ __all__ = [
     "evaluate",
     "evaluate_table",
     "matrix",
-    "rank",
+    "rank_gallery",
     "rank_table",
     "rerank_table",
 ]

@@ -13,7 +13,7 @@ import numpy as np
 from pcretrieve.catalogue import Catalogue, CatalogueLike, opened
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation.folds import rerank_table, unsupervised
-from pcretrieve.evaluation.rankings import NO_FAILURES, Rankings, Subset, rank, rank_subsets
+from pcretrieve.evaluation.rankings import NO_FAILURES, Rankings, Subset, rank_subsets
 from pcretrieve.ingestion.labels import labels_of, match_labels
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import OptionsLike, PipelineOptions, RerankKind, RetrievalOptions
@@ -74,15 +74,13 @@ def _of_catalogue(
         paths = {shape_id: record.path for shape_id, record in records.items()}
         classes = _classes(labels, labels_of(labels, paths.values()), paths)
     if not any(classes.values()):
-        advice = (
-            "give --labels, a file of classes or a layout"
-            if labels is None
-            else f"no name in {labels} fits one"
-        )
+        advice = "give --labels, a file of classes or a layout"
+        if labels is not None:
+            advice = f"no name in {labels} fits one"
         raise BenchmarkError(f"no shape in {catalogue.location} has a class: {advice}")
     if matrix is not None:
         check_known(matrix, catalogue)
-        if left.intersection(matrix.ids):
+        if left:
             matrix = matrix.select([shape_id for shape_id in matrix.ids if shape_id not in left])
         ranked_ids = set(matrix.ids)
         missing = {shape_id: classes[shape_id] for shape_id in records if shape_id not in ranked_ids}
@@ -103,11 +101,9 @@ def _of_catalogue(
         is_measured = retrieval.whitening == "resolution" or retrieval.calibration is not None
         made = catalogue.whitening(options) if is_measured else None
         whitening = made or table_whitening(table, retrieval, prior=prior)
-        reason = whitening.reason + (
-            ", without labels"
-            if whitening.kind in ("none", "neighbours") and options.retrieval.whitening == "auto"
-            else ""
-        )
+        reason = whitening.reason
+        if options.retrieval.whitening == "auto" and whitening.kind in ("none", "neighbours"):
+            reason += ", without labels"
     rankings = _of_table(table, retrieval, whitening, failed)
     return RankedShapes(*rankings, len(failed), table, reason)
 
@@ -141,10 +137,7 @@ def _of_matrix(
 ) -> RankedShapes:
     """The rankings by a matrix, in which some shapes are missing."""
     labels = [classes[shape_id] for shape_id in matrix.ids]
-    if rerank == "none":
-        plain = rank(matrix, labels, failed=missing)
-        return RankedShapes(plain, plain, len(missing))
-    if not np.isfinite(matrix.values).all():
+    if rerank != "none" and not np.isfinite(matrix.values).all():
         raise InputError(
             f"re-ranking needs finite distances, got {np.isinf(matrix.values).sum()} that are infinite: "
             "rank without it"

@@ -186,17 +186,14 @@ N_RESAMPLES = 2000
 CHUNK = 2**20
 
 
-def bootstrap_interval(
-    values: FloatArray, *, level: float = LEVEL, rng: np.random.Generator | None = None
-) -> FloatArray:
+def bootstrap_interval(values: FloatArray, *, level: float = LEVEL) -> FloatArray:
     """Confidence intervals of the means of columns, whose rows are drawn again together.
 
     values: (Q, m) float64, one row for each query, such as `QueryScores.columns`, or differences of such rows
         in a paired comparison.
     Returns (2, m) float64: the lower and the upper ends.
     """
-    rng = np.random.default_rng(0) if rng is None else rng
-    n = len(values)
+    rng, n = np.random.default_rng(0), len(values)
     rows = max(1, CHUNK // n)
     means = [
         rng.multinomial(n, np.full(n, 1 / n), size=min(rows, N_RESAMPLES - start)) @ values / n

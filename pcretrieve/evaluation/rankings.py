@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pcretrieve.errors import BenchmarkError
-from pcretrieve.retrieval import DistanceBlock, Positions, Ranking
+from pcretrieve.retrieval import DistanceBlock, Positions
 from pcretrieve.retrieval.reranking import N_RERANKED, NeighbourLists, rerank
 from pcretrieve.values.base import Value
 
@@ -58,14 +58,6 @@ class Rankings(Value):
     def n_ranked(self) -> int:
         """Length of each ranked list, which is the gallery without the query."""
         return max(0, self.n_gallery - 1)
-
-
-def rank(
-    ranking: Ranking, labels: Sequence[str | None], *, failed: Mapping[str, str | None] = NO_FAILURES
-) -> Rankings:
-    """Rank a gallery for each labelled shape in it."""
-    labelled = np.flatnonzero([label is not None for label in labels])
-    return rank_gallery(ranking.blocks(labelled), ranking.ids, labels, failed=failed)
 
 
 def rank_gallery(

@@ -76,16 +76,6 @@ def test_the_interval_agrees_with_that_of_scipy() -> None:
         assert abs(high[column] - expected.high) < 0.1 * width
 
 
-@pytest.mark.slow
-def test_it_covers_the_true_mean_as_often_as_it_says() -> None:
-    rng = np.random.default_rng(1)
-    covered = []
-    for _ in range(200):
-        low, high = bootstrap_interval(rng.random((60, 1)), level=0.8, rng=rng)
-        covered.append(low[0] <= 0.5 <= high[0])
-    assert 0.72 < np.mean(covered) < 0.88
-
-
 def test_columns_of_a_row_are_drawn_together() -> None:
     """The interval of a difference of two columns that differ by a constant is a point."""
     easy = np.random.default_rng(3).random(50)

@@ -5,10 +5,9 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from pcretrieve.evaluation import evaluate_table, rank, rank_table, rerank_table
+from pcretrieve.evaluation import evaluate_table, rank_gallery, rank_table, rerank_table
 from pcretrieve.evaluation.folds import grouped_folds, within_class_folds, within_class_subsets
 from pcretrieve.evaluation.rankings import Subset, rank_subsets
-from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import DISTANCES, DistanceBlock, coordinates, fit_whitening, pairwise
 from pcretrieve.retrieval.reranking import NeighbourLists, rerank
@@ -125,8 +124,8 @@ def test_an_evaluation_whitens_the_gallery_in_any_order(distance: str, whitening
     assert asdict(evaluate_table(shuffled, options)) == pytest.approx(measured)
     if whitening != "within-class":
         points = fit_whitening(whitening, logs := coordinates(table.values)).apply(logs)
-        matrix = DistanceMatrix(table.ids, pairwise(distance, points, points))
-        assert rank_table(table, options) == rank(matrix, table.labels)
+        block = DistanceBlock(np.arange(60), pairwise(distance, points, points))
+        assert rank_table(table, options) == rank_gallery([block], table.ids, table.labels)
 
 
 # --- re-ranking -----------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pcretrieve.errors import BenchmarkError, InputError
-from pcretrieve.evaluation import evaluate, rank
+from pcretrieve.evaluation import evaluate, rank_gallery
 from pcretrieve.matching import DistanceMatrix, read_matrix, write_matrix
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import DISTANCES, SignatureIndex
@@ -52,7 +52,8 @@ def test_the_matrix_of_an_index_ranks_as_the_index_does() -> None:
         for shape_id in table.ids:
             assert matrix.nearest(shape_id, 7) == index.nearest(shape_id, 7)
         labels = [label_of[shape_id] for shape_id in index.ids]
-        assert rank(matrix, labels) == rank(index, labels)
+        by_matrix, by_index = (rank_gallery(one.blocks(), index.ids, labels) for one in (matrix, index))
+        assert by_matrix.hit_rank.tolist() == by_index.hit_rank.tolist()
 
 
 def test_a_file_restores_every_bit(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from benchmarks.synthetic import quartered
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
 from pcretrieve.errors import PcretrieveError, ShapeError
-from pcretrieve.evaluation import rank, rank_table
+from pcretrieve.evaluation import rank_gallery, rank_table
 from pcretrieve.evaluation.front import PUBLISHED
 from pcretrieve.evaluation.measures import PrecisionRecall, evaluate_rankings, precision_recall
 from pcretrieve.evaluation.rankings import Rankings
@@ -192,7 +192,7 @@ def _matched(catalogue: Catalogue, system: System) -> Rankings:
     matrix = match_all(matcher, ids, lambda shape_id: catalogue.shape(shape_id, matcher.needs))
     classes = {record.id: record.label for record in catalogue.records()}
     labels = [classes.pop(shape_id) for shape_id in matrix.ids]
-    return rank(matrix, labels, failed=classes)
+    return rank_gallery(matrix.blocks(), matrix.ids, labels, failed=classes)
 
 
 def _row(system: System, ranked: Rankings, published: Sequence[float] | None) -> str:
