@@ -38,41 +38,27 @@ class Frame(NamedTuple):
 
     @classmethod
     def around(cls, points: FloatArray, *, offset: float = SINGLE_OFFSET) -> Frame:
-        """The frame of some points.
-
-        points: (n, 3) float64, coordinates; unit of the caller.
-        Returns Frame: the frame; of unit size if there are no points, or all points are equal.
-        """
+        """The frame of points (n, 3); of unit size if there are no points, or all points are equal."""
         if not len(points):
             return cls(np.zeros(3), 1.0)
-        size = power_of_two(diagonal(points))
+        size = power_of_two(bounding_diagonal(points))
         step = 2 * offset * size
         middle = (points.min(axis=0) + points.max(axis=0)) / 2
         return cls(np.round(middle / step) * step, size)
 
     def inward(self, points: FloatArray) -> FloatArray:
-        """Transform points to this frame.
-
-        points: (n, 3) float64, coordinates; unit of the caller.
-        Returns (n, 3) float64: coordinates in this frame.
-        """
+        """The coordinates (n, 3) of points of the caller in this frame."""
         return np.asarray((points - self.origin) / self.size)
 
     def outward(self, points: FloatArray) -> FloatArray:
-        """Transform points back from this frame.
-
-        points: (n, 3) float64, coordinates in this frame.
-        Returns (n, 3) float64: coordinates; unit of the caller.
-        """
+        """The coordinates (n, 3) of points in this frame in the unit of the caller."""
         return np.asarray(points * self.size + self.origin)
 
 
-def diagonal(points: FloatArray) -> float:
-    """Diagonal of the axis-aligned bounding box.
-
-    points: (n, 3) float64, at least one point.
-    """
-    return float(np.linalg.norm(np.ptp(points, axis=0)))
+def bounding_diagonal(points: FloatArray) -> float:
+    """Diagonal of the axis-aligned bounding box of points (n, 3); 0 if there are none."""
+    # Column by column: along the first axis of short rows, NumPy takes twenty times as long.
+    return float(np.linalg.norm([np.ptp(column) for column in points.T])) if len(points) else 0.0
 
 
 def power_of_two(length: float) -> float:

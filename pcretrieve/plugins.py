@@ -41,12 +41,11 @@ class Names:
 
     def known(self, name: str) -> str:
         """The name itself."""
-        if name not in self.own and name not in self.all():
-            names = self.all()
-            raise ValueError(
-                f"input should be one of {', '.join(names)}, got {name!r}{did_you_mean(name, names)}"
-            )
-        return name
+        if name in self.own or name in (names := self.all()):
+            return name
+        raise ValueError(
+            f"input should be one of {', '.join(names)}, got {name!r}{did_you_mean(name, names)}"
+        )
 
 
 #: The descriptors of pcretrieve by name, and whether their values have a size, without which the scale
@@ -81,9 +80,8 @@ DESCRIPTOR_NAMES = Names("descriptor", "pcretrieve.descriptors", tuple(METHODS))
 class Registry(Generic[Record]):
     """The records of one kind by name: those of pcretrieve, and those that other packages add.
 
-    checked: function of (str, object) that returns a Record, makes a record of the name of an entry point and
-        the object that it leads to, or raises TypeError with a message that begins with what the object must
-        be.
+    `checked` makes a record of the name of an entry point and the object that it leads to, or raises
+    TypeError with a message that begins with what the object must be.
     """
 
     names: Names
@@ -99,9 +97,8 @@ class Registry(Generic[Record]):
             added = point.load()
         # A package may even end the interpreter when it is imported.
         except (Exception, SystemExit) as error:
-            raise OptionError(
-                f"{called} cannot be loaded, {type(error).__name__}: {error}; {ADVICE}"
-            ) from error
+            cause = f"{type(error).__name__}: {error}"
+            raise OptionError(f"{called} cannot be loaded, {cause}; {ADVICE}") from error
         try:
             return self.checked(name, added)
         except TypeError as error:
@@ -128,24 +125,22 @@ class Registry(Generic[Record]):
         """Turn the exceptions of a record's function into one of pcretrieve that names its package.
 
         It is a ShapeError in a stage of one shape, else an OptionError, since an option has named the record.
-        OptionError and MemoryError are not changed; a ShapeError gets the stage. Of the exceptions of
-        pcretrieve's own records, only InputError is changed: there the shape has led to values that are not
-        valid.
+        Of the exceptions of pcretrieve's own records only InputError is changed: the shape has led to values
+        that are not valid.
         """
         try:
             yield
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             if isinstance(error, ShapeError) and stage and name not in self.own:
                 error.stage = stage
-            if isinstance(error, _UNCHANGED) or (name in self.own and not isinstance(error, InputError)):
+            if isinstance(error, (ShapeError, OptionError, MemoryError)) or (
+                name in self.own and not isinstance(error, InputError)
+            ):
                 raise
-            raise self._failed(name, stage, error) from error
-        except SystemExit as error:
-            raise self._failed(name, stage, error) from error
-
-    def _failed(self, name: str, stage: str | None, error: BaseException) -> ShapeError | OptionError:
-        message = f"{self.called(name)} failed, {type(error).__name__}: {error}"
-        return ShapeError(message, stage=stage) if stage else OptionError(f"{message}; {ADVICE}")
+            message = f"{self.called(name)} failed, {type(error).__name__}: {error}"
+            if stage:
+                raise ShapeError(message, stage=stage) from error
+            raise OptionError(f"{message}; {ADVICE}") from error
 
     def _point(self, name: str) -> EntryPoint:
         point = _points(self.names.group, tuple(sys.path)).get(name)
@@ -154,9 +149,6 @@ class Registry(Generic[Record]):
                 f"there is no {self.names.kind} {name!r}; there are {', '.join(self.names.all())}"
             )
         return point
-
-
-_UNCHANGED = (ShapeError, OptionError, MemoryError)
 
 
 @cache

@@ -285,7 +285,7 @@ def test_a_file_and_a_preset_change_the_options_that_they_are_laid_over(tmp_path
     path = tmp_path / "options.toml"
     path.write_text("[retrieval]\nwhitening = 'pca'\n")
     assert PipelineOptions.from_toml(path, base) == base.changed(retrieval={"whitening": "pca"})
-    assert PipelineOptions.preset("clean-mesh", base) == base.changed(surface={"mode": "keep"})
+    assert PipelineOptions.of("clean-mesh", base) == base.changed(surface={"mode": "keep"})
 
 
 def test_a_name_is_a_preset_unless_there_is_such_a_file(
@@ -293,11 +293,11 @@ def test_a_name_is_a_preset_unless_there_is_such_a_file(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     base = PipelineOptions().changed(signature={"n_values": 45})
-    assert PipelineOptions.named("clean-mesh") == PipelineOptions.preset("clean-mesh")
-    assert PipelineOptions.named("clean-mesh", base) == PipelineOptions.preset("clean-mesh", base)
+    assert PipelineOptions.of("clean-mesh") == PipelineOptions.of("clean-mesh")
+    assert PipelineOptions.of("clean-mesh", base) == PipelineOptions.of("clean-mesh", base)
     Path("clean-mesh").write_text("[signature]\nn_modes = 50\n")
-    assert PipelineOptions.named("clean-mesh", base) == base.changed(signature={"n_modes": 50})
+    assert PipelineOptions.of("clean-mesh", base) == base.changed(signature={"n_modes": 50})
     with pytest.raises(
         OptionError, match="there is no preset or file 'nowhere'; the presets are body-scanner"
     ):
-        PipelineOptions.named("nowhere")
+        PipelineOptions.of("nowhere")

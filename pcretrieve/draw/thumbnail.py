@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from pcretrieve.arrays import FloatArray, IntArray, diagonal
+from pcretrieve.arrays import FloatArray, IntArray, bounding_diagonal
 from pcretrieve.draw.axes import body_axes
 from pcretrieve.draw.pictures import (
     CLAY,
@@ -61,7 +61,7 @@ def thumbnail(
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
     # Rays are cast in single precision, and do not hit thinner surfaces.
-    if not len(faces) or not area > np.finfo(np.float32).eps * diagonal(vertices) ** 2:
+    if not len(faces) or not area > np.finfo(np.float32).eps * bounding_diagonal(vertices) ** 2:
         raise DegenerateMeshError(
             f"a surface must have area to be drawn, got {len(faces)} faces with an area of {area:.3g}; leave "
             "its picture out",

@@ -12,7 +12,7 @@ import numpy as np
 from pcretrieve.errors import InputError
 from pcretrieve.formats.registry import FORMATS
 from pcretrieve.values import PointCloud, SignatureTable, TriangleMesh
-from pcretrieve.values.conversion import CloudLike, MeshLike, as_cloud, as_mesh
+from pcretrieve.values.conversion import GeometryLike, as_cloud, as_mesh
 from pcretrieve.values.files import csv_text, parquet_bytes, write_file
 
 SIGNATURE_SUFFIXES = (".npz", ".parquet", ".csv")
@@ -20,12 +20,12 @@ SIGNATURE_SUFFIXES = (".npz", ".parquet", ".csv")
 Kind = Literal["point", "mesh"]
 
 
-def write_cloud(cloud: CloudLike, path: str | Path) -> None:
+def write_cloud(cloud: GeometryLike, path: str | Path) -> None:
     """Write points with their normals and the positions of their sensors, in one atomic step.
 
     Parameters
     ----------
-    cloud : CloudLike
+    cloud : GeometryLike
         The points; their unit is that of the file.
     path : str or Path
         The file. ``.ply`` (double precision) and ``.pcd`` (single precision) store the position of the sensor
@@ -41,12 +41,12 @@ def write_cloud(cloud: CloudLike, path: str | Path) -> None:
     _write(as_cloud(cloud), Path(path), "point")
 
 
-def write_mesh(mesh: MeshLike, path: str | Path) -> None:
+def write_mesh(mesh: GeometryLike, path: str | Path) -> None:
     """Write a mesh, in one atomic step.
 
     Parameters
     ----------
-    mesh : MeshLike
+    mesh : GeometryLike
         The mesh, of this package or another (see `as_mesh`); its unit is that of the file.
     path : str or Path
         The file, with one of the suffixes ``.ply .obj .off .stl .glb``. An existing file is replaced.

@@ -80,7 +80,7 @@ def merge_views(
         If no two views share a surface.
     """
     if isinstance(options, (str, Path)):
-        options = PipelineOptions.named(options).merge
+        options = PipelineOptions.of(options).merge
     chosen = options if isinstance(options, MergeOptions) else MergeOptions(**(options or {}))
     named = [views] if isinstance(views, (str, Path)) else views
     paths = [view for view in named if isinstance(view, (str, Path))]

@@ -90,26 +90,7 @@ class PipelineOptions(Options):
 
     @classmethod
     def from_toml(cls, path: str | Path, base: PipelineOptions | None = None) -> PipelineOptions:
-        """Read options from a TOML file with one table for each stage.
-
-        Parameters
-        ----------
-        path : str or Path
-            The file.
-        base : PipelineOptions, optional
-            The values of options that the file does not name, such as those of a catalogue. By default the
-            defaults.
-
-        Returns
-        -------
-        PipelineOptions
-            The options in the file, and those of `base`.
-
-        Raises
-        ------
-        OptionError
-            If the file cannot be read, is not TOML, or has an unknown option or an invalid value.
-        """
+        """Read options from a TOML file with one table for each stage; the rest as in `of`."""
         try:
             values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
         except OSError as error:
@@ -124,59 +105,6 @@ class PipelineOptions(Options):
             raise OptionError(f"{path}: {error.message}") from error
 
     @classmethod
-    def preset(cls, name: str, base: PipelineOptions | None = None) -> PipelineOptions:
-        """The options for a common source of scans.
-
-        Parameters
-        ----------
-        name : str
-            A key of `PRESETS`.
-        base : PipelineOptions, optional
-            The values of options that the preset does not name. By default the defaults.
-
-        Returns
-        -------
-        PipelineOptions
-            The options of `base` with the changes of the preset.
-
-        Raises
-        ------
-        OptionError
-            If there is no preset of this name.
-        """
-        if name not in PRESETS:
-            raise OptionError(
-                f"there is no preset or file {name!r}; the presets are {', '.join(PRESETS)}"
-                f"{did_you_mean(name, PRESETS)}"
-            )
-        return (base or cls()).changed(**PRESETS[name])
-
-    @classmethod
-    def named(cls, name: str | Path, base: PipelineOptions | None = None) -> PipelineOptions:
-        """The options of a TOML file, or of a preset if there is no file of that name.
-
-        Parameters
-        ----------
-        name : str or Path
-            The file, or a key of `PRESETS`.
-        base : PipelineOptions, optional
-            The values of options that the file or the preset does not name. By default the defaults.
-
-        Returns
-        -------
-        PipelineOptions
-            As of `from_toml` or `preset`.
-
-        Raises
-        ------
-        OptionError
-            If there is neither such a file nor such a preset, or the file cannot be read or is invalid.
-        """
-        if not Path(name).exists() and not Path(name).suffix:
-            return cls.preset(str(name), base)
-        return cls.from_toml(name, base)
-
-    @classmethod
     def of(cls, options: OptionsLike, base: PipelineOptions | None = None) -> PipelineOptions:
         """The options that a value stands for, as public functions take them.
 
@@ -184,9 +112,10 @@ class PipelineOptions(Options):
         ----------
         options : PipelineOptions, mapping, str, Path or None
             Options; a mapping of stages to options with their values, such as ``{"signature": {"n_values":
-            45}}``; the name of a preset or of a TOML file; None for `base`.
+            45}}``; the name of a TOML file, or of a preset if there is no such file; None for `base`.
         base : PipelineOptions, optional
-            The values of options that a mapping, a preset or a file does not name. By default the defaults.
+            The values of options that a mapping, a preset or a file does not name, such as those of a
+            catalogue. By default the defaults.
 
         Returns
         -------
@@ -196,14 +125,23 @@ class PipelineOptions(Options):
         Raises
         ------
         OptionError
-            If the value stands for no options, or has an unknown option or an invalid value.
+            If the value stands for no options, a file cannot be read or is not TOML, or there is an unknown
+            option or an invalid value.
         """
         if options is None:
             return base or cls()
         if isinstance(options, cls):
             return options
         if isinstance(options, (str, Path)):
-            return cls.named(options, base)
+            if Path(options).exists() or Path(options).suffix:
+                return cls.from_toml(options, base)
+            name = str(options)
+            if name not in PRESETS:
+                raise OptionError(
+                    f"there is no preset or file {name!r}; the presets are {', '.join(PRESETS)}"
+                    f"{did_you_mean(name, PRESETS)}"
+                )
+            options = PRESETS[name]
         if isinstance(options, Mapping):
             return (base or cls()).changed(**options)
         raise OptionError(
@@ -212,23 +150,7 @@ class PipelineOptions(Options):
         )
 
     def changed(self, **stages: dict[str, Any]) -> PipelineOptions:
-        """A copy with some options replaced, such as ``options.changed(surface={"mode": "keep"})``.
-
-        Parameters
-        ----------
-        **stages : dict
-            For each stage, the options that change and their new values.
-
-        Returns
-        -------
-        PipelineOptions
-            The copy.
-
-        Raises
-        ------
-        OptionError
-            If there is no such option, or its value is not allowed.
-        """
+        """A copy with some options replaced, such as ``options.changed(surface={"mode": "keep"})``."""
         values = self.model_dump()
         for stage, changes in stages.items():
             known = isinstance(changes, Mapping) and stage in values
@@ -286,9 +208,9 @@ class PipelineOptions(Options):
 
 
 def options_difference(stored: PipelineOptions, given: PipelineOptions) -> list[str]:
-    """The options, without those of retrieval and `merge`, that differ between a catalogue and a request.
+    """A line such as ``surface.genus: 'auto' there, 0 here`` for each option that a catalogue has otherwise.
 
-    Returns list of str: one line for each option, such as ``surface.poisson_depth: 7 there, 8 here``.
+    The options of retrieval and `merge` are left out, because nothing that is stored depends on them.
     """
     there, here = stored.model_dump(exclude={"retrieval", "merge"}), given.model_dump()
     return [

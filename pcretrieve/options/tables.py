@@ -41,14 +41,7 @@ class Options(BaseModel):
 
 
 # How pydantic names a type that it tried, in the location of an error of an option with several types.
-TYPES_TRIED = (
-    "literal['auto','sphere','free']",
-    "literal['auto']",
-    "literal['none']",
-    "constrained-int",
-    "constrained-float",
-    "tuple[",
-)
+TYPES_TRIED = ("literal[", "constrained-int", "constrained-float", "tuple[")
 
 
 def _explain(error: ValidationError) -> str:

@@ -8,9 +8,9 @@ check it again. Two values are equal if their arrays are, whatever their provena
 - the Laplace–Beltrami operator is positive semi-definite (−Δ u = λ u), eigenvalues ascend from λ_0 = 0.
 """
 
-from pcretrieve.arrays import UPWARD, FloatArray, IntArray
+from pcretrieve.arrays import UPWARD, FloatArray, IntArray, bounding_diagonal
 from pcretrieve.values.base import METRES, UNIT, SizeUnit, unit_of
-from pcretrieve.values.geometry import PointCloud, Step, TriangleMesh, bounding_diagonal
+from pcretrieve.values.geometry import PointCloud, Step, TriangleMesh
 from pcretrieve.values.shapes import Failure, Judgement, Need, Shape, Surface, Verdict
 from pcretrieve.values.signatures import Metric, Neighbors, Signature, SignatureTable
 from pcretrieve.values.spectra import Eigenpairs, LaplaceBeltrami, ModalSpectrum

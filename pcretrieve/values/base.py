@@ -40,6 +40,19 @@ class Value:
     # Arrays have no hash, and one of the other fields alone would be misleading.
     __hash__ = None  # type: ignore[assignment]
 
+    def _lock(
+        self,
+        name: str,
+        shape: tuple[int | None, ...],
+        dtype: type[np.generic] = np.float64,
+        *,
+        finite: bool = True,
+    ) -> NDArray[Any]:
+        """Replace the array of a field by its `locked` copy, and return that."""
+        array = locked(name, getattr(self, name), shape, dtype, finite=finite)
+        object.__setattr__(self, name, array)
+        return array
+
     def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
         return type(self), tuple(getattr(self, part.name) for part in fields(self))  # type: ignore[arg-type]
 
@@ -96,10 +109,10 @@ def locked(
 
 def as_array(values: NDArray[Any], dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
     """The result of the method ``__array__`` of a value, by the protocol of NumPy 1 and 2."""
-    converts = dtype is not None and np.dtype(dtype) != values.dtype
-    if copy is False and converts:
-        raise ValueError(f"values of type {values.dtype} must be copied to become {np.dtype(dtype)}")
-    return values.astype(dtype if converts else values.dtype) if copy or converts else values
+    wanted = values.dtype if dtype is None else np.dtype(dtype)
+    if copy is False and wanted != values.dtype:
+        raise ValueError(f"values of type {values.dtype} must be copied to become {wanted}")
+    return values.astype(wanted, copy=bool(copy))
 
 
 def unit_of(metres: float) -> str | None:

@@ -6,10 +6,10 @@ Values of other packages are recognised by their attributes, so that this module
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pcretrieve.errors import InputError
 from pcretrieve.values.geometry import PointCloud, TriangleMesh
@@ -18,42 +18,13 @@ from pcretrieve.values.geometry import PointCloud, TriangleMesh
 N_CORNERS = 3
 
 
-@runtime_checkable
-class HasFaces(Protocol):
-    """A surface of another package, such as trimesh, PyVista or libigl."""
-
-    @property
-    def vertices(self) -> ArrayLike:
-        """(n, 3) coordinates."""
-
-    @property
-    def faces(self) -> ArrayLike:
-        """(m, 3) vertex numbers."""
-
-
-@runtime_checkable
-class HasPoints(Protocol):
-    """A point cloud, or a surface with its vertices as points, of a package such as Open3D or PyVista."""
-
-    @property
-    def points(self) -> ArrayLike:
-        """(n, 3) coordinates."""
-
-
-#: What can be converted to a surface.
-MeshLike: TypeAlias = "TriangleMesh | HasFaces | tuple[ArrayLike, ArrayLike]"
-#: What can be converted to a point cloud.
-CloudLike: TypeAlias = "PointCloud | HasPoints | ArrayLike"
-#: What can be converted to either, including geometry of Open3D, which has no static types.
-GeometryLike: TypeAlias = "MeshLike | CloudLike | object"
+#: What can be converted to a surface or a point cloud: geometry of Open3D, trimesh, PyVista and others, which
+#: is recognised by its attributes; an (n, 3) array of points; or a pair (vertices, faces).
+GeometryLike: TypeAlias = object
 
 
 def as_geometry(geometry: GeometryLike) -> PointCloud | TriangleMesh:
-    """Convert a value to a point cloud or a surface.
-
-    Returns PointCloud or TriangleMesh: the value itself if it has one of these types, else a checked copy of
-        its arrays; unit of the value.
-    """
+    """A point cloud or a surface: the value itself if it is one, else a checked copy of its arrays."""
     if isinstance(geometry, (PointCloud, TriangleMesh)):
         return geometry
     try:
@@ -68,10 +39,7 @@ def as_geometry(geometry: GeometryLike) -> PointCloud | TriangleMesh:
 
 
 def as_mesh(mesh: GeometryLike) -> TriangleMesh:
-    """Convert a value to a surface.
-
-    Returns TriangleMesh: the surface; unit of the value.
-    """
+    """A surface, in the unit of the value."""
     geometry = as_geometry(mesh)
     if not isinstance(geometry, TriangleMesh):
         raise InputError(
@@ -82,10 +50,7 @@ def as_mesh(mesh: GeometryLike) -> TriangleMesh:
 
 
 def as_cloud(cloud: GeometryLike) -> PointCloud:
-    """Convert a value to a point cloud: a surface to its vertices.
-
-    Returns PointCloud: the point cloud; unit of the value.
-    """
+    """A point cloud, in the unit of the value: of a surface its vertices."""
     geometry = as_geometry(cloud)
     if isinstance(geometry, TriangleMesh):
         return PointCloud(geometry.vertices, provenance=geometry.provenance)
@@ -93,12 +58,7 @@ def as_cloud(cloud: GeometryLike) -> PointCloud:
 
 
 class GeometryArrays(NamedTuple):
-    """A point cloud or a triangle mesh as arrays, unchecked.
-
-    points: (n, 3) array, points of a cloud, vertices of a mesh; in the unit of the geometry.
-    faces: (m, 3) array or None, vertex numbers; None for a point cloud.
-    normals: (n, 3) array or None, unit normals of a point cloud, if it has normals.
-    """
+    """The points, or the vertices and faces, of a point cloud or a triangle mesh, unchecked."""
 
     points: NDArray[Any]
     faces: NDArray[Any] | None = None

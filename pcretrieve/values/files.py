@@ -65,24 +65,17 @@ class _Lines(list[str]):
     write = list.append
 
 
-def data_frame(columns: Mapping[str, Sequence[object]], index: str | None = None) -> Any:
-    """A table of named columns.
-
-    columns: columns of one length, in order.
-    """
+def data_frame(columns: Mapping[str, Any], index: str) -> Any:
+    """A table of named columns of one length."""
     try:
         import pandas
     except ImportError as error:
         raise InputError(ADVICE) from error
-    frame = pandas.DataFrame(dict(columns))
-    return frame if index is None else frame.set_index(index)
+    return pandas.DataFrame(dict(columns)).set_index(index)
 
 
 def parquet_bytes(columns: Mapping[str, Sequence[object]], metadata: Mapping[str, str]) -> bytes:
-    """A Parquet file of named columns.
-
-    columns: columns of one length, in order.
-    """
+    """A Parquet file of named columns of one length."""
     try:
         import pyarrow
         from pyarrow import parquet

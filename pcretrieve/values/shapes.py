@@ -13,12 +13,10 @@ from pcretrieve.values.base import Value
 from pcretrieve.values.geometry import PointCloud, Step, TriangleMesh
 from pcretrieve.values.spectra import Eigenpairs, ModalSpectrum
 
-# The parts of a shape that a descriptor may need.
-# A spectrum may lack its overlaps, which few descriptors need; with the need "overlaps" it has them.
+# The parts of a shape that a descriptor may need. A spectrum has its overlaps only with the need "overlaps".
 Need = Literal["spectrum", "overlaps", "eigenvectors", "mesh", "points"]
 
 _Part = TypeVar("_Part")
-
 
 Judgement = Literal["sound", "doubtful", "unusable"]
 
@@ -127,16 +125,9 @@ class Shape(Value):
 
     def __repr__(self) -> str:
         n = len(self.surfaces)
-        held = [
-            word
-            for word, part in (
-                ("mesh", self.surfaces[0].mesh),
-                ("spectrum", self.surfaces[0].spectrum),
-                ("eigenpairs", self.surfaces[0].eigenpairs),
-                ("points", self.cloud),
-            )
-            if part is not None
-        ]
+        first = self.surfaces[0]
+        parts = {"mesh": first.mesh, "spectrum": first.spectrum, "eigenpairs": first.eigenpairs}
+        held = [name for name, part in (parts | {"points": self.cloud}).items() if part is not None]
         surfaces = "1 surface" if n == 1 else f"{n} surfaces"
         return f"Shape({surfaces} with {', '.join(held) or 'nothing kept'}; area {self.area:.4g} file units²)"
 

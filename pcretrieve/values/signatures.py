@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.arrays import FloatArray
 from pcretrieve.errors import InputError
-from pcretrieve.values.base import SizeUnit, Value, as_array, locked
+from pcretrieve.values.base import SizeUnit, Value, as_array
 
 # How the values of two signatures are compared: by their logarithms, for positive values; as they are, for
 # any; or as histograms, whose bins are not negative.
@@ -56,10 +56,9 @@ class Signature(Value):
 
     def __post_init__(self) -> None:
         _check_unit(self.unit)
-        object.__setattr__(self, "values", _suited(locked("values", self.values, (None,)), self.metric))
+        _check_metric(self._lock("values", (None,)), self.metric)
         if self.deviation is not None:
-            deviation = locked("deviation", self.deviation, (len(self.values),))
-            object.__setattr__(self, "deviation", deviation)
+            self._lock("deviation", (len(self.values),))
 
     def __len__(self) -> int:
         return len(self.values)
@@ -111,7 +110,7 @@ class SignatureTable(Value):
         n = len(self.ids)
         if len(set(self.ids)) != n:
             raise InputError("ids must be distinct")
-        object.__setattr__(self, "values", _suited(locked("values", self.values, (n, None)), self.metric))
+        _check_metric(self._lock("values", (n, None)), self.metric)
         object.__setattr__(self, "labels", tuple(self.labels) or (None,) * n)
         if len(self.labels) != n:
             raise InputError(f"labels must be as many as ids ({n}), got {len(self.labels)}")
@@ -130,23 +129,7 @@ class SignatureTable(Value):
         )
 
     def select(self, ids: Sequence[str]) -> SignatureTable:
-        """The signatures of some shapes, in the order of `ids`.
-
-        Parameters
-        ----------
-        ids : sequence of str
-            Identifiers of shapes of the table, distinct.
-
-        Returns
-        -------
-        SignatureTable
-            One row for each of `ids`.
-
-        Raises
-        ------
-        InputError
-            If the table has no shape of such an id.
-        """
+        """The signatures of some shapes, in the order of `ids`; InputError if the table lacks one."""
         rows = {shape_id: row for row, shape_id in enumerate(self.ids)}
         if unknown := [shape_id for shape_id in ids if shape_id not in rows]:
             raise InputError(f"there is no signature of the shape {unknown[0]!r}")
@@ -171,8 +154,8 @@ def _check_unit(unit: SizeUnit | None) -> None:
         raise InputError(f"the unit of sizes must be None, 'm' or 'unknown', got {unit!r}")
 
 
-def _suited(values: FloatArray, metric: Metric) -> FloatArray:
-    """The values of signatures, if the metric can compare them."""
+def _check_metric(values: FloatArray, metric: Metric) -> None:
+    """Refuse values of signatures that the metric cannot compare."""
     if metric not in get_args(Metric):
         raise InputError(f"metric must be one of {', '.join(get_args(Metric))}, got {metric!r}")
     smallest = values.min(initial=np.inf)
@@ -180,7 +163,6 @@ def _suited(values: FloatArray, metric: Metric) -> FloatArray:
         raise InputError(f"signature values must be positive, got {smallest}")
     if metric == "histograms" and smallest < 0:
         raise InputError(f"the bins of a histogram must not be negative, got {smallest}")
-    return values
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,7 +187,7 @@ class Neighbors(Value):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ids", tuple(self.ids))
-        distances = locked("distances", self.distances, (len(self.ids),), finite=False)
+        distances = self._lock("distances", (len(self.ids),), finite=False)
         if len(set(self.ids)) != len(self.ids):
             raise InputError("ids must be distinct")
         if not ((distances >= 0).all() and (distances[:-1] <= distances[1:]).all()):
@@ -213,9 +195,8 @@ class Neighbors(Value):
         tied = distances[:-1] == distances[1:]
         if any(tie and self.ids[i] > self.ids[i + 1] for i, tie in enumerate(tied)):
             raise InputError("ids of equally distant shapes must be in alphabetical order, got another one")
-        object.__setattr__(self, "distances", distances)
         if self.scores is not None:
-            object.__setattr__(self, "scores", locked("scores", self.scores, (len(self.ids),)))
+            self._lock("scores", (len(self.ids),))
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -228,14 +209,13 @@ class Neighbors(Value):
         """A ``pandas.DataFrame`` (extra ``tables``) indexed by rank: id, distance, and the score if known."""
         from pcretrieve.values.files import data_frame
 
-        ranks = list(range(1, len(self) + 1))
-        columns: dict[str, list[Any]] = {
-            "rank": ranks,
-            "id": list(self.ids),
-            "distance": self.distances.tolist(),
+        columns: dict[str, Any] = {
+            "rank": range(1, len(self) + 1),
+            "id": self.ids,
+            "distance": self.distances,
         }
         if self.scores is not None:
-            columns["score"] = self.scores.tolist()
+            columns["score"] = self.scores
         return data_frame(columns, index="rank")
 
     def plot(self, axes: Any = None) -> Any:

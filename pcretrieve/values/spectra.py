@@ -9,7 +9,7 @@ import numpy as np
 
 from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.errors import InputError, ShapeError, Stage
-from pcretrieve.values.base import Value, locked
+from pcretrieve.values.base import Value
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -51,7 +51,7 @@ class LaplaceBeltrami(Value):
         if not self.area > 0:
             raise InputError(f"mass must sum up to a positive area, got {self.area:g}")
         if self.nodes is not None:
-            object.__setattr__(self, "nodes", locked("nodes", self.nodes, (n,), np.int32))
+            self._lock("nodes", (n,), np.int32)
 
     @property
     def area(self) -> float:
@@ -92,10 +92,8 @@ class Eigenpairs(Value):
     solver: str = ""
 
     def __post_init__(self) -> None:
-        eigenvalues = locked("eigenvalues", self.eigenvalues, (None,))
-        object.__setattr__(self, "eigenvalues", eigenvalues)
-        eigenvectors = locked("eigenvectors", self.eigenvectors, (self.mass.shape[0], len(eigenvalues)))
-        object.__setattr__(self, "eigenvectors", eigenvectors)
+        k = len(self._lock("eigenvalues", (None,)))
+        self._lock("eigenvectors", (self.mass.shape[0], k))
 
     @property
     def area(self) -> float:
@@ -143,12 +141,10 @@ class ModalSpectrum(Value):
     overlaps: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        eigenvalues = locked("eigenvalues", self.eigenvalues, (None,))
-        k = len(eigenvalues)
-        object.__setattr__(self, "eigenvalues", eigenvalues)
-        object.__setattr__(self, "moments", locked("moments", self.moments, (k, k)))
+        k = len(self._lock("eigenvalues", (None,)))
+        self._lock("moments", (k, k))
         if self.overlaps is not None:
-            object.__setattr__(self, "overlaps", locked("overlaps", self.overlaps, (k, k)))
+            self._lock("overlaps", (k, k))
 
     @classmethod
     def of(cls, pairs: Eigenpairs) -> ModalSpectrum:
@@ -156,40 +152,15 @@ class ModalSpectrum(Value):
 
         The integral ∫ f²g is discretised as Σ f_i² M_ij g_j with the mass matrix M (Ye and Yu, "A fast modal
         space transform for robust nonrigid shape retrieval", 2016, section 3), and ∫ f²g² as Σ f_i² M_ij
-        g_j².
-
-        Parameters
-        ----------
-        pairs : Eigenpairs
-            k eigenpairs of a connected surface, the constant eigenfunction first.
-
-        Returns
-        -------
-        ModalSpectrum
-            In the unit of the eigenpairs.
+        g_j². The constant eigenfunction is first; the unit is that of the eigenpairs.
         """
         phi = pairs.eigenvectors  # (n, k)
         squares = phi**2
-        return cls(
-            pairs.eigenvalues,
-            squares.T @ (pairs.mass @ phi),
-            pairs.area,
-            overlaps=squares.T @ (pairs.mass @ squares),
-        )
+        moments, overlaps = (squares.T @ (pairs.mass @ other) for other in (phi, squares))  # (k, k)
+        return cls(pairs.eigenvalues, moments, pairs.area, overlaps)
 
     def known_overlaps(self) -> FloatArray:
-        """The overlaps, if they were stored.
-
-        Returns
-        -------
-        (k, k) float64
-            ⟨φ_i², φ_j²⟩; unit length⁻².
-
-        Raises
-        ------
-        ShapeError
-            If the spectrum was stored without overlaps.
-        """
+        """(k, k) ⟨φ_i², φ_j²⟩; ShapeError if the spectrum was stored without overlaps."""
         if self.overlaps is None:
             raise ShapeError(
                 "gone: this spectrum has no overlaps ⟨φ_i², φ_j²⟩: neither they nor the mesh were kept when "
@@ -214,9 +185,5 @@ class ModalSpectrum(Value):
     def scaled(self, area: float) -> ModalSpectrum:
         """The modal spectrum of the same surface after uniform scaling to another area."""
         factor = area / self.area
-        return ModalSpectrum(
-            self.eigenvalues / factor,
-            self.moments / np.sqrt(factor),
-            area,
-            None if self.overlaps is None else self.overlaps / factor,
-        )
+        overlaps = None if self.overlaps is None else self.overlaps / factor
+        return ModalSpectrum(self.eigenvalues / factor, self.moments / np.sqrt(factor), area, overlaps)

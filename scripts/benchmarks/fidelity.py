@@ -125,7 +125,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _configurations(given: argparse.Namespace) -> dict[str, PipelineOptions]:
     """Options by name, all with R-BiHDM signatures of one length, which earlier tables have too."""
-    loaded = [PipelineOptions.named(name) for name in given.config] or [PipelineOptions()]
+    loaded = [PipelineOptions.of(name) for name in given.config] or [PipelineOptions()]
     names = given.name or [path.stem for path in given.config] or ["default"]
     if not len(set(names)) == len(names) == len(loaded):
         raise InputError(f"configurations must have distinct names, one for each, got {', '.join(names)}")
@@ -378,7 +378,7 @@ N_VALUES = 23
 N_LONGER = 60
 
 # Weight of the size in the signatures that include the size.
-SIZE_WEIGHT = PipelineOptions.preset("body-scanner").signature.size_weight
+SIZE_WEIGHT = PipelineOptions.of("body-scanner").signature.size_weight
 
 # Number of random points on each of two surfaces from which the distance to the other surface is computed.
 # Their spacing on a body is about .001 of the diagonal.

@@ -83,7 +83,7 @@ def test_the_dragon_has_a_surface() -> None:
 
 @pytest.mark.parametrize("preset", sorted(set(PRESETS) - {"clean-mesh", "paper", "classic"}))
 def test_each_preset_makes_a_closed_surface_of_a_scan(preset: str) -> None:
-    shape = process(HAND, PipelineOptions.preset(preset))
+    shape = process(HAND, PipelineOptions.of(preset))
     assert len(shape.surfaces) == 2
     assert not defects(shape.mesh)
     assert shape.mesh.volume > 0

@@ -20,7 +20,7 @@ from pcretrieve.simulation.turning import TurningOptions, turning_frames, write_
 from pcretrieve.values import FloatArray
 
 CAMERA = TurningOptions(n_frames=30, width=120, height=160, focal=170.0)
-DEPTH_CAMERA = PipelineOptions.preset("depth-camera").merge
+DEPTH_CAMERA = PipelineOptions.of("depth-camera").merge
 
 
 @cache

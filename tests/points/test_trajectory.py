@@ -90,7 +90,7 @@ def test_poses_of_a_folder_are_where_registration_starts(
     sequence: tuple[Path, FloatArray, FloatArray],
 ) -> None:
     folder, truth, given = sequence
-    options = pcretrieve.PipelineOptions.preset("depth-camera").merge
+    options = pcretrieve.PipelineOptions.of("depth-camera").merge
     kept = pcretrieve.merge_views(folder, options.model_copy(update={"refine": False}))
     np.testing.assert_allclose(kept.poses, given, atol=1e-5)
     refined = pcretrieve.merge_views(folder, options)
