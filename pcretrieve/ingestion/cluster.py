@@ -107,28 +107,22 @@ class DaskExecutor:
             ingest = uuid4().hex
             call = partial(_outcome_of, function, timeout, memory, versions(), ingest)
             completed = as_completed([], loop=client.loop)
-
-            def submit(item: Item, is_alone: bool) -> None:
-                with _connection():
-                    future = client.submit(call, item, pure=False)
-                running[future] = item, is_alone
-                completed.add(future)
-
             try:
                 while True:
                     # The number of workers of a cluster on this computer is its limit.
                     most = _window(client) if self.local or workers is None else workers
-                    for item in islice(rest, max(0, most - len(running))):
-                        submit(item, False)
+                    tasks = [(item, False) for item in islice(rest, max(0, most - len(running)))]
+                    if not (tasks or running) and given_up:
+                        tasks = [(given_up.popleft(), True)]
+                    for task in tasks:
+                        with _connection():
+                            future = client.submit(call, task[0], pure=False)
+                        running[future] = task
+                        completed.add(future)
                     if not running:
-                        if not given_up:
-                            return
-                        submit(given_up.popleft(), True)
+                        return
                     future = next(completed)
-                    if future.status in (
-                        "lost",
-                        "pending",
-                    ):  # its Dask worker ended before its answer was sent
+                    if future.status in ("lost", "pending"):  # its worker ended before its answer was sent
                         completed.add(future)
                         continue
                     item, is_alone = running.pop(future)

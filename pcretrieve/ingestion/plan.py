@@ -90,14 +90,14 @@ class Plan:
             catalogue.revise(moved=self.moved, removed=self.removed, labels=self.labels, stamps=self.stamps)
         known = [*self.held, *(original for _, original in self.duplicates)]
         stored = catalogue.several({record.id for record in known})
-        # An original that is still to be processed has a new content, and no provenance.
         whole = {(record.path, record.content_hash): record for record in stored}
-        known = [whole.get((record.path, record.content_hash), record) for record in known]
-        n = len(self.held)
-        self.held, originals = known[:n], known[n:]
-        self.duplicates = [
-            (path, original) for (path, _), original in zip(self.duplicates, originals, strict=True)
-        ]
+
+        def completed(record: Record) -> Record:
+            # An original that is still to be processed has a new content, and no provenance.
+            return whole.get((record.path, record.content_hash), record)
+
+        self.held = [completed(record) for record in self.held]
+        self.duplicates = [(path, completed(original)) for path, original in self.duplicates]
 
 
 class Planner:

@@ -2,7 +2,7 @@
 
 Crashes of native code, endless loops and a lack of memory end the process of one item only. Each worker has
 pipes of its own, and workers do not share locks. A worker can therefore be killed at any moment, even while
-it sends an answer, without an effect on other workers. What the code in a worker prints goes through a third
+it sends an answer, without an effect on other workers. What the code in a worker prints goes through a second
 pipe and is kept with the item. Its temporary files are in a folder that is removed with the worker. The
 parent process holds a lock on this folder, which the system releases when the parent ends, however that
 happens: a folder that is not locked belongs to nobody.
@@ -19,7 +19,6 @@ import pickle
 import resource
 import shutil
 import signal
-import struct
 import sys
 import tempfile
 import time
@@ -59,9 +58,6 @@ MAX_ATTEMPTS = 2
 
 GIB = 1 << 30
 
-# An answer is its length, followed by a pickle. The first answer only says that the worker is ready.
-LENGTH = struct.Struct("<q")
-
 # Bytes that a pipe gives in one read at most, and number of reads at once: a worker may print without an end.
 PIPE = 1 << 16
 READS = 16
@@ -72,11 +68,9 @@ PRINTED = 1000
 # Errors whose cause may be in what the code of other libraries has printed.
 OF_UNKNOWN_CAUSE = (StageTimeout, WorkerDied, MemoryExceeded, UnexpectedError)
 
-# Longest times; seconds. A worker waits with a part of its answer while the parent reads another answer; a
-# killed process cannot end while it waits for a disk or a network; most processes that close their pipe do so
-# by ending, and their own exit code says more than that of a kill.
-START_TIMEOUT = 120.0  # until a worker is ready
-ANSWER_TIMEOUT = 10.0  # for each further part of an answer
+# Longest times; seconds. A killed process cannot end while it waits for a disk or a network; most processes
+# that close their pipe do so by ending, and their own exit code says more than that of a kill.
+START_TIMEOUT = 120.0  # until a worker is ready, which is its first answer
 KILL_TIMEOUT = 5.0  # until a killed process has ended
 EXIT_TIMEOUT = 2.0  # until a process that has closed its pipe is killed
 
@@ -239,20 +233,17 @@ class Worker(Generic[Item, Answer]):
         self.item, self.attempt, self.n_items = item, attempt, 0
         # Open3D has threads, so workers must be spawned, not forked.
         context = multiprocessing.get_context("spawn")
-        items, self._items = context.Pipe(duplex=False)
-        self._answers, answers = context.Pipe(duplex=False)
+        self._items, items = context.Pipe()
         self._output, output = context.Pipe(duplex=False)
-        for pipe in (self._answers, self._output):
-            os.set_blocking(pipe.fileno(), False)
+        os.set_blocking(self._output.fileno(), False)
         self._printed = bytearray()
-        self._arrived = bytearray()
         self._limit = START_TIMEOUT
         self.deadline = time.monotonic() + START_TIMEOUT
         self.is_gone = False
         self._is_silent = False  # at the end of the pipe of output
         self._folder = TemporaryFolder()
         self._process = context.Process(
-            target=_serve, args=(items, answers, output, self._folder.path, memory, function)
+            target=_serve, args=(items, output, self._folder.path, memory, function)
         )
         # The terminal sends Ctrl-C to all processes, and the parent handles it: the worker blocks it from its
         # first moment. The resource tracker, which is started with the first worker, would unblock it.
@@ -264,13 +255,12 @@ class Worker(Generic[Item, Answer]):
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
             # Only the worker has these ends open: after it has ended, reading and writing fail.
             items.close()
-            answers.close()
             output.close()
 
     @property
     def events(self) -> tuple[Connection[Any, Any] | int, ...]:
         """The handles to wait for: an answer, output, and the end of the process."""
-        return self._answers, self._process.sentinel, *([] if self._is_silent else [self._output])
+        return self._items, self._process.sentinel, *([] if self._is_silent else [self._output])
 
     @property
     def printed(self) -> str:
@@ -292,21 +282,20 @@ class Worker(Generic[Item, Answer]):
     def news(self) -> tuple[Answer | PcretrieveError] | None:
         """The outcome of the item, or of the start, in a tuple; None while the worker is busy."""
         has_ended = not self._process.is_alive()
-        n_before = len(self._arrived)
-        is_at_end = _drain(self._answers, self._arrived)
-        if len(self._arrived) > n_before:
-            self.deadline = max(self.deadline, time.monotonic() + ANSWER_TIMEOUT)
+        answer = None
+        try:
+            if self._items.poll():
+                answer = self._items.recv_bytes()
+        except (EOFError, OSError):
+            has_ended = True
         self._listen()  # after the answer, before which the worker has printed
-        n_arrived = len(self._arrived) - LENGTH.size
         outcome: Answer | PcretrieveError
-        if n_arrived >= 0 and n_arrived == LENGTH.unpack_from(self._arrived)[0]:
-            message = bytes(self._arrived[LENGTH.size :])
-            self._arrived.clear()
+        if answer is not None:
             try:
-                outcome = pickle.loads(message)
+                outcome = pickle.loads(answer)
             except Exception as error:  # noqa: BLE001  a class of a plug-in may be picklable, but not unpicklable
                 outcome = shape_error(error)
-        elif has_ended or is_at_end:
+        elif has_ended:
             self._process.join(EXIT_TIMEOUT)
             outcome = WorkerDied(
                 f"the process that worked on it ended with {_exit_text(self.stop())}, perhaps for lack of "
@@ -328,7 +317,6 @@ class Worker(Generic[Item, Answer]):
             self._process.kill()
             self._process.join(KILL_TIMEOUT)
             self._items.close()
-            self._answers.close()
             self._listen()
             self._output.close()
             self._is_silent = True
@@ -336,21 +324,15 @@ class Worker(Generic[Item, Answer]):
         return self._process.exitcode
 
     def _listen(self) -> None:
-        """Read what has been printed."""
-        if not self._is_silent:
-            self._is_silent = _drain(self._output, self._printed)
-            del self._printed[:-PRINTED]
-
-
-def _drain(pipe: Connection[Any, Any], into: bytearray) -> bool:
-    """Append what a pipe has, without waiting for more; whether its other end is closed."""
-    with suppress(BlockingIOError):
-        for _ in range(READS):
-            part = os.read(pipe.fileno(), PIPE)
-            if not part:
-                return True
-            into += part
-    return False
+        """Read what has been printed, without waiting for more."""
+        with suppress(BlockingIOError):
+            for _ in range(0 if self._is_silent else READS):
+                part = os.read(self._output.fileno(), PIPE)
+                self._is_silent = not part
+                self._printed += part
+                del self._printed[:-PRINTED]
+                if not part:
+                    break
 
 
 def _exit_text(code: int | None) -> str:
@@ -416,7 +398,6 @@ def _locked(path: Path) -> int | None:
 
 def _serve(
     items: Connection[Any, Any],
-    answers: Connection[Any, Any],
     output: Connection[Any, Any],
     folder: str | None,
     memory: float | None,
@@ -429,8 +410,8 @@ def _serve(
     if not _prepare(folder, memory):
         return
     own = os.getpid()
-    with suppress(EOFError, BrokenPipeError):  # the parent has ended, on a system other than Linux
-        _send(answers, pickle.dumps(True))
+    with suppress(EOFError, ConnectionError):  # the parent has ended, on a system other than Linux
+        items.send(True)
         while True:
             item = items.recv()
             try:
@@ -445,7 +426,7 @@ def _serve(
                 # A child process that the function has forked, and in which the function returned too: its
                 # answer would be taken for that of the next item.
                 os._exit(1)
-            _send(answers, answer)
+            items.send_bytes(answer)
 
 
 def _prepare(folder: str | None, memory: float | None) -> bool:
@@ -470,9 +451,3 @@ def _prepare(folder: str | None, memory: float | None) -> bool:
         limit = int(memory * GIB)
         resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
     return True
-
-
-def _send(answers: Connection[Any, Any], message: bytes) -> None:
-    rest = memoryview(LENGTH.pack(len(message)) + message)
-    while rest:
-        rest = rest[os.write(answers.fileno(), rest) :]

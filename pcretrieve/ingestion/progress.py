@@ -10,16 +10,17 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
-import json
 import logging
 import os
 import time
 from collections import Counter
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, Field, NonNegativeInt
 
 from pcretrieve.catalogue import CatalogueLike, Record, opened
 
@@ -32,11 +33,8 @@ PAGE = 4096  # bytes
 # Shortest time between two writes; seconds.
 INTERVAL = 1.0
 
-# Largest time that can be written as a date, at the end of the year 9999; seconds since 1970.
-LATEST = 253_402_300_799
-
-# Seconds before each attempt to lock the file, which a reader may have locked for a moment.
-PAUSES = (0.0, 0.05, 0.05)
+# Up to the largest time that can be written as a date, at the end of the year 9999.
+Seconds = Annotated[float, Field(ge=0, le=253_402_300_799)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,24 +75,17 @@ class BatchStatus:
     n_shapes: int
 
 
-@dataclass(slots=True)
-class _Counts:
+class _Counts(BaseModel):
     """The counts of one ingest; times in seconds since 1970, `stages` in seconds."""
 
     state: State = "running"
-    started: float = 0.0
-    updated: float = 0.0
-    n_scans: int = 0
-    n_done: int = 0
-    n_failed: int = 0
-    n_skipped: int = 0
-    stages: dict[str, float] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        counts = (self.n_scans, self.n_done, self.n_failed, self.n_skipped)
-        numbers = (self.started, self.updated, *counts, *self.stages.values())
-        if self.state not in get_args(State) or not all(0 <= number <= LATEST for number in numbers):
-            raise ValueError(f"the counts of an ingest must be numbers from 0, got {self}")
+    started: Seconds = 0.0
+    updated: Seconds = 0.0
+    n_scans: NonNegativeInt = 0
+    n_done: NonNegativeInt = 0
+    n_failed: NonNegativeInt = 0
+    n_skipped: NonNegativeInt = 0
+    stages: dict[str, Seconds] = {}
 
 
 def status(catalogue: CatalogueLike) -> BatchStatus:
@@ -125,13 +116,9 @@ def status(catalogue: CatalogueLike) -> BatchStatus:
     n_left = counts.n_scans - counts.n_skipped - n_finished
     total = sum(counts.stages.values())
     return BatchStatus(
-        counts.state,
-        _iso(counts.started),
-        _iso(counts.updated),
-        counts.n_scans,
-        counts.n_done,
-        counts.n_failed,
-        counts.n_skipped,
+        **counts.model_dump(exclude={"started", "updated", "stages"}),
+        started=_iso(counts.started),
+        updated=_iso(counts.updated),
         scans_per_second=rate,
         seconds_left=n_left / rate if is_running and rate > 0 else None,
         stages={name: share / total for name, share in counts.stages.items()} if total else {},
@@ -155,18 +142,14 @@ class CountsFile:
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
-            for pause in PAUSES:
-                time.sleep(pause)
-                with suppress(BlockingIOError):
-                    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    self._descriptor = descriptor
-                    self._write()
-                    return self
-            os.close(descriptor)
-            reason = "another ingest uses it"
-        except OSError as error:
-            reason = str(error.strerror)
-        logger.info("the progress of the ingest is not written to %s: %s", self._path, reason)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:  # also if another ingest has locked it
+            logger.info("the progress of the ingest is not written to %s: %s", self._path, error.strerror)
+            if descriptor is not None:
+                os.close(descriptor)
+        else:
+            self._descriptor = descriptor
+            self._write()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
@@ -186,9 +169,8 @@ class CountsFile:
             self._counts.n_failed += 1
         else:
             self._counts.n_done += 1
-            stages = self._counts.stages
             for step in record.steps:
-                stages[step.stage] = stages.get(step.stage, 0.0) + step.seconds
+                self._counts.stages[step.stage] = self._counts.stages.get(step.stage, 0.0) + step.seconds
         self._write(INTERVAL)
 
     def _write(self, interval: float = 0.0) -> None:
@@ -197,7 +179,7 @@ class CountsFile:
             return
         self._written = time.monotonic()
         self._counts.updated = time.time()
-        data = json.dumps(asdict(self._counts)).encode().ljust(PAGE)
+        data = self._counts.model_dump_json().encode().ljust(PAGE)
         with suppress(OSError):  # a full disk is the concern of the catalogue
             os.pwrite(self._descriptor, data, 0)
             os.ftruncate(self._descriptor, len(data))
@@ -207,12 +189,15 @@ def _read(path: Path) -> _Counts:
     """The counts in a file; those of no ingest if there is none."""
     try:
         with path.open("rb") as file:
-            counts = _Counts(**json.loads(file.read()))
-            with suppress(BlockingIOError):
+            counts = _Counts.model_validate_json(file.read())
+            try:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-                return replace(counts, state="killed") if counts.state == "running" else counts
-            return replace(counts, state="running")
-    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+            except BlockingIOError:
+                counts.state = "running"
+            else:
+                counts.state = "killed" if counts.state == "running" else counts.state
+            return counts
+    except (OSError, ValueError):
         return _Counts(state="none")
 
 
