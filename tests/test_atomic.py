@@ -13,6 +13,15 @@ import pytest
 from pcretrieve.errors import InputError
 from pcretrieve.values.files import write_file
 
+IMPORTS = "from pathlib import Path\nfrom pcretrieve.values.files import write_file\n"
+
+
+def python(script: str, folder: Path) -> str:
+    """What a script prints, which is run in a folder by a process of its own."""
+    known = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    command = [sys.executable, "-c", script]
+    return subprocess.check_output(command, cwd=folder, env=known, text=True, timeout=60)
+
 
 def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
@@ -40,18 +49,8 @@ def test_a_link_stays_and_what_it_leads_to_is_replaced(tmp_path: Path) -> None:
 def test_a_device_is_written_to_and_not_replaced(tmp_path: Path) -> None:
     write_file(Path(os.devnull), b"into nowhere")
     assert stat.S_ISCHR(Path(os.devnull).stat().st_mode)
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            "from pathlib import Path; from pcretrieve.values.files import write_file\n"
-            "write_file(Path('/dev/stdout'), b'a page')",
-        ],
-        capture_output=True,
-        check=True,
-        timeout=60,
-    )
-    assert done.stdout == b"a page"
+    writing = f"{IMPORTS}write_file(Path('/dev/stdout'), b'a page')"
+    assert python(writing, tmp_path) == "a page"
 
 
 def test_a_name_may_be_as_long_as_the_system_allows(tmp_path: Path) -> None:
@@ -68,11 +67,9 @@ def test_what_cannot_be_written_leaves_nothing(name: str, tmp_path: Path) -> Non
     assert names(tmp_path) == ["file", "folder"]
 
 
-FULL = """
+FULL = f"""{IMPORTS}
 import resource, signal
-from pathlib import Path
 from pcretrieve.errors import InputError
-from pcretrieve.values.files import write_file
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
@@ -85,15 +82,6 @@ except InputError as error:
 
 def test_a_disk_without_room_keeps_the_old_content(tmp_path: Path) -> None:
     (tmp_path / "a").write_text("old")
-    done = subprocess.run(
-        [sys.executable, "-c", FULL],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=60,
-    )
-    assert done.stdout.startswith("cannot write a: File too large;")
+    assert python(FULL, tmp_path).startswith("cannot write a: File too large;")
     assert (tmp_path / "a").read_text() == "old"
     assert names(tmp_path) == ["a"]

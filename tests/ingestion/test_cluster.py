@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,6 +15,7 @@ from typing import Any
 
 import pytest
 import shapes
+from commands import program
 from dask_cluster import DaskCluster, dask_cluster
 from processes import wait_for as until
 
@@ -144,10 +143,8 @@ def test_ingest_gives_the_same_catalogue_as_on_one_computer(cluster: DaskCluster
         write_mesh(shapes.ellipsoid((1, 1 + number / 10, 2), subdivisions=3), path)
     paths.append(tmp_path / "flat.xyz")
     paths[-1].write_text("1 2 3\n" * 200)
-    where = ["-c", tmp_path / "c.sqlite", "--scheduler-file", cluster.file, "--json"]
-    command = [sys.executable, "-m", "pcretrieve", "ingest", *map(str, [*paths, *where])]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert ended.returncode == 3, ended.stderr
+    where = ("-c", tmp_path / "c.sqlite", "--scheduler-file", cluster.file, "--json")
+    ended = program("ingest", *paths, *where, code=3)
     assert [row["id"] for row in json.loads(ended.stdout)["result"]["failed"]] == ["flat"]
     ingest(paths, tmp_path / "other.sqlite")
     with Catalogue(tmp_path / "c.sqlite") as made, Catalogue(tmp_path / "other.sqlite") as expected:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
-import signal
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -33,33 +32,21 @@ def folder(tmp_path: Path) -> Path:
     return scans
 
 
-@pytest.fixture
-def hanging(folder: Path) -> Iterator[list[Path]]:
-    """Block the first two files: other processes cannot open them while this process has a lease."""
-    paths = [folder / "0.off", folder / "1.off"]
-    held = [os.open(path, os.O_RDWR) for path in paths]
-    try:
-        for file in held:
-            # Another process that opens the file is announced by a signal, whose default ends this process.
-            fcntl.fcntl(file, fcntl.F_SETSIG, signal.SIGURG)
-            fcntl.fcntl(file, fcntl.F_SETLEASE, fcntl.F_WRLCK)
-    except OSError as error:
-        pytest.skip(f"the file system has no leases: {error}")
-    yield paths
-    for file in held:
-        os.close(file)
-
-
-def test_a_file_that_cannot_be_read_holds_up_no_other(folder: Path, hanging: list[Path]) -> None:
-    """Though it is asked for last, and every thread hangs."""
+def test_a_file_that_cannot_be_read_holds_up_no_other(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Though it is asked for last, and every thread hangs, as at a network that is not connected."""
     files = {path.name: path for path in sorted(folder.iterdir())}
+    hanging, connected = ("0.off", "1.off"), threading.Event()
+    monkeypatch.setattr(
+        plan, "file_hash", lambda file: connected.wait() if file.name in hanging else file_hash(file)
+    )
     contents = plan.Contents(files, 1, 1)
     contents.expect(files)
     assert contents.of("2.off") == content_hash(files["2.off"])
-    for path in hanging:
-        late = contents.of(path.name)
+    for name in hanging:
+        late = contents.of(name)
         assert isinstance(late, StageTimeout)
-        assert str(late) == f"[read] {path} was not read within 1 s: raise --timeout"
+        assert str(late) == f"[read] {files[name]} was not read within 1 s: raise --timeout"
+    connected.set()
 
 
 # --- stamps ---------------------------------------------------------------------------------------------
@@ -101,16 +88,11 @@ def test_what_has_not_changed_is_hashed_once(folder: Path, ingested: Ingested) -
 def test_a_change_is_noticed_though_size_and_time_are_put_back(folder: Path, ingested: Ingested) -> None:
     ingested()
     path = folder / "1.off"
-    before = path.stat()
-    text = path.read_text()
+    before, text = path.stat(), path.read_text()
     path.write_text(text[:-2] + ("1" if text[-2] != "1" else "2") + "\n")
     os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
-    after = path.stat()
-    assert (after.st_size, after.st_mtime_ns, after.st_ino) == (
-        before.st_size,
-        before.st_mtime_ns,
-        before.st_ino,
-    )
+    for known in ("st_size", "st_mtime_ns", "st_ino"):
+        assert getattr(path.stat(), known) == getattr(before, known)
     assert ingested()[0] == ["1.off"]
 
 

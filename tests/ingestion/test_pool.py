@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -80,16 +81,13 @@ def do(what: str) -> object:
 
 def test_every_item_has_its_outcome_and_no_process_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
     """Workers are as many as there are items, and items are read as they are needed."""
-    started: list[object] = []
+    started, start = [], pool.Worker
 
-    class Counted(pool.Worker[int, tuple[int, int]]):
-        def __init__(
-            self, function: Callable[[int], tuple[int, int]], memory: float | None, item: int, attempt: int
-        ) -> None:
-            super().__init__(function, memory, item, attempt)
-            started.append(self)
+    def counted(*given: Any) -> Any:
+        started.append(start(*given))
+        return started[-1]
 
-    monkeypatch.setattr(pool, "Worker", Counted)
+    monkeypatch.setattr(pool, "Worker", counted)
     assert len(list(in_processes(own_process, range(2), workers=8, timeout=PATIENCE))) == 2
     assert len(started) == 2
     read: list[int] = []

@@ -14,10 +14,10 @@ from uuid import uuid4
 import numpy as np
 import pytest
 import shapes
-from click.testing import CliRunner
+from commands import run
+from processes import in_this_process
 
 from pcretrieve import Catalogue, ingest, read_scan, write_mesh
-from pcretrieve.cli.main import cli
 from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.ingestion.discover import discover
 
@@ -91,11 +91,7 @@ def memory(folder: Path) -> Iterator[str]:
 
 
 def test_ingest_skips_what_it_has_until_the_content_changes(memory: str, tmp_path: Path) -> None:
-    # A file system in memory is that of this process: the scans are processed here too.
-    def here(function: Any, items: Any, /, **_: object) -> Any:
-        return ((item, function(item)) for item in items)
-
-    catalogue = tmp_path / "c.sqlite"
+    catalogue, here = tmp_path / "c.sqlite", in_this_process  # as a file system in memory is
     first = ingest(memory, catalogue, options=OPTIONS, executor=here)
     assert [record.path for record in first.done] == [f"{memory}/egg.ply", f"{memory}/more/cigar.off"]
     assert len(ingest(memory, catalogue, executor=here).held) == 2
@@ -109,15 +105,13 @@ def test_ingest_skips_what_it_has_until_the_content_changes(memory: str, tmp_pat
 @pytest.mark.slow
 def test_ingest_of_a_bucket_equals_that_of_a_folder(s3: str, folder: Path, tmp_path: Path) -> None:
     """The worker processes make the copies."""
-    arguments = ("--surface", "keep", "--labels", str(folder / "labels.csv"), "--json")
-    ended = CliRunner().invoke(cli, ["ingest", s3, "-c", str(tmp_path / "s3.sqlite"), *arguments])
-    assert ended.exit_code == 0, ended.output
+    arguments = ("--surface", "keep", "--labels", folder / "labels.csv", "--json")
+    run("ingest", s3, "-c", tmp_path / "s3.sqlite", *arguments)
     ingest(folder, tmp_path / "f.sqlite", options=OPTIONS, labels=folder / "labels.csv")
     with Catalogue(tmp_path / "s3.sqlite") as made, Catalogue(tmp_path / "f.sqlite") as expected:
         assert made.signatures() == expected.signatures()
         assert sorted(record.path for record in made.records()) == [f"{s3}/egg.ply", f"{s3}/more/cigar.off"]
-    ended = CliRunner().invoke(cli, ["ingest", s3, "-c", str(tmp_path / "s3.sqlite")])
-    assert "2 held already" in ended.output, ended.output
+    assert "2 held already" in run("ingest", s3, "-c", tmp_path / "s3.sqlite").output
 
 
 def test_files_that_a_scan_names_are_copied_too_unless_they_are_elsewhere(http: str, folder: Path) -> None:

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
-from click.testing import CliRunner
+from commands import run
 
 from pcretrieve import Catalogue, PipelineOptions, PointCloud, TriangleMesh, reconstruct, signature
-from pcretrieve.cli.main import cli
 from pcretrieve.errors import ReconstructionError, ScanReadError
 from pcretrieve.formats import write_mesh
 from pcretrieve.options import PRESETS
@@ -136,19 +135,7 @@ def test_bodies_of_one_size_have_one_size_in_the_signature_whatever_unit_their_f
     assert signature(millimetres, sized).values[-1] > 1e6 * in_metres[-1]
 
     catalogue = tmp_path / "bodies.sqlite"
-    arguments = [
-        "ingest",
-        str(metres),
-        str(millimetres),
-        "-c",
-        str(catalogue),
-        "--unit",
-        "mm",
-        "--workers",
-        "1",
-    ]
-    result = CliRunner().invoke(cli, arguments)
-    assert result.exit_code == 0, result.output
+    run("ingest", metres, millimetres, "-c", catalogue, "--unit", "mm", "--workers", 1)
     with Catalogue(catalogue) as store:
         records = [store.record(shape_id) for shape_id in ("metres", "millimetres")]
     assert [record.metres_per_unit for record in records] == [1, 1]
