@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -39,9 +40,7 @@ QUOTED = 5
     "Classes: a CSV file (columns file, class), a .cla file, or folders (named like classes), "
     "csv (labels.csv beside scans), shrec11, shrec14-real, shrec14-synthetic, faust, tosca, psb.",
 )
-@opt.config_option
-@opt.surface_option
-@opt.unit_option
+@opt.settings_options
 @opt.rare_option(
     "--no-meshes",
     "Leave meshes out of a new catalogue: a scan takes some 60 kB, not some 350 kB, but pages "
@@ -59,11 +58,9 @@ QUOTED = 5
 @opt.option("--retry-failed", "Process failed scans again too.")
 @opt.option(
     "--retries N",
-    "Try failing scans again, with changes.",
+    "Try failing scans again, at most N times, with changes.",
     opt.NUMBER,
     default=0,
-    details="After all other scans, at most N times: in a new process, then with cheaper settings, then "
-    "by the other method of reconstruction. `pcretrieve show` tells what was changed.",
 )
 @opt.rare_option(
     "--max-failures N",
@@ -73,26 +70,19 @@ QUOTED = 5
 @opt.option("--dry-run", "Show what would be done, and do nothing.")
 @opt.progress_option
 @opt.option("--quiet -q", "Print warnings and failures only.")
-@opt.option(
-    "--log-file FILE",
-    "Append each stage of each scan to a file.",
-    opt.PATH,
-    details="With repairs and fallbacks.",
-)
+@opt.option("--log-file FILE", "Append each stage of each scan, and each repair, to a file.", opt.PATH)
 @opt.rare_option(
     "--shard I/N",
     "Process only part I of N, as one task of a job array; `catalogue merge` joins the catalogues.",
 )
-@opt.json_option
 def ingest_command(
     paths: tuple[str, ...],
     catalogue: str,
     progress: str,
     quiet: bool,
     log_file: Path | None,
-    as_json: bool,
     **values: Any,
-) -> None:
+) -> out.Answer:
     """Process scans, and store them in a catalogue.
 
     PATH is a file, a folder, a glob pattern, or a list of files (.txt, .csv). Scans that are stored already
@@ -119,12 +109,7 @@ def ingest_command(
             _stopped(stop, catalogue)
     if not quiet:
         _say_summary(summary, catalogue, values["labels"])
-    if as_json:
-        if not values["dry_run"]:
-            with pr.Catalogue(catalogue) as store:
-                options = store.options
-        out.write_document(_summary_document(summary, catalogue), options=options)
-    opt.exit_if(_failures(summary))
+    return _answer(summary, catalogue, options)
 
 
 def _new_options(values: dict[str, Any]) -> pr.PipelineOptions | None:
@@ -144,7 +129,7 @@ def _stopped(stop: BaseException, catalogue: str) -> NoReturn:
             say(f"stopped; {len(store)} shapes are in {catalogue}, and the same command goes on from there")
     except CatalogueError:  # there is none yet
         say("stopped")
-    sys.exit(stop.code if isinstance(stop, SystemExit) else opt.EXIT_INTERRUPTED)
+    sys.exit(stop.code if isinstance(stop, SystemExit) else out.EXIT_INTERRUPTED)
 
 
 def _advance(shown: Progress, record: pr.Record) -> None:
@@ -173,31 +158,23 @@ def _facts(record: pr.Record) -> dict[str, object]:
     opt.NUMBER,
     default=0,
 )
-@opt.workers_option
-@opt.limit_options
-@opt.progress_option
-@opt.json_option
-def retry_command(catalogue: str, progress: str, as_json: bool, **chosen: Any) -> None:
+@opt.process_options
+def retry_command(catalogue: str, progress: str, **chosen: Any) -> out.Answer:
     """Process failed scans again, with the settings of their catalogue.
 
     \b
     pcretrieve retry bodies.sqlite --stage worker --timeout 3600
     """
     with pr.Catalogue(catalogue) as store, Progress("retry", progress) as shown:
-        options = store.options
         summary = pr.retry(store, on_start=shown.start, on_shape=partial(_advance, shown), **chosen)
     _say_summary(summary, catalogue)
-    if as_json:
-        out.write_document(_summary_document(summary, catalogue), options=options)
-    opt.exit_if(summary.failed)
+    return _answer(summary, catalogue)
 
 
-@opt.command("watch")
+@opt.command("watch", has_json=False)
 @click.argument("folder", type=opt.PATH)
 @opt.catalogue_option
-@opt.config_option
-@opt.surface_option
-@opt.unit_option
+@opt.settings_options
 @opt.option(
     "--interval SECONDS",
     "Look again after this time; files must stay the same meanwhile.",
@@ -233,17 +210,18 @@ def _tell(record: pr.Record) -> None:
 
 @opt.command("status")
 @opt.catalogue_argument
-@opt.json_option
-def status_command(catalogue: str, as_json: bool) -> None:
+def status_command(catalogue: str) -> out.Answer:
     """Show the progress of the last ingest, while it runs and afterwards.
 
     \b
     pcretrieve status bodies.sqlite
     """
     found = pr.status(catalogue)
-    if as_json:
-        out.write_document({"catalogue": without_password(catalogue)} | asdict(found))
-        return
+    document = {"catalogue": without_password(catalogue)} | asdict(found)
+    return out.Answer(document, show=lambda: _write_status(catalogue, found))
+
+
+def _write_status(catalogue: str, found: pr.BatchStatus) -> None:
     for line in _progress_lines(found):
         out.write_words(line)
     out.write_words(f"{catalogue}: {found.n_shapes} shapes, {sum(found.failures.values())} failed")
@@ -258,7 +236,7 @@ def _progress_lines(found: pr.BatchStatus) -> list[str]:
     left = "" if found.seconds_left is None else f", about {duration(found.seconds_left)} left"
     lines = [
         f"ingest {found.state}: {n_finished} of {found.n_scans} scans: {found.n_done} done, "
-        f"{found.n_failed} failed, {found.n_skipped} held already or duplicates",
+        f"{found.n_failed} failed, {found.n_skipped} known already or duplicates",
         f"started {found.started}, last counted {found.updated}",
         f"rate: {found.scans_per_second * 60:.3g} scans/min{left}",
     ]
@@ -284,7 +262,7 @@ def _say_summary(summary: pr.Summary, catalogue: str, labels: str | None = None)
     failures = _failures(summary)
     done = f"{len(summary.planned)} to process" if summary.planned else f"{len(summary.done)} done"
     say(
-        f"{done}, {len(failures)} failed, {len(_held(summary))} held already, {len(summary.duplicates)} "
+        f"{done}, {len(failures)} failed, {len(_known(summary))} known already, {len(summary.duplicates)} "
         f"duplicates: {catalogue}{'; --retry-failed processes the failed shapes again' if failures else ''}"
     )
     if doubts := _doubts(summary):
@@ -295,18 +273,22 @@ def _say_summary(summary: pr.Summary, catalogue: str, labels: str | None = None)
         )
 
 
-def _summary_document(summary: pr.Summary, catalogue: str) -> dict[str, object]:
-    """The JSON document of an ingest, or of what an ingest would do."""
-    return {
+def _answer(summary: pr.Summary, catalogue: str, options: pr.PipelineOptions | None = None) -> out.Answer:
+    """What an ingest did, or would do; its options are those of the catalogue, if there is one."""
+    if not summary.planned:
+        with suppress(CatalogueError), pr.Catalogue(catalogue) as store:
+            options = store.options
+    document = {
         "catalogue": without_password(catalogue),
         "planned": [record.id for record in summary.planned],
         "done": [record.id for record in summary.done],
-        "held": [record.id for record in _held(summary)],
+        "held": [record.id for record in _known(summary)],
         "doubtful": [record.id for record in _doubts(summary)],
         "duplicates": [{"path": path, "id": original.id} for path, original in summary.duplicates],
         "failed": [_facts(record) for record in _failures(summary)],
         "unknown_labels": summary.unknown_labels,
     }
+    return out.Answer(document, options, failed=_failures(summary))
 
 
 def _failures(summary: pr.Summary) -> list[pr.Record]:
@@ -314,7 +296,7 @@ def _failures(summary: pr.Summary) -> list[pr.Record]:
     return [*summary.failed, *(record for record in summary.held if record.status == "failed")]
 
 
-def _held(summary: pr.Summary) -> list[pr.Record]:
+def _known(summary: pr.Summary) -> list[pr.Record]:
     return [record for record in summary.held if record.status == "done"]
 
 
@@ -322,7 +304,7 @@ def _doubts(summary: pr.Summary) -> list[pr.Record]:
     return [record for record in (*summary.done, *summary.held) if record.is_doubtful]
 
 
-@opt.command("demo")
+@opt.command("demo", has_json=False)
 @click.argument(
     "folder", type=click.Path(path_type=Path), default=Path("pcretrieve-demo"), metavar="[FOLDER]"
 )

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +30,7 @@ FAILED = {"STAGE" if name == "VERDICT" else name: kind for name, kind in DOUBTFU
 @opt.option("--doubtful", "Only shapes that are doubtful or unusable, with the reasons.")
 @opt.option("--limit N", "List at most N shapes.", opt.COUNT)
 @opt.option("--offset N", "Skip N shapes.", opt.NUMBER, default=0)
-@opt.json_option
-def list_command(catalogue: str, failed: bool, as_json: bool, **chosen: Any) -> None:
+def list_command(catalogue: str, failed: bool, **chosen: Any) -> out.Answer:
     """List shapes: id, verdict, class, Euler characteristic, seconds, path.
 
     The verdict is sound, doubtful, unusable or failed; done means that the shape was not judged.
@@ -39,70 +38,61 @@ def list_command(catalogue: str, failed: bool, as_json: bool, **chosen: Any) -> 
     \b
     pcretrieve list --catalogue bodies.sqlite --failed
     """
-    counts: Counter[str] = Counter()
-    with pr.Catalogue(catalogue, any_numbers=True) as store:
-        pages = store.pages(status="failed" if failed else None, **chosen)
-        records = (record for page in pages for record in page)
-        if as_json:
-            out.write_documents(map(_facts, records))
-            return
-        if failed:
-            n_rows = out.write_table(FAILED, map(_failed, records))
-        elif chosen["doubtful"]:
-            n_rows = out.write_table(DOUBTFUL, map(_doubtful, records))
-        else:
-            n_rows = out.write_table(ALL, (_row(record, counts) for record in records))
-    if counts:
-        found = ", ".join(f"{n} {name}" for name, n in sorted(counts.items()))
-        say(f"{found}; for reasons: {', '.join(f'--{name}' for name in sorted(counts))}")
-    if not n_rows:
-        which = "failed" if failed else "doubtful" if chosen["doubtful"] else "stored"
-        after = f" after the first {chosen['offset']}" if chosen["offset"] else ""
-        say(f"no shape is {which} in {catalogue}{after}")
+    store = opt.opened(catalogue, any_numbers=True)
+    pages = store.pages(status="failed" if failed else None, **chosen)
+    records = (record for page in pages for record in page)
+
+    def show() -> None:
+        counts: Counter[str] = Counter()
+        columns = FAILED if failed else DOUBTFUL if chosen["doubtful"] else ALL
+        row = partial(_row, columns=columns, counts=counts)
+        if not out.write_table(columns, map(row, records)):
+            which = "failed" if failed else "doubtful" if chosen["doubtful"] else "stored"
+            after = f" after the first {chosen['offset']}" if chosen["offset"] else ""
+            say(f"no shape is {which} in {catalogue}{after}")
+        if columns is ALL and counts:
+            found = ", ".join(f"{n} {name}" for name, n in sorted(counts.items()))
+            say(f"{found}; for reasons: {', '.join(f'--{name}' for name in sorted(counts))}")
+
+    return out.Answer(map(_facts, records), show=show)
 
 
 def _facts(record: pr.Record) -> dict[str, object]:
     return asdict(record) | {"seconds": round(record.seconds, 3)}
 
 
-def _row(record: pr.Record, counts: Counter[str]) -> tuple[str, ...]:
-    """A row of all shapes; those that have reasons are counted by the option that lists them."""
+def _row(record: pr.Record, columns: out.Columns, counts: Counter[str]) -> list[str]:
+    """The cells of a shape; shapes that have reasons are counted by the option that lists them."""
     if record.status == "failed" or record.is_doubtful:
         counts["failed" if record.status == "failed" else "doubtful"] += 1
-    euler = "-" if record.euler is None else str(record.euler)
-    label, file = record.label or "-", shown_path(record.path)
-    return record.id, _verdict(record), label, euler, f"{record.seconds:.2f}", file
-
-
-def _failed(record: pr.Record) -> tuple[str, ...]:
-    reason = (record.message or "").removeprefix(f"{record.path}: ")
-    return record.id, record.stage or "-", record.label or "-", shown_path(record.path), reason
-
-
-def _doubtful(record: pr.Record) -> tuple[str, ...]:
-    label, file = record.label or "-", shown_path(record.path)
-    return record.id, _verdict(record), label, file, str(record.verdict or "")
-
-
-def _verdict(record: pr.Record) -> str:
-    return record.verdict.judgement if record.verdict else record.status
+    cells = {
+        "ID": record.id,
+        "VERDICT": record.verdict.judgement if record.verdict else record.status,
+        "STAGE": record.stage or "-",
+        "CLASS": record.label or "-",
+        "EULER": "-" if record.euler is None else str(record.euler),
+        "SECONDS": f"{record.seconds:.2f}",
+        "FILE": shown_path(record.path),
+        "REASON": (record.message or str(record.verdict or "")).removeprefix(f"{record.path}: "),
+    }
+    return [cells[name] for name in columns]
 
 
 @opt.command("show")
 @click.argument("shape_id", metavar="ID", shell_complete=opt.complete_ids)
 @opt.catalogue_option
-@opt.json_option
-def show_command(shape_id: str, catalogue: str, as_json: bool) -> None:
+def show_command(shape_id: str, catalogue: str) -> out.Answer:
     """Show how a shape was made: its file, each step, and the size of what is stored.
 
     \b
     pcretrieve show cat0 --catalogue bodies.sqlite
     """
-    with pr.Catalogue(catalogue, any_numbers=True) as store:
-        record, stored = store.record(shape_id), store.stored_bytes(shape_id)
-    if as_json:
-        out.write_document(_facts(record) | {"stored_bytes": stored})
-        return
+    store = opt.opened(catalogue, any_numbers=True)
+    record, stored = store.record(shape_id), store.stored_bytes(shape_id)
+    return out.Answer(_facts(record) | {"stored_bytes": stored}, show=lambda: _show(record, stored))
+
+
+def _show(record: pr.Record, stored: dict[str, int]) -> None:
     shown = asdict(record) | {
         "path": shown_path(record.path),
         "versions": ", ".join(f"{package} {version}" for package, version in record.versions.items()),
@@ -120,8 +110,7 @@ def show_command(shape_id: str, catalogue: str, as_json: bool) -> None:
 @opt.command("remove")
 @click.argument("shape_ids", nargs=-1, required=True, metavar="ID...", shell_complete=opt.complete_ids)
 @opt.catalogue_option
-@opt.json_option
-def remove_command(shape_ids: tuple[str, ...], catalogue: str, as_json: bool) -> None:
+def remove_command(shape_ids: tuple[str, ...], catalogue: str) -> out.Answer:
     """Remove shapes from a catalogue. Their files stay.
 
     \b
@@ -131,8 +120,7 @@ def remove_command(shape_ids: tuple[str, ...], catalogue: str, as_json: bool) ->
     with pr.Catalogue(catalogue) as store:
         store.remove(*chosen)
     say(f"removed {len(chosen)} from {catalogue}")
-    if as_json:
-        out.write_document({"removed": [*chosen]})
+    return out.Answer({"removed": [*chosen]})
 
 
 @click.group("catalogue")
@@ -152,8 +140,7 @@ def catalogue_command() -> None:
     opt.CATALOGUE,
     required=True,
 )
-@opt.json_option
-def merge_command(parts: tuple[str, ...], output: str, as_json: bool) -> None:
+def merge_command(parts: tuple[str, ...], output: str) -> out.Answer:
     """Store the shapes of several catalogues in one.
 
     PART is a file or a URL, such as the catalogue of one task of a job array (`ingest --shard`). All parts
@@ -164,9 +151,8 @@ def merge_command(parts: tuple[str, ...], output: str, as_json: bool) -> None:
     pcretrieve catalogue merge part-*.sqlite -o all.sqlite
     """
     merged = pr.merge_catalogues(parts, output)
-    say(f"{merged.n_added} stored, {merged.n_held} held already: {output}")
-    if as_json:
-        out.write_document(asdict(merged))
+    say(f"{merged.n_added} added, {merged.n_held} known already: {output}")
+    return out.Answer(asdict(merged))
 
 
 catalogue_command.add_command(merge_command)
@@ -184,8 +170,7 @@ catalogue_command.add_command(merge_command)
     "--repair",
     "Remove damaged indexes and rows without a shape, and mark damaged shapes to be ingested again.",
 )
-@opt.json_option
-def check_command(catalogue: str, sample: int, repair: bool, as_json: bool) -> None:
+def check_command(catalogue: str, sample: int, repair: bool) -> out.Answer:
     """Check a catalogue for damage: its file, each record, all arrays, and some signatures.
 
     The exit code is 1 if damage is left.
@@ -202,13 +187,9 @@ def check_command(catalogue: str, sample: int, repair: bool, as_json: bool) -> N
         shown.start(len(store) + sum(store.failures().values()))
         result = pr.check(store, sample=sample, repair=repair, on_shapes=advance)
         options = store.options
-    if as_json:
-        whole = {"catalogue": without_password(catalogue), "is_whole": result.is_whole}
-        out.write_document(whole | asdict(result), options=options)
-    else:
-        _write_check(catalogue, result)
-    if not result.is_whole:
-        sys.exit(out.EXIT_ERROR)
+    document = {"catalogue": without_password(catalogue), "is_whole": result.is_whole} | asdict(result)
+    show = partial(_write_check, catalogue, result)
+    return out.Answer(document, options, show, failed=not result.is_whole, exit_code=out.EXIT_ERROR)
 
 
 def _write_check(catalogue: str, result: pr.Check) -> None:
@@ -230,8 +211,7 @@ def _write_check(catalogue: str, result: pr.Check) -> None:
 @opt.command("backup")
 @click.argument("catalogue", type=opt.CATALOGUE)
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
-@opt.json_option
-def backup_command(catalogue: str, file: Path, as_json: bool) -> None:
+def backup_command(catalogue: str, file: Path) -> out.Answer:
     """Copy a catalogue to one file, while others may use it.
 
     The copy is a catalogue itself, in SQLite. For large databases `pg_dump` is faster.
@@ -242,8 +222,7 @@ def backup_command(catalogue: str, file: Path, as_json: bool) -> None:
     say(f"copying {catalogue}")
     size = pr.backup(catalogue, file)
     say(f"{size / MIB:.1f} MiB: {file}")
-    if as_json:
-        out.write_document({"file": str(file), "bytes": size})
+    return out.Answer({"file": str(file), "bytes": size})
 
 
 @opt.command("export")
@@ -258,20 +237,17 @@ def backup_command(catalogue: str, file: Path, as_json: bool) -> None:
 @opt.option("--signatures", "Write signatures, ids and classes, not meshes.")
 @opt.option(
     "--to URL",
-    "Write whitened signatures to a PostgreSQL database.",
-    details="postgresql://user@host/name, with pgvector; the new table is pcretrieve_signatures.",
+    "Write whitened signatures to the table pcretrieve_signatures of a PostgreSQL database with pgvector.",
 )
 @opt.comparison_options
-@opt.json_option
 def export_command(
     shape_ids: tuple[str, ...],
     catalogue: str,
     output: Path | None,
     signatures: bool,
     to: str | None,
-    as_json: bool,
     **comparison: Any,
-) -> None:
+) -> out.Answer:
     """Write meshes or signatures of a catalogue to files or to a database.
 
     \b
@@ -284,25 +260,23 @@ def export_command(
         raise click.UsageError("give either --output, or --to for signatures in a database")
     if of_meshes := not signatures and to is None:
         reason = "meshes have no such options, which are for --signatures and --to"
-        opt.refuse(comparison, reason, *opt.COMPARISON)
+        opt.refuse(reason, *opt.COMPARISON)
+    store = opt.opened(catalogue, any_numbers=of_meshes)
+    options = opt.compared(store, comparison)
     files: list[Path] = []
-    with opt.opened(catalogue, comparison, any_numbers=of_meshes) as (store, options):
-        if to is not None:
-            n_written = pr.export_vectors(store, to, options, shape_ids=shape_ids)
-            say(f"wrote {n_written} signatures to the table pcretrieve_signatures")
-        elif signatures and output is not None:
-            table = store.signatures(options)
-            pr.write_signatures(table.select(shape_ids) if shape_ids else table, output)
-            files = [output]
-        elif output is not None:
-            files = _export_meshes(store, shape_ids, output)
-    if as_json:
-        out.write_document({"files": files}, options=None if of_meshes else options)
-        return
-    for file in files:
-        out.write_line(str(file))
+    if to is not None:
+        n_written = pr.export_vectors(store, to, options, shape_ids=shape_ids)
+        say(f"wrote {n_written} signatures to the table pcretrieve_signatures")
+    elif signatures and output is not None:
+        table = store.signatures(options)
+        pr.write_signatures(table.select(shape_ids) if shape_ids else table, output)
+        files = [output]
+    elif output is not None:
+        files = _export_meshes(store, shape_ids, output)
     if of_meshes and output is not None and output.is_dir():
         say(f"wrote {len(files)} meshes to {output}")
+    show = partial(out.write_lines, *map(str, files))
+    return out.Answer({"files": files}, None if of_meshes else options, show)
 
 
 def _export_meshes(store: pr.Catalogue, shape_ids: tuple[str, ...], output: Path) -> list[Path]:

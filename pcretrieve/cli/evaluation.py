@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +14,13 @@ import click
 import pcretrieve as pr
 from pcretrieve.cli import options as opt
 from pcretrieve.cli import output as out
-from pcretrieve.cli.messages import say
+from pcretrieve.cli.messages import say, shown_path
 
 # The columns of rows of measures, and of what they are the measures of.
 COLUMNS = dict.fromkeys(("NN", "FT", "ST", "E", "DCG", "mAP"), "number")
 MEASURES = tuple(name.lower() for name in COLUMNS)
 COLUMNS |= {"": "words"}
 PRECISIONS = {"ID": "text", "CLASS": "text", "A": "number", "B": "number"}
-
-# The options of `compare` that are for both results.
-FOR_BOTH = ("labels", "n_changes", "as_json")
 
 
 @opt.command("evaluate")
@@ -34,25 +32,21 @@ FOR_BOTH = ("labels", "n_changes", "as_json")
 @opt.labels_option
 @opt.matrix_option
 @opt.option("--sound-only", "Leave out shapes that are doubtful or unusable.")
-@opt.option("--per-class", "Add the means of each class.", details="And the classes that it is mistaken for.")
+@opt.option("--per-class", "Add the means of each class, and the classes that it is mistaken for.")
 @opt.option(
     "--csv FOLDER",
-    "Write the measures to CSV files in a folder.",
+    "Write queries.csv, classes.csv, confusion.csv and precision_recall.csv to a folder.",
     opt.PATH,
     into="folder",
-    details="They are queries.csv, classes.csv, confusion.csv (of the nearest shape) and "
-    "precision_recall.csv.",
 )
 @opt.comparison_options
-@opt.json_option
 def evaluate_command(
     catalogue: str | None,
     labels: str | None,
     per_class: bool,
     folder: Path | None,
-    as_json: bool,
     **values: Any,
-) -> None:
+) -> out.Answer:
     """Measure how well scans of one class find each other.
 
     Each shape is a query in all others; shapes that failed count as misses. The measures are nearest
@@ -71,8 +65,9 @@ def evaluate_command(
     if catalogue is None and (matrix is None or labels is None):
         catalogue = os.environ.get(opt.CATALOGUE_VARIABLE) or None
     if catalogue is not None:
-        with opt.opened(catalogue, values) as (store, options):
-            found = pr.evaluate(store, options=options, labels=labels, matrix=matrix, sound_only=sound_only)
+        store = opt.opened(catalogue)
+        options = opt.compared(store, values)
+        found = pr.evaluate(store, options=options, labels=labels, matrix=matrix, sound_only=sound_only)
     elif matrix is None or labels is None:
         raise click.UsageError("give --catalogue, or both --matrix and --labels")
     elif sound_only:
@@ -83,11 +78,9 @@ def evaluate_command(
     if folder is not None:
         found.write(folder)
         say(f"queries, classes, confusion and precision_recall: .csv files in {folder}")
-    if as_json:
-        out.write_document(_evaluation_document(found, how, per_class), options=options)
-        return
-    out.write_table(COLUMNS, _rows(found, str(how["rerank"]), per_class))
-    _say_how(found, how)
+    return out.Answer(
+        _evaluation_document(found, how, per_class), options, lambda: _write_evaluation(found, how, per_class)
+    )
 
 
 def _how(
@@ -154,7 +147,8 @@ def _rows(found: pr.Evaluation, rerank: str, per_class: bool) -> list[tuple[str,
     return rows
 
 
-def _say_how(found: pr.Evaluation, how: dict[str, object]) -> None:
+def _write_evaluation(found: pr.Evaluation, how: dict[str, object], per_class: bool) -> None:
+    out.write_table(COLUMNS, _rows(found, str(how["rerank"]), per_class))
     rankings, whitening = found.ranked.rankings, found.ranked.whitening
     by = f"scale {how['scale']}" if "scale" in how else f"distances of {how['matrix']}"
     if how.get("size_weight"):
@@ -182,10 +176,9 @@ def _numbers(values: Iterable[float | None], form: str = ".4f") -> list[str]:
     "--changes N", "List so many of the most changed shapes.", opt.NUMBER, into="n_changes", default=5
 )
 @opt.comparison_options
-@opt.json_option
 def compare_command(
-    first: str, second: str, labels: str | None, n_changes: int, as_json: bool, **comparison: Any
-) -> None:
+    first: str, second: str, labels: str | None, n_changes: int, **comparison: Any
+) -> out.Answer:
     """Compare two results for the same shapes, query by query.
 
     A and B are catalogues, distance matrices, or files queries.csv of `evaluate --csv`. The table has the
@@ -198,12 +191,14 @@ def compare_command(
     """
     one, two = (_options_of(comparison, number) for number in range(2))
     found = pr.compare(first, second, options=one, second_options=two, labels=labels)
-    if as_json:
-        out.write_document(_comparison_document(found, n_changes))
-        return
+    show = partial(_write_comparison, found, n_changes, (first, second))
+    return out.Answer(_comparison_document(found, n_changes), show=show)
+
+
+def _write_comparison(found: pr.Comparison, n_changes: int, names: tuple[str, str]) -> None:
     table = [
-        (*_numbers(found.first), f"A: {first}"),
-        (*_numbers(found.second), f"B: {second}"),
+        (*_numbers(found.first), f"A: {names[0]}"),
+        (*_numbers(found.second), f"B: {names[1]}"),
         (*_numbers(found.difference, "+.3f"), "B - A"),
         (*_numbers(found.interval[0], "+.3f"), f"  {found.level:.0%} interval from"),
         (*_numbers(found.interval[1], "+.3f"), "  to"),
@@ -211,7 +206,7 @@ def compare_command(
     out.write_table(COLUMNS, table)
     changed = [one for one in found.changes[:n_changes] if one.first != one.second]
     if changed:
-        out.write_line("average precision of the most changed shapes:")
+        out.write_lines("average precision of the most changed shapes:")
         rows = ((one.shape_id, one.label, f"{one.first:.4f}", f"{one.second:.4f}") for one in changed)
         out.write_table(PRECISIONS, rows)
     n_first, n_second = len(found.only_first), len(found.only_second)
@@ -254,7 +249,7 @@ def _comparison_document(found: pr.Comparison, n_changes: int) -> dict[str, obje
 # Each result has the settings of its catalogue, and the options of the comparison can be given twice.
 compare_command.params = [one for one in compare_command.params if one.name != "config"]
 for _parameter in compare_command.params:
-    if isinstance(_parameter, click.Option) and _parameter.name not in FOR_BOTH:
+    if isinstance(_parameter, click.Option) and _parameter.name in opt.COMPARISON:
         _parameter.multiple = True
 
 
@@ -262,8 +257,7 @@ for _parameter in compare_command.params:
 @opt.catalogue_option
 @opt.option("--output -o FILE", "Write this file, such as metric.npz.", opt.PATH, required=True)
 @opt.on_catalogue
-@opt.json_option
-def calibrate_command(store: pr.Catalogue, options: pr.PipelineOptions, output: Path, as_json: bool) -> None:
+def calibrate_command(store: pr.Catalogue, options: pr.PipelineOptions, output: Path) -> out.Answer:
     """Learn from labelled scans which differences to ignore.
 
     Scan some bodies several times, in the way you will scan later: three people in ten poses will do. Use the
@@ -276,8 +270,7 @@ def calibrate_command(store: pr.Catalogue, options: pr.PipelineOptions, output: 
     """
     whitening = pr.calibrate(store, output, options=options)
     say(f"{output}: {whitening.reason}")
-    if as_json:
-        out.write_document({"whitening": str(output), "reason": whitening.reason}, options=options)
+    return out.Answer({"whitening": str(output), "reason": whitening.reason}, options)
 
 
 @opt.command("report")
@@ -295,10 +288,9 @@ def calibrate_command(store: pr.Catalogue, options: pr.PipelineOptions, output: 
 @opt.up_option
 @opt.matrix_option
 @opt.on_catalogue
-@opt.json_option
 def report_command(
-    store: pr.Catalogue, options: pr.PipelineOptions, output: Path, as_json: bool, **shown: Any
-) -> None:
+    store: pr.Catalogue, options: pr.PipelineOptions, output: Path, **shown: Any
+) -> out.Answer:
     """Write an HTML page of all queries with their results and measures, the worst first.
 
     The page has bars of the classes, mix-ups, a map, and the scans that failed. You can search and sort it
@@ -310,4 +302,4 @@ def report_command(
     pcretrieve report -c bodies.sqlite --versus none/queries.csv -o bodies.html
     """
     page = pr.report(store, output, options=options, **shown)
-    out.write_page(page, as_json, options)
+    return out.Answer({"page": page}, options, lambda: out.write_lines(shown_path(str(page))))

@@ -12,8 +12,7 @@ import pcretrieve as pr
 from pcretrieve.cli import options as opt
 from pcretrieve.cli import output as out
 from pcretrieve.cli.messages import say, shown_path
-from pcretrieve.cli.scans import each_scan, scans_options
-from pcretrieve.errors import ShapeError
+from pcretrieve.cli.scans import each_scan
 
 
 @opt.command("inspect")
@@ -26,11 +25,10 @@ from pcretrieve.errors import ShapeError
 @opt.option("--png FILE", "Write all pictures to one PNG file too.", opt.PATH)
 @opt.option(
     "--rescans N",
-    "Simulate so many rescans for the error bar of the signature.",
+    "Simulate so many rescans, of nine tenths of the points, for the error bar of the signature.",
     opt.NUMBER,
     into="n_rescans",
     default=4,
-    details="Each has nine tenths of the points; the standard deviation of their signatures is shown.",
 )
 @opt.option(
     "--catalogue -c FILE|URL",
@@ -40,11 +38,10 @@ from pcretrieve.errors import ShapeError
 )
 @opt.config_option
 @opt.surface_option
-@scans_options
-@opt.json_option
+@opt.process_options
 def inspect_command(
-    scan: Path, output: Path | None, png: Path | None, catalogue: str | None, as_json: bool, **run: Any
-) -> None:
+    scan: Path, output: Path | None, png: Path | None, catalogue: str | None, **run: Any
+) -> out.Answer:
     """Show what is wrong with a scan, and what to do about it, on an HTML page.
 
     The page shows points, normals and surface from all sides and in 3D; points that were removed; gaps that
@@ -67,20 +64,21 @@ def inspect_command(
     asked = {"options": options, "n_rescans": run.pop("n_rescans"), "catalogue": catalogue, "png": png}
     run |= {"output": output or Path(scan.stem + ".html"), "suffix": ".html", "is_alone": is_alone}
     run["timeout"] *= 1 + asked["n_rescans"]
-    documents = [
-        {"scan": name} | out.failure_facts(found) if isinstance(found, ShapeError) else found
-        for name, found in each_scan("inspect", partial(_inspected, **asked), scan, **run)
+    found = [
+        {"scan": name} | facts
+        for name, facts in each_scan("inspect", partial(_inspected, **asked), scan, **run)
     ]
     if is_alone:
-        _say_checks(documents[0])
-    if as_json:
-        out.write_document(documents[0] if is_alone else documents, options=options)
-    else:
-        for one in documents:
+        _say_checks(found[0])
+
+    def show() -> None:
+        for one in found:
             if "page" in one:
                 words = "" if is_alone else f"  {one['verdict']}  {one['summary']}"
-                out.write_line(shown_path(one["page"]) + words)
-    opt.exit_if(any("page" not in one or one["failure"] is not None for one in documents))
+                out.write_lines(shown_path(one["page"]) + words)
+
+    failed = any("page" not in one or one["failure"] is not None for one in found)
+    return out.Answer(found[0] if is_alone else found, options, show, failed)
 
 
 def _inspected(scan: Path, page: Path, **asked: Any) -> dict[str, Any]:
@@ -119,14 +117,9 @@ def _say_checks(found: dict[str, Any]) -> None:
 @click.argument("scan", type=opt.PATH, metavar="SCAN")
 @opt.option("--output -o ZIP", "Write this file.  [default: SCAN-problem.zip]", opt.PATH)
 @opt.option("--with-scan", "Pack the scan too.")
-@opt.config_option
-@opt.surface_option
-@opt.unit_option
+@opt.settings_options
 @opt.limit_options
-@opt.json_option
-def report_problem_command(
-    scan: Path, output: Path | None, with_scan: bool, as_json: bool, **limits: Any
-) -> None:
+def report_problem_command(scan: Path, output: Path | None, with_scan: bool, **limits: Any) -> out.Answer:
     """Pack one file to send to us when a scan fails. It does not contain the scan.
 
     The scan is processed once more. The ZIP file has versions, settings, the error, the log, and name, size,
@@ -144,7 +137,4 @@ def report_problem_command(
     else:
         say("the scan does not fail with these options; give those with which it failed")
     say(f"attach this file to your report; it has {'the' if with_scan else 'no'} points of the scan")
-    if as_json:
-        out.write_document({"file": output, "failure": failure}, options=options)
-    else:
-        out.write_line(str(output))
+    return out.Answer({"file": output, "failure": failure}, options, lambda: out.write_lines(str(output)))

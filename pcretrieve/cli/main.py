@@ -19,8 +19,7 @@ import click
 
 from pcretrieve import __version__
 from pcretrieve.cli.messages import Printed, say, silence, stop_waiting, tell_of_waiting
-from pcretrieve.cli.options import EXIT_INTERRUPTED
-from pcretrieve.cli.output import EXIT_ERROR, JSON_FLAG, errors_as_json, exit_code
+from pcretrieve.cli.output import EXIT_ERROR, EXIT_INTERRUPTED, JSON_FLAG, errors_as_json, exit_code
 from pcretrieve.errors import OptionError, PcretrieveError, did_you_mean
 
 # Shells report a program that was ended by a signal with this number plus the number of the signal.

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import os
 import textwrap
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from functools import partial, wraps
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,14 +17,19 @@ from click.shell_completion import CompletionItem
 
 import pcretrieve as pr
 from pcretrieve.cli.messages import say
-from pcretrieve.cli.output import JSON_FLAG, errors_as_json, print_text, write_document
+from pcretrieve.cli.output import (
+    JSON_FLAG,
+    Answer,
+    choose_json,
+    errors_as_json,
+    print_answer,
+    print_text,
+    prints_json,
+)
 from pcretrieve.errors import PcretrieveError
-from pcretrieve.plugins import DESCRIPTOR_NAMES
+from pcretrieve.plugins import DESCRIPTOR_NAMES, METHODS
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
-
-EXIT_SOME_FAILED = 3
-EXIT_INTERRUPTED = 130
 
 #: The environment variable that names the catalogue of commands without ``--catalogue``.
 CATALOGUE_VARIABLE = "PCRETRIEVE_CATALOGUE"
@@ -48,40 +52,33 @@ MIXED_UNITS = 3000
 
 
 class Option(click.Option):
-    """An option with a short text for ``--help``, and more of it for ``--help-all``."""
+    """An option; a rare one is explained by ``--help-all`` only."""
 
-    def __init__(
-        self, *args: Any, rare: bool = False, details: str | Callable[[], str] = "", **kwargs: Any
-    ) -> None:
+    def __init__(self, *args: Any, rare: bool = False, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.is_rare, self._details = rare, details
+        self.is_rare = rare
 
     def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
         """Name and text of the option; nothing for a rare one in ``--help``."""
-        if not ctx.meta.get(ALL):
-            return None if self.is_rare else super().get_help_record(ctx)
-        short, details = self.help, self._details if isinstance(self._details, str) else self._details()
-        self.help = f"{short} {details}".strip()
-        record = super().get_help_record(ctx)
-        self.help = short
-        return record
+        return None if self.is_rare and not ctx.meta.get(ALL) else super().get_help_record(ctx)
 
 
 class Command(click.Command):
-    """A command with ``--help-all``, if it has rare options; for ``--json``, its errors are documents too."""
+    """A command that prints the answer of its function: for people, or with ``--json`` as JSON."""
 
-    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """The parameters, ``--help-all`` among them."""
-        return [*super().get_params(ctx), *([_HELP_ALL] if self._rare() else [])]
+    def __init__(self, *args: Any, has_json: bool = True, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._rare = [one.opts[0] for one in self.params if isinstance(one, Option) and one.is_rare]
+        self.params += [_JSON] * has_json + [_HELP_ALL] * bool(self._rare)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, and the names of the rare ones."""
         super().format_options(ctx, formatter)
-        if self._rare() and not ctx.meta.get(ALL):
+        if self._rare and not ctx.meta.get(ALL):
             with formatter.section("More options, see --help-all"):
-                # Not by `print_text`, which breaks lines at the hyphens of names.
+                # Not by click, which breaks lines at the hyphens of names.
                 width = formatter.width - formatter.current_indent
-                for line in textwrap.wrap(" ".join(self._rare()), width, break_on_hyphens=False):
+                for line in textwrap.wrap(" ".join(self._rare), width, break_on_hyphens=False):
                     formatter.write(f"{'':{formatter.current_indent}}{line}\n")
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -90,12 +87,13 @@ class Command(click.Command):
             return super().parse_args(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run; with ``--json``, an error is a document too."""
-        with errors_as_json(ctx, ctx.params.get("as_json", False)):
-            return super().invoke(ctx)
-
-    def _rare(self) -> list[str]:
-        return [one.opts[0] for one in self.params if isinstance(one, Option) and one.is_rare]
+        """Run, print the answer, and end with its exit code."""
+        with errors_as_json(ctx, prints_json()):
+            answer = super().invoke(ctx)
+            if isinstance(answer, Answer):
+                print_answer(answer)
+                if answer.failed:
+                    ctx.exit(answer.exit_code)
 
 
 #: Makes a command of a function.
@@ -127,76 +125,65 @@ def option(
 rare_option = partial(option, rare=True)
 
 
-def exit_if(some_failed: object) -> None:
-    """End the command with the code for scans that failed, if there are any."""
-    if some_failed:
-        click.get_current_context().exit(EXIT_SOME_FAILED)
-
-
-def _show_all(context: click.Context, parameter: click.Parameter, is_asked: bool) -> None:
-    if is_asked and not context.resilient_parsing:
+def _show_all(context: click.Context, parameter: click.Parameter, is_given: bool) -> None:
+    if is_given and not context.resilient_parsing:
         context.meta[ALL] = True
         click.echo(context.get_help(), color=context.color)
         context.exit()
 
 
+_JSON = click.Option(
+    [JSON_FLAG], is_flag=True, expose_value=False, callback=choose_json, help="Print one JSON document."
+)
 _HELP_ALL = click.Option(
     ["--help-all"],
     is_flag=True,
     is_eager=True,
     expose_value=False,
     callback=_show_all,
-    help="Show all options, with details.",
+    help="Show all options.",
 )
 
 
 # --- completion by the shell ---------------------------------------------------------------------------
 
+Completion = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 
-Completed = list[CompletionItem]
+
+def _completion(names: Callable[[click.Context], Iterable[str]], *, or_files: bool = False) -> Completion:
+    """What completes one of these names; if none begins with what is typed, a file."""
+
+    def complete(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        # Without control characters, of which the shell would make further lines.
+        found = [name for name in names(ctx) if name.startswith(incomplete) and name.isprintable()]
+        return [*map(CompletionItem, found)] or [CompletionItem(incomplete, type="file")] * or_files
+
+    return complete
 
 
-def complete_presets(ctx: click.Context, param: click.Parameter, incomplete: str) -> Completed:
-    """The presets that begin with what is typed, and files."""
+def _presets(context: click.Context) -> Iterable[str]:
     from pcretrieve.options import PRESETS
 
-    return _items(PRESETS, incomplete) or [CompletionItem(incomplete, type="file")]
+    return PRESETS
 
 
-def complete_ids(ctx: click.Context, param: click.Parameter, incomplete: str) -> Completed:
-    """The ids in the catalogue of the command."""
-    return _items((shape_id for shape_id, _ in _shapes(ctx)), incomplete)
-
-
-def complete_queries(ctx: click.Context, param: click.Parameter, incomplete: str) -> Completed:
-    """The same; if there are none, files."""
-    return complete_ids(ctx, param, incomplete) or [CompletionItem(incomplete, type="file")]
-
-
-def complete_labels(ctx: click.Context, param: click.Parameter, incomplete: str) -> Completed:
-    """The conditions ``label=CLASS``."""
-    labels = {label for _, label in _shapes(ctx) if label}
-    return _items((LABEL + label for label in sorted(labels)), incomplete)
-
-
-def complete_methods(ctx: click.Context, param: click.Parameter, incomplete: str) -> Completed:
-    """The descriptors."""
-    return _items(DESCRIPTOR_NAMES.all(), incomplete)
-
-
-def _items(names: Iterable[str], incomplete: str) -> Completed:
-    # Without control characters, of which the shell would make further lines.
-    return [CompletionItem(name) for name in names if name.startswith(incomplete) and name.isprintable()]
-
-
-def _shapes(context: click.Context) -> list[tuple[str, str | None]]:
-    """Id and class of the shapes of the catalogue of a command; none, if it cannot be read."""
+def _shapes(context: click.Context) -> dict[str, str | None]:
+    """Class of each shape of the catalogue of a command; none, if it cannot be read."""
     location = context.params.get("catalogue") or os.environ.get(CATALOGUE_VARIABLE)
     try:
         with pr.Catalogue(location or "") as store:
-            return [(record.id, record.label) for record in store.outlines()]
+            return {record.id: record.label for record in store.outlines()}
     except (PcretrieveError, OSError):
-        return []
+        return {}
+
+
+complete_presets = _completion(_presets, or_files=True)
+complete_ids = _completion(_shapes)
+complete_queries = _completion(_shapes, or_files=True)
+complete_labels = _completion(
+    lambda context: sorted({f"{LABEL}{name}" for name in _shapes(context).values() if name})
+)
+complete_methods = _completion(lambda context: DESCRIPTOR_NAMES.all())
 
 
 def classes_of(context: click.Context, parameter: click.Parameter, conditions: tuple[str, ...]) -> list[str]:
@@ -225,7 +212,6 @@ catalogue_option = option(
     envvar=CATALOGUE_VARIABLE,
     show_envvar=True,
 )
-json_option = option("--json", "Print one JSON document.", into="as_json")
 workers_option = option("--workers N", "Scans at a time.", COUNT, show_default="one per core")
 progress_option = rare_option(
     "--progress",
@@ -248,50 +234,53 @@ config_option = option(
 )
 surface_option = option(
     "--surface WHICH",
-    "Meshes to rebuild: auto (open ones), reconstruct (all), keep (none).",
+    "Meshes to rebuild: auto (with holes, or no manifolds), reconstruct (all), keep (none).",
     ("auto", "reconstruct", "keep"),
-    details="auto, the default, rebuilds meshes with holes and those that are not manifolds.",
 )
 unit_option = option(
     "--unit UNIT",
     "Unit of files that name none: um mm cm dm m km in ft.",
     ("um", "mm", "cm", "dm", "m", "km", "in", "ft"),
-    details="All scans are converted to metres.",
 )
 
 
-def limit_options(command: Decorated, *, unit: str = "scan") -> Decorated:
+def limit_options(
+    command: Decorated, *, unit: str = "scan", time: float = 600, memory: float | None = None
+) -> Decorated:
     """Options that limit time and memory of the processes in which a command works."""
-    time, space = click.FloatRange(min=1), click.FloatRange(min=0.5)
-    words = f"Give up after this time for each {unit}."
-    timeout = rare_option("--timeout SECONDS", words, time, default=600)
-    memory = rare_option("--memory GIB", "Give a worker process no more memory than this.", space)
-    return timeout(memory(command))
+    seconds, space = click.FloatRange(min=1), click.FloatRange(min=0.5)
+    text = f"Give up after this time for each {unit}."
+    command = rare_option("--timeout SECONDS", text, seconds, default=time)(command)
+    text = "Give a worker process no more memory than this."
+    return rare_option("--memory GIB", text, space, default=memory)(command)
+
+
+def process_options(command: Decorated) -> Decorated:
+    """Options of commands that work on many scans in processes."""
+    return workers_option(limit_options(progress_option(command)))
+
+
+def settings_options(command: Decorated) -> Decorated:
+    """Options that determine how scans are read and reconstructed; `load_options` takes their values."""
+    return config_option(surface_option(unit_option(command)))
 
 
 def load_options(values: dict[str, Any], base: pr.PipelineOptions | None = None) -> pr.PipelineOptions:
     """Take ``--config``, ``--surface`` and ``--unit`` from the values of a command."""
-    options = pr.PipelineOptions.of(values.pop("config"), base)
-    if (mode := values.pop("surface", None)) is not None:
-        options = options.changed(surface={"mode": mode})
-    unit = values.pop("unit", None)
-    return options if unit is None else options.changed(scan={"unit": unit})
+    given = {"surface": {"mode": values.pop("surface", None)}, "scan": {"unit": values.pop("unit", None)}}
+    changed = {table: chosen for table, chosen in given.items() if None not in chosen.values()}
+    return pr.PipelineOptions.of(values.pop("config"), base).changed(**changed)
 
 
 # --- options of commands that compare shapes -----------------------------------------------------------
 
 matrix_option = option(
-    "--matrix FILE",
-    "Rank by the distances in this file, which `pcretrieve matrix` writes.",
-    PATH,
-    details="It is a square matrix, plain text or .npy. A file of the same name that ends in .ids has the "
-    "ids of its rows, one in each line.",
+    "--matrix FILE", "Rank by the distances in this file, which `pcretrieve matrix` writes.", PATH
 )
 method_option = rare_option(
     "--method NAME",
-    "Descriptor, or several joined by +.  [default: combined, or the catalogue's]",
+    f"Descriptor, or several joined by +: {', '.join(METHODS)}.  [default: combined, or the catalogue's]",
     shell_complete=complete_methods,
-    details=lambda: f"Names: {', '.join(DESCRIPTOR_NAMES.all())}.",
 )
 n_values_option = rare_option(
     "--n-values L", "Number of values of the descriptor.  [default: 59, or the catalogue's]", COUNT
@@ -299,15 +288,15 @@ n_values_option = rare_option(
 scale_option = rare_option(
     "--scale",
     "Divide values by the area of the surface (area), by the first value (relative), or leave them, so that "
-    "they depend on the size of bodies (absolute).  [default: auto, or the catalogue's]",
+    "they depend on the size of bodies (absolute). auto is relative with --whitening pca, else area.  "
+    "[default: auto, or the catalogue's]",
     ("auto", "area", "relative", "absolute"),
-    details="auto is relative with --whitening pca, else area.",
 )
 size_weight_option = rare_option(
     "--size-weight W",
-    "Weight of the size of bodies beside their form; 6 is best for people.  [default: 0, or the catalogue's]",
+    "Weight of the size of bodies beside their form; 6 is best for people. All files need known units, or "
+    "one.  [default: 0, or the catalogue's]",
     click.FloatRange(min=0, max=20),
-    details="Adds a value, the area to the power of W. All files need one unit, or known units.",
 )
 _overlay_option = rare_option(
     "--config TOML|PRESET",
@@ -326,9 +315,8 @@ _whitening_option = rare_option(
     "--whitening NAME|FILE",
     "Differences that count less: those between near shapes (neighbours), within classes (within-class), "
     "between all shapes (pca), those that come from the resolution (resolution), those in a FILE of "
-    "`calibrate`, or none.  [default: auto, or the catalogue's]",
-    details="auto is within-class if there are enough labels, else neighbours; `evaluate` does not fit auto "
-    "to labels. See docs/guide.md, Distances and whitening.",
+    "`calibrate`, or none. auto is within-class if there are enough labels, else neighbours; for `evaluate`, "
+    "which does not fit auto to labels, always the latter.  [default: auto, or the catalogue's]",
 )
 _distance_option = rare_option(
     "--distance",
@@ -345,29 +333,36 @@ def comparison_options(command: Decorated) -> Decorated:
     return _distance_option(_whitening_option(_rerank_option(command)))
 
 
-def on_catalogue(command: Callable[..., None]) -> Callable[..., None]:
+def on_catalogue(command: Callable[..., Answer]) -> Callable[..., Answer]:
     """Add the same, and give a command the opened catalogue, the options, and the distances of a matrix."""
 
     @wraps(command)
-    def opening(catalogue: str, **values: Any) -> None:
+    def opening(catalogue: str, **values: Any) -> Answer:
         if "matrix" in values:
             values["matrix"] = read_distances(values, *COMPARISON)
-        with opened(catalogue, values) as (store, options):
-            command(store, options, **values)
+        store = opened(catalogue)
+        return command(store, compared(store, values), **values)
 
     return comparison_options(opening)
 
 
-@contextmanager
-def opened(
-    catalogue: str, values: dict[str, Any], *, any_numbers: bool = False
-) -> Iterator[tuple[pr.Catalogue, pr.PipelineOptions]]:
-    """A catalogue, and the options with which a command compares its shapes, taken from its values."""
-    with pr.Catalogue(catalogue, any_numbers=any_numbers) as store:
-        options = pr.PipelineOptions.of(values.pop("config"), store.options).changed(**changes(values))
-        if options.signature.compares_sizes:
-            _warn_of_mixed_units(store)
-        yield store, options
+def opened(catalogue: str, *, any_numbers: bool = False) -> pr.Catalogue:
+    """A catalogue, which is closed when the answer of the command is printed."""
+    return click.get_current_context().with_resource(pr.Catalogue(catalogue, any_numbers=any_numbers))
+
+
+def compared(store: pr.Catalogue, values: dict[str, Any]) -> pr.PipelineOptions:
+    """The options with which a command compares shapes, taken from its values."""
+    options = pr.PipelineOptions.of(values.pop("config"), store.options).changed(**changes(values))
+    smallest, largest = (
+        store.areas().get(None, (1.0, 1.0)) if options.signature.compares_sizes else (1.0, 1.0)
+    )
+    if largest > MIXED_UNITS * smallest:
+        say(
+            f"the largest body in {store.location} has {largest / smallest:.0f} times the area of the "
+            "smallest: size tells them apart only if all files have one unit"
+        )
+    return options
 
 
 def changes(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
@@ -390,29 +385,20 @@ def read_distances(values: dict[str, Any], *others: str) -> pr.DistanceMatrix | 
     """The distances of ``--matrix``, in place of what other options determine."""
     if values["matrix"] is None:
         return None
-    refuse(values, "a matrix holds distances already", *others)
+    refuse("a matrix holds distances already", *others)
     return pr.read_matrix(values["matrix"])
 
 
-def refuse(values: dict[str, Any], reason: str, *names: str) -> None:
-    """End with a usage error if a command was given some of these options."""
+def refuse(reason: str, *names: str) -> None:
+    """End with a usage error if the command was given some of these options."""
+    values = click.get_current_context().params
     if given := [f"--{name.replace('_', '-')}" for name in names if values[name] is not None]:
         raise click.UsageError(f"{reason}: leave out {', '.join(given)}")
 
 
-def _warn_of_mixed_units(store: pr.Catalogue) -> None:
-    smallest, largest = store.areas().get(None, (1.0, 1.0))
-    if largest > MIXED_UNITS * smallest:
-        say(
-            f"the largest body in {store.location} has {largest / smallest:.0f} times the area of the "
-            "smallest: size tells them apart only if all files have one unit"
-        )
-
-
 @command("options")
 @config_option
-@json_option
-def options_command(as_json: bool, **values: Any) -> None:
+def options_command(**values: Any) -> Answer:
     """Print all settings of the pipeline with their units, as TOML for --config.
 
     \b
@@ -421,7 +407,4 @@ def options_command(as_json: bool, **values: Any) -> None:
     from pcretrieve.options import describe_options
 
     options = load_options(values)
-    if as_json:
-        write_document(None, options=options)
-    else:
-        print_text(describe_options(options))
+    return Answer(None, options, lambda: print_text(describe_options(options)))

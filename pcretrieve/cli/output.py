@@ -7,18 +7,18 @@ import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from itertools import islice, zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 from unicodedata import combining, east_asian_width
 
 import click
 
 import pcretrieve as pr
-from pcretrieve.cli.messages import ESCAPES, broken, escaped, shown_path, stop_waiting, without_password
+from pcretrieve.cli.messages import ESCAPES, broken, escaped, stop_waiting, without_password
 from pcretrieve.errors import OptionError, PcretrieveError
 
 if TYPE_CHECKING:
@@ -26,12 +26,14 @@ if TYPE_CHECKING:
 
 EXIT_ERROR = 1
 EXIT_USAGE = 2
+EXIT_SOME_FAILED = 3
+EXIT_INTERRUPTED = 130
 
 #: The option of commands that print documents.
 JSON_FLAG = "--json"
 
-# Whether a document has begun, in the state of a command.
-BEGUN = "pcretrieve.document"
+# Whether the command prints JSON, and whether its document has begun, in the state of a command.
+AS_JSON, BEGUN = "pcretrieve.json", "pcretrieve.document"
 
 # A JSON document has escaped these in its strings; others are between its values.
 ESCAPES_IN_JSON = {code: escape for code, escape in ESCAPES.items() if code != ord("\n")}
@@ -54,9 +56,10 @@ def print_text(text: str, *, nl: bool = True, color: bool | None = None) -> None
     click.echo(text, nl=nl, color=color)
 
 
-def write_line(text: str) -> None:
-    """Print a line of a result."""
-    print_text(escaped(text))
+def write_lines(*texts: str) -> None:
+    """Print lines of a result."""
+    for text in texts:
+        print_text(escaped(text))
 
 
 def write_words(text: str) -> None:
@@ -171,33 +174,54 @@ def _shortened(text: str, width: int) -> str:
     return f"{first}…{last}"
 
 
-def write_document(result: object, *, options: pr.PipelineOptions | None = None) -> None:
-    """Print the document of a command: what was asked, by which version, and the result."""
-    print_text(_text(_head(click.get_current_context(), options) | {"result": result}))
+# --- answers and documents -----------------------------------------------------------------------------
 
 
-def write_page(page: Path, as_json: bool, options: pr.PipelineOptions) -> None:
-    """Print the path of a page that a command has written, or its document."""
-    if as_json:
-        write_document({"page": page}, options=options)
+class Answer(NamedTuple):
+    """What a command found.
+
+    result: for JSON; the elements of an iterator are printed as soon as they are computed.
+    options: the settings that led to it.
+    show: prints it for people.
+    failed: whether the exit code is not 0 but `exit_code`, known when the result is printed.
+    """
+
+    result: object
+    options: pr.PipelineOptions | None = None
+    show: Callable[[], object] = lambda: None
+    failed: object = False
+    exit_code: int = EXIT_SOME_FAILED
+
+
+def choose_json(context: click.Context, parameter: click.Parameter, is_given: bool) -> None:
+    """Let the command print JSON."""
+    context.meta[AS_JSON] = is_given
+
+
+def prints_json() -> bool:
+    """Whether the command prints JSON."""
+    return bool(click.get_current_context().meta.get(AS_JSON))
+
+
+def print_answer(answer: Answer) -> None:
+    """Print an answer for people, or its document: what was asked, by which version, and the result."""
+    context, result = click.get_current_context(), answer.result
+    if not prints_json():
+        answer.show()
+    elif not isinstance(result, Iterator):
+        print_text(_text(_head(context, answer.options) | {"result": result}))
     else:
-        write_line(shown_path(str(page)))
-
-
-def write_documents(results: Iterable[object], *, options: pr.PipelineOptions | None = None) -> None:
-    """Print the document of a command whose result is a list, each element as soon as it is computed."""
-    context = click.get_current_context()
-    for result in results:
-        if BEGUN not in context.meta:
-            context.meta[BEGUN] = True
-            print_text(_text(_head(context, options))[: -len("\n}")] + ',\n  "result": [')
+        for element in result:
+            if BEGUN not in context.meta:
+                context.meta[BEGUN] = True
+                print_text(_text(_head(context, answer.options))[: -len("\n}")] + ',\n  "result": [')
+            else:
+                print_text(",")
+            print_text(textwrap.indent(_text(element), "    "), nl=False)
+        if BEGUN in context.meta:
+            print_text("\n  ]\n}")
         else:
-            print_text(",")
-        print_text(textwrap.indent(_text(result), "    "), nl=False)
-    if BEGUN in context.meta:
-        print_text("\n  ]\n}")
-    else:
-        write_document([], options=options)
+            print_answer(answer._replace(result=[]))
 
 
 @contextmanager
@@ -234,7 +258,7 @@ def _head(context: click.Context, options: pr.PipelineOptions | None) -> dict[st
     arguments = {}
     for one in context.command.params:
         value = context.params.get(str(one.name))
-        if value is not None and one.name != "as_json":
+        if value is not None:
             # The name of an option as it is typed, without hyphens.
             name = max(one.opts, key=len).lstrip("-").replace("-", "_")
             arguments[name] = without_password(value) if isinstance(value, str) else value

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 
@@ -18,26 +18,22 @@ from pcretrieve.cli import output as out
 from pcretrieve.cli.messages import Progress, failure_line, say, shown_path
 from pcretrieve.errors import ShapeError, Stage, in_stage
 
-Found = TypeVar("Found")
-
 MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
-
-
-def scans_options(command: opt.Decorated) -> opt.Decorated:
-    """Options of commands that work on many scans in processes, which `each_scan` takes."""
-    return opt.workers_option(opt.limit_options(opt.progress_option(command)))
 
 
 def each_scan(
     command: str,
-    function: Callable[..., Found],
+    function: Callable[..., dict[str, Any]],
     paths: Path | Sequence[str],
     *,
     progress: str | None,
     is_alone: bool = False,
     **run: Any,
-) -> Iterator[tuple[str, Found | ShapeError]]:
-    """`map_scans` with progress, if there are several scans; the error of a scan alone is raised."""
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """`map_scans` with progress, if there are several scans; the error of a scan alone is raised.
+
+    Yields the name of each scan, and what the function returns of it, or its failure for JSON.
+    """
     with Progress(command, progress or "none") as shown:
 
         def start(total: int) -> None:
@@ -53,9 +49,12 @@ def each_scan(
                 shown.advance(facts | out.failure_facts(outcome), failure_line(stem, outcome, name))
 
         for name, outcome in pr.map_scans(function, paths, on_start=start, on_scan=advance, **run):
-            if is_alone and isinstance(outcome, ShapeError):
+            if not isinstance(outcome, ShapeError):
+                yield name, outcome
+            elif is_alone:
                 raise outcome
-            yield name, outcome
+            else:
+                yield name, out.failure_facts(outcome)
 
 
 # --- merge ---------------------------------------------------------------------------------------------
@@ -76,8 +75,7 @@ def each_scan(
 @opt.option("--keep-largest", "Keep the largest piece of each view.", default=None)
 @opt.config_option
 @partial(opt.limit_options, unit="view")
-@opt.json_option
-def merge_command(paths: tuple[str, ...], output: Path, as_json: bool, **values: Any) -> None:
+def merge_command(paths: tuple[str, ...], output: Path, **values: Any) -> out.Answer:
     """Merge views of one body, taken from different sides, into one scan.
 
     VIEWS are files, folders, glob patterns, a Stanford .conf file, or a folder of the TUM RGB-D benchmark.
@@ -99,10 +97,8 @@ def merge_command(paths: tuple[str, ...], output: Path, as_json: bool, **values:
     say(f"{'view':<8}  {'overlap':>7}  {'rms':>10}  file")
     for number, name in enumerate(merged.names):
         placed, rms = number not in merged.left_out, merged.rms(number)
-        if placed:
-            say(f"{'placed':<8}  {merged.shares[number]:7.1%}  {rms:10.3g}  {name}")
-        else:
-            say(f"{'left out':<8}  {'-':>7}  {'-':>10}  {name}")
+        share, error = (f"{merged.shares[number]:.1%}", f"{rms:.3g}") if placed else ("-", "-")
+        say(f"{'placed' if placed else 'left out':<8}  {share:>7}  {error:>10}  {name}")
         pose = merged.poses[number] if placed else None
         overlap = float(merged.shares[number])
         views.append({"path": name, "placed": placed, "pose": pose, "overlap": overlap, "rms": _number(rms)})
@@ -113,19 +109,17 @@ def merge_command(paths: tuple[str, ...], output: Path, as_json: bool, **values:
         f"({merged.rms() / merged.scale:.2%} of a view's diagonal), {len(merged.cloud.points)} points, "
         f"{step.seconds:.1f} s: {output}"
     )
-    if as_json:
-        document = {
-            "cloud": output,
-            "points": len(merged.cloud.points),
-            "diagonal": merged.scale,
-            "rms": _number(merged.rms()),
-            "views": views,
-            "overlaps": [asdict(overlap) for overlap in merged.overlaps],
-            "notes": step.notes,
-            "seconds": round(step.seconds, 3),
-        }
-        out.write_document(document, options=options)
-    opt.exit_if(merged.left_out)
+    document = {
+        "cloud": output,
+        "points": len(merged.cloud.points),
+        "diagonal": merged.scale,
+        "rms": _number(merged.rms()),
+        "views": views,
+        "overlaps": [asdict(overlap) for overlap in merged.overlaps],
+        "notes": step.notes,
+        "seconds": round(step.seconds, 3),
+    }
+    return out.Answer(document, options, failed=merged.left_out)
 
 
 def _number(value: float) -> float | None:
@@ -148,11 +142,8 @@ def _number(value: float) -> float | None:
 @opt.option("--report", "Print each step, with what was repaired.")
 @opt.config_option
 @opt.surface_option
-@scans_options
-@opt.json_option
-def reconstruct_command(
-    scan: Path, output: Path, suffix: str | None, report: bool, as_json: bool, **run: Any
-) -> None:
+@opt.process_options
+def reconstruct_command(scan: Path, output: Path, suffix: str | None, report: bool, **run: Any) -> out.Answer:
     """Turn a scan into a closed surface, and write it to a mesh file.
 
     The surface is oriented and manifold. Each scan of a folder gets a mesh of the same name.
@@ -167,25 +158,24 @@ def reconstruct_command(
     run |= {"output": output, "suffix": suffix or ".ply", "kind": "mesh", "is_alone": is_alone}
     # Printed at the end, because they would break a bar.
     found = [
-        (name, out.failure_facts(outcome) if isinstance(outcome, ShapeError) else outcome)
-        for name, outcome in each_scan("reconstruct", partial(_reconstructed, options=options), scan, **run)
+        {"scan": name} | facts
+        for name, facts in each_scan("reconstruct", partial(_reconstructed, options=options), scan, **run)
     ]
-    made = [(name, facts) for name, facts in found if "mesh" in facts]
-    if as_json:
-        documents = [{"scan": name} | facts for name, facts in found]
-        out.write_document(found[0][1] if is_alone else documents, options=options)
-    elif report:
-        for name, facts in made:
-            if not is_alone:
-                out.write_line(shown_path(name))
-            out.write_steps(facts["steps"])
+    made = [facts for facts in found if "mesh" in facts]
     if not is_alone:
         say(f"{len(made)} surfaces are in {output}, {len(found) - len(made)} scans failed")
-    elif not as_json:
-        facts = {name: value for name, value in found[0][1].items() if name != "steps"}
-        texts = (f"{value:.6g}" if isinstance(value, float) else str(value) for value in facts.values())
-        say("  ".join(f"{name} {text}" for name, text in zip(facts, texts, strict=True)))
-    opt.exit_if(len(found) - len(made))
+
+    def show() -> None:
+        for facts in made if report else ():
+            if not is_alone:
+                out.write_lines(shown_path(facts["scan"]))
+            out.write_steps(facts["steps"])
+        if is_alone:
+            facts = {name: value for name, value in found[0].items() if name not in ("scan", "steps")}
+            texts = (f"{value:.6g}" if isinstance(value, float) else str(value) for value in facts.values())
+            say("  ".join(f"{name} {text}" for name, text in zip(facts, texts, strict=True)))
+
+    return out.Answer(found[0] if is_alone else found, options, show, len(found) - len(made))
 
 
 def _reconstructed(scan: Path, file: Path, options: pr.PipelineOptions) -> dict[str, Any]:
@@ -216,14 +206,11 @@ def _reconstructed(scan: Path, file: Path, options: pr.PipelineOptions) -> dict[
 @opt.rare_option("--n-modes M", "Number of modes of the surface.  [default: 60]", click.IntRange(min=2))
 @opt.scale_option
 @opt.size_weight_option
-@opt.config_option
-@opt.surface_option
-@opt.unit_option
-@scans_options
-@opt.json_option
+@opt.settings_options
+@opt.process_options
 def signature_command(
-    paths: tuple[str, ...], from_catalogue: str | None, as_json: bool, progress: str | None, **values: Any
-) -> None:
+    paths: tuple[str, ...], from_catalogue: str | None, progress: str | None, **values: Any
+) -> out.Answer:
     """Print the signatures of scans, one line each: path, then values.
 
     With --from-catalogue, the lines begin with the id, and nothing is reconstructed again.
@@ -235,39 +222,36 @@ def signature_command(
     """
     changes = {"signature": opt.taken(values, "n_modes", *opt.SIGNATURE_FLAGS)}
     if from_catalogue is not None:
-        opt.refuse(values, "a catalogue has options of its own", "config", "surface", "unit")
-        with pr.Catalogue(from_catalogue) as store:
-            options = store.options.changed(**changes)
-            n_failed = _write_signatures(_of_catalogue(store, paths, options), options, as_json)
+        opt.refuse("a catalogue has options of its own", "config", "surface", "unit")
+        store = opt.opened(from_catalogue)
+        options = store.options.changed(**changes)
+        rows = _of_catalogue(store, paths, options)
     else:
         if not paths:
             raise click.UsageError("name at least one scan")
         options = opt.load_options(values).changed(**changes)
         # On a terminal, the signatures themselves show the progress, and would break a bar.
-        if progress == "bar" and not as_json and sys.stdout.isatty():
+        if progress == "bar" and not out.prints_json() and sys.stdout.isatty():
             progress = None
-        described = partial(_described, options=options)
-        scans = each_scan("signature", described, paths, progress=progress, **values)
-        rows = (
-            (path, {"path": path} | (out.failure_facts(one) if isinstance(one, ShapeError) else one))
-            for path, one in scans
+        scans = each_scan(
+            "signature", partial(_described, options=options), paths, progress=progress, **values
         )
-        n_failed = _write_signatures(rows, options, as_json)
-    opt.exit_if(n_failed)
+        rows = ({"path": path} | facts for path, facts in scans)
+    failures: list[str] = []
 
+    def counted() -> Iterator[dict[str, Any]]:
+        for facts in rows:
+            if "values" not in facts:
+                failures.append(facts["path"])
+            yield facts
 
-def _write_signatures(
-    rows: Iterator[tuple[str, dict[str, Any]]], options: pr.PipelineOptions, as_json: bool
-) -> int:
-    """Print signatures as they come, or one document. Returns the number of failures."""
-    found: list[dict[str, Any]] = []
-    for name, facts in rows:
-        found.append(facts)
-        if not as_json and "values" in facts:
-            out.write_row([shown_path(name), *(f"{value:.9g}" for value in facts["values"])])
-    if as_json:
-        out.write_document(found, options=options)
-    return sum("values" not in facts for facts in found)
+    def show() -> None:
+        for facts in counted():
+            if "values" in facts:
+                name = facts.get("id") or facts["path"]
+                out.write_row([shown_path(name), *(f"{value:.9g}" for value in facts["values"])])
+
+    return out.Answer(counted(), options, show, failures)
 
 
 def _described(path: Path, options: pr.PipelineOptions) -> dict[str, Any]:
@@ -286,8 +270,8 @@ def _facts(signature: pr.Signature) -> dict[str, Any]:
 
 def _of_catalogue(
     store: pr.Catalogue, ids: tuple[str, ...], options: pr.PipelineOptions
-) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Id of each shape of a catalogue, and its signature or failure."""
+) -> Iterator[dict[str, Any]]:
+    """Id, path, and signature or failure of each shape of a catalogue."""
     for record in [store.record(shape_id) for shape_id in ids] or store.records(status="done"):
         failure: pr.Record | ShapeError | None = record if record.status == "failed" else None
         facts: dict[str, Any] = {"id": record.id, "path": record.path}
@@ -299,4 +283,4 @@ def _of_catalogue(
         if failure is not None:
             say(failure_line(record.id, failure, record.path))
             facts |= out.failure_facts(failure)
-        yield record.id, facts
+        yield facts

@@ -59,7 +59,6 @@ PAIR = {"DISTANCE": "number", "LIMIT": "number", "FIRST": "text", "SECOND": "tex
 @opt.on_catalogue
 @opt.unit_option
 @opt.limit_options
-@opt.json_option
 @opt.option("--csv", "Print one table of all results, as CSV.", into="as_csv")
 @opt.option("--html PAGE", "Write an HTML page of all queries too, with pictures.", opt.PATH, into="page")
 @opt.up_option
@@ -67,12 +66,11 @@ def query_command(
     store: pr.Catalogue,
     options: pr.PipelineOptions,
     queries: tuple[str, ...],
-    as_json: bool,
     as_csv: bool,
     page: Path | None,
     up: str | None,
     **asked: Any,
-) -> None:
+) -> out.Answer:
     """Find the shapes most similar to a scan, nearest first.
 
     A query is a scan, a folder of scans, or the id of a stored shape. The score tells how often two shapes so
@@ -84,7 +82,7 @@ def query_command(
     pcretrieve query --catalogue bodies.sqlite cat0 dog1 --filter label=cat
     pcretrieve query --catalogue bodies.sqlite new_scan.ply --html page.html
     """
-    if as_json and as_csv:
+    if out.prints_json() and as_csv:
         raise click.UsageError("choose one of --json and --csv")
     asked["labels"] = asked["labels"] or None
     found = pr.search_many(store, queries, options=options, **asked)
@@ -97,18 +95,22 @@ def query_command(
     is_alone = len(queries) == 1 and not Path(queries[0]).is_dir()
     failures: list[ShapeError] = []
     outcomes = map(partial(_told, failures, is_alone), found)
-    if as_json:
-        how = _how(store, options, asked["matrix"])
-        out.write_documents(_documents(outcomes, how), options=options)
-    elif as_csv:
-        _write_csv(outcomes)
-    else:
+
+    def show() -> None:
+        if as_csv:
+            _write_csv(outcomes)
+            return
         for name, answer in outcomes:
             if not isinstance(answer, ShapeError):
                 _write_table(answer, None if is_alone else name)
         if asked["matrix"] is None:
-            _say_how(store, options, asked["labels"])
-    opt.exit_if(failures)
+            index = store.index(options)
+            say(f"nearest: {'all shapes of the classes compared' if asked['labels'] else index.search}")
+            say(f"whitening: {store.whitening(options).reason}")
+            score = index.scores.reason if index.scores else "none, because labels and shapes are too few"
+            say(f"score: {score}")
+
+    return out.Answer(_documents(outcomes, store, options, asked["matrix"]), options, show, failures)
 
 
 def _told(failures: list[ShapeError], is_alone: bool, found: Outcome) -> Outcome:
@@ -126,17 +128,13 @@ def _told(failures: list[ShapeError], is_alone: bool, found: Outcome) -> Outcome
     return found
 
 
-def _how(
-    store: pr.Catalogue, options: pr.PipelineOptions, matrix: pr.DistanceMatrix | None
-) -> dict[str, str | None]:
-    """How shapes are compared, for JSON; with a matrix, there is no distance and no whitening."""
-    if matrix is not None:
-        return {"distance": None, "whitening": None}
-    return {"distance": options.retrieval.distance, "whitening": store.whitening(options).reason}
-
-
-def _documents(outcomes: Outcomes, how: dict[str, str | None]) -> Iterator[dict[str, Any]]:
-    """The outcome of each query, for JSON."""
+def _documents(
+    outcomes: Outcomes, store: pr.Catalogue, options: pr.PipelineOptions, matrix: pr.DistanceMatrix | None
+) -> Iterator[dict[str, Any]]:
+    """The outcome of each query, for JSON, with how shapes are compared: by no distance if by a matrix."""
+    how: dict[str, str | None] = {"distance": None, "whitening": None}
+    if matrix is None:
+        how = {"distance": options.retrieval.distance, "whitening": store.whitening(options).reason}
     for name, outcome in outcomes:
         if isinstance(outcome, ShapeError):
             yield {"query": name} | out.failure_facts(outcome)
@@ -149,7 +147,7 @@ def _documents(outcomes: Outcomes, how: dict[str, str | None]) -> Iterator[dict[
 def _write_table(answer: pr.Answer, name: str | None) -> None:
     """A table of the results, below a line with the query if there are several, and the verdict."""
     if name is not None:
-        out.write_line(shown_path(name))
+        out.write_lines(shown_path(name))
     columns = COLUMNS | (DOUBT if any(record.is_doubtful for record in answer.records) else {})
     rows = []
     for row, record in zip(answer.rows(), answer.records, strict=True):
@@ -161,13 +159,6 @@ def _write_table(answer: pr.Answer, name: str | None) -> None:
         rows.append(cells[: len(columns)])
     out.write_table(columns, rows)
     out.write_words(str(answer))
-
-
-def _say_how(store: pr.Catalogue, options: pr.PipelineOptions, labels: list[str] | None) -> None:
-    index = store.index(options)
-    say(f"nearest: {'all shapes of the classes compared' if labels else index.search}")
-    say(f"whitening: {store.whitening(options).reason}")
-    say(f"score: {index.scores.reason if index.scores else 'none, because labels and shapes are too few'}")
 
 
 def _write_csv(outcomes: Outcomes) -> None:
@@ -189,11 +180,10 @@ def _write_csv(outcomes: Outcomes) -> None:
     "Compare pairs of surfaces, not signatures.",
     click.Choice(["heat-hausdorff", "hks-bow-gallery", "mds-cm-bof", "meshsift"]),
 )
-@opt.comparison_options
-@opt.json_option
+@opt.on_catalogue
 def matrix_command(
-    catalogue: str, output: Path, matcher: str | None, as_json: bool, **comparison: Any
-) -> None:
+    store: pr.Catalogue, options: pr.PipelineOptions, output: Path, matcher: str | None
+) -> out.Answer:
     """Write the distances of all pairs of shapes, as the SHREC (Shape Retrieval Contest) tracks ask for them.
 
     The value in row i and column j is the distance from the query i to the shape j. The ids of the rows are
@@ -205,22 +195,18 @@ def matrix_command(
     pcretrieve evaluate --catalogue bodies.sqlite --matrix bodies.txt
     """
     if matcher is not None:
-        opt.refuse(comparison, "a matcher has no signatures", *opt.COMPARISON)
-    if comparison["rerank"] is not None:
-        raise click.UsageError("distances are not re-ranked: leave out --rerank, and give it to `evaluate`")
+        opt.refuse("a matcher has no signatures", *opt.COMPARISON)
+    opt.refuse("distances are not re-ranked", "rerank")
     failures: list[Failure] = []
-    with opt.opened(catalogue, comparison) as (store, options):
-        found = pr.matrix(store, options=options, matcher=matcher, on_failure=failures.append)
+    found = pr.matrix(store, options=options, matcher=matcher, on_failure=failures.append)
     pr.write_matrix(found, output)
     for one in failures:
         say(failure_line(one.shape_id, one))
     ids = str(output.with_suffix(".ids"))
     say(f"{len(found)} shapes: distances in {output}, ids in {ids}")
-    if as_json:
-        failed = [{"id": one.shape_id} | out.failure_facts(one) for one in failures]
-        files = {"matrix": str(output), "ids": ids}
-        out.write_document(files | {"n_shapes": len(found), "failed": failed}, options=options)
-    opt.exit_if(failures)
+    failed = [{"id": one.shape_id} | out.failure_facts(one) for one in failures]
+    document = {"matrix": str(output), "ids": ids, "n_shapes": len(found), "failed": failed}
+    return out.Answer(document, options, failed=failures)
 
 
 @opt.command("duplicates")
@@ -231,10 +217,9 @@ def matrix_command(
     click.FloatRange(min=0),
 )
 @opt.on_catalogue
-@opt.json_option
 def duplicates_command(
-    store: pr.Catalogue, options: pr.PipelineOptions, threshold: float | None, as_json: bool
-) -> None:
+    store: pr.Catalogue, options: pr.PipelineOptions, threshold: float | None
+) -> out.Answer:
     """Find shapes that look the same, such as two scans of one body in one pose.
 
     The table has the distance, its limit and both ids, nearest first. Without --threshold, distances are
@@ -244,14 +229,9 @@ def duplicates_command(
     pcretrieve duplicates --catalogue bodies.sqlite
     """
     pairs = pr.duplicates(store, options=options, threshold=threshold)
-    if as_json:
-        out.write_document([pair._asdict() for pair in pairs], options=options)
-        return
-    out.write_table(
-        PAIR,
-        ((f"{one.distance:#.4g}", f"{one.limit:#.4g}", one.first, one.second) for one in pairs),
-    )
+    rows = ((f"{one.distance:#.4g}", f"{one.limit:#.4g}", one.first, one.second) for one in pairs)
     say(f"{len(pairs)} {'pair' if len(pairs) == 1 else 'pairs'}")
+    return out.Answer([pair._asdict() for pair in pairs], options, partial(out.write_table, PAIR, rows))
 
 
 @opt.command("cluster")
@@ -261,10 +241,9 @@ def duplicates_command(
     "--output -o CSV", "Write this file.  [default: standard output; a terminal shows a table]", opt.PATH
 )
 @opt.on_catalogue
-@opt.json_option
 def cluster_command(
-    store: pr.Catalogue, options: pr.PipelineOptions, min_size: int, output: Path | None, as_json: bool
-) -> None:
+    store: pr.Catalogue, options: pr.PipelineOptions, min_size: int, output: Path | None
+) -> out.Answer:
     """Group similar shapes, without using their classes.
 
     The method is HDBSCAN. The table has the columns id and label; a shape in no cluster has no label.
@@ -278,18 +257,17 @@ def cluster_command(
     text = csv_text(("id", "label"), labels.items())
     if output is not None:
         write_file(output, text.encode())
-    if as_json:
-        document = [{"id": shape_id, "label": label} for shape_id, label in labels.items()]
-        out.write_document(document, options=options)
-    elif output is None and sys.stdout.isatty():
-        out.write_table(
-            {"ID": "text", "CLUSTER": "text"},
-            ((name, label or "-") for name, label in labels.items()),
-        )
-    elif output is None:
-        out.write_csv(text)
     n_none = sum(label is None for label in labels.values())
     say(f"{len({*labels.values()} - {None})} clusters of {len(labels)} shapes, {n_none} of them in none")
+
+    def show() -> None:
+        if output is None and sys.stdout.isatty():
+            rows = ((name, label or "-") for name, label in labels.items())
+            out.write_table({"ID": "text", "CLUSTER": "text"}, rows)
+        elif output is None:
+            out.write_csv(text)
+
+    return out.Answer([{"id": name, "label": label} for name, label in labels.items()], options, show)
 
 
 @opt.command("map")
@@ -297,10 +275,7 @@ def cluster_command(
 @opt.option("--output -o PNG|HTML", "Write this picture or this page.", opt.PATH, required=True)
 @opt.up_option
 @opt.on_catalogue
-@opt.json_option
-def map_command(
-    store: pr.Catalogue, options: pr.PipelineOptions, output: Path, up: str | None, as_json: bool
-) -> None:
+def map_command(store: pr.Catalogue, options: pr.PipelineOptions, output: Path, up: str | None) -> out.Answer:
     """Plot a 2-D map of shapes: similar ones lie near each other.
 
     A page (.html) shows name and thumbnail of the shape under the pointer. A picture (.png) needs matplotlib.
@@ -309,10 +284,10 @@ def map_command(
     pcretrieve map --catalogue bodies.sqlite -o bodies.html
     """
     page = pr.draw_map(store, output, options=options, up=up)
-    out.write_page(page, as_json, options)
+    return out.Answer({"page": page}, options, lambda: out.write_lines(shown_path(str(page))))
 
 
-@opt.command("serve")
+@opt.command("serve", has_json=False)
 @opt.catalogue_option
 @opt.option("--port N", "Port at 127.0.0.1; 0 for any free one.", click.IntRange(0, 65535), default=8765)
 @opt.option("--read-only", "Take no scans from browsers.")
@@ -322,18 +297,7 @@ def map_command(
     click.Path(exists=True, file_okay=False, writable=True, path_type=Path),
 )
 @opt.option("--max-upload MB", "Refuse larger scans from browsers.", opt.COUNT, default=200)
-@opt.rare_option(
-    "--timeout SECONDS",
-    "Give up on a scan from a browser after this time.",
-    click.FloatRange(min=1),
-    default=300,
-)
-@opt.rare_option(
-    "--memory GIB",
-    "Give the process for scans from browsers no more memory than this.",
-    click.FloatRange(min=0.5),
-    default=4,
-)
+@partial(opt.limit_options, unit="scan from a browser", time=300, memory=4)
 @opt.up_option
 @opt.comparison_options
 def serve_command(catalogue: str, max_upload: int, **chosen: Any) -> None:
@@ -349,8 +313,8 @@ def serve_command(catalogue: str, max_upload: int, **chosen: Any) -> None:
     """
     if chosen["read_only"] and chosen["keep"] is not None:
         raise click.UsageError("choose one of --read-only and --keep")
-    with opt.opened(catalogue, chosen) as (_, options):
-        pass
+    with pr.Catalogue(catalogue) as store:
+        options = opt.compared(store, chosen)
     say("Open the address in a browser; end the server with Ctrl-C.")
-    chosen |= {"most_bytes": max_upload * MEGABYTE, "on_start": out.write_line}
+    chosen |= {"most_bytes": max_upload * MEGABYTE, "on_start": out.write_lines}
     pr.serve(catalogue, options=options, **chosen)

@@ -15,8 +15,8 @@ from commands import program, run
 from pcretrieve import __version__
 from pcretrieve.cli.batches import _say_summary
 from pcretrieve.cli.main import COMMANDS
-from pcretrieve.cli.options import command, json_option
-from pcretrieve.cli.output import write_documents, write_words
+from pcretrieve.cli.options import command
+from pcretrieve.cli.output import Answer, write_words
 from pcretrieve.errors import CatalogueError
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.run import Summary
@@ -147,10 +147,9 @@ def test_errors_are_documents_too(folder: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 @command("numbers")
-@json_option
-def numbers_command(as_json: bool) -> None:
+def numbers_command() -> Answer:
     """A command that fails after its first result."""
-    write_documents(one_number())
+    return Answer(one_number())
 
 
 def one_number() -> Iterator[int]:

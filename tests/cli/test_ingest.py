@@ -58,7 +58,7 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(folder: Path) -> N
     bad = [f"bad-{number}" for number in range(N_BAD)]
     assert (answer["planned"], answer["done"]) == (["a", "b", *bad], [])
     assert [Path(duplicate["path"]).name for duplicate in answer["duplicates"]] == ["copy.off"]
-    assert "5 to process, 0 failed, 0 held already, 1 duplicates" in done.stderr
+    assert "5 to process, 0 failed, 0 known already, 1 duplicates" in done.stderr
     # With a catalogue, it knows what that has.
     ingest(folder)
     before = files(folder)

@@ -142,7 +142,7 @@ def test_wide_characters_take_two_columns(capsys: pytest.CaptureFixture[str]) ->
 WORKS = """
 import logging, time
 from pcretrieve.cli import messages
-from pcretrieve.cli.output import write_line
+from pcretrieve.cli.output import write_lines
 
 messages.FIRST_WORD = messages.NEXT_WORD = 0.3  # seconds
 messages.tell_of_waiting("count")
@@ -150,7 +150,7 @@ time.sleep(1)
 logging.getLogger("pcretrieve.somewhere").info("counted: 1 of 2 \\033[31m" + 200 * "o")
 time.sleep(1)
 messages.say("failed: the second")
-write_line("1")
+write_lines("1")
 logging.getLogger("pcretrieve.somewhere").info("counted: 2 of 2")
 time.sleep(1)
 """

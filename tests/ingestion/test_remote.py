@@ -111,7 +111,7 @@ def test_ingest_of_a_bucket_equals_that_of_a_folder(s3: str, folder: Path, tmp_p
     with Catalogue(tmp_path / "s3.sqlite") as made, Catalogue(tmp_path / "f.sqlite") as expected:
         assert made.signatures() == expected.signatures()
         assert sorted(record.path for record in made.records()) == [f"{s3}/egg.ply", f"{s3}/more/cigar.off"]
-    assert "2 held already" in run("ingest", s3, "-c", tmp_path / "s3.sqlite").output
+    assert "2 known already" in run("ingest", s3, "-c", tmp_path / "s3.sqlite").output
 
 
 def test_files_that_a_scan_names_are_copied_too_unless_they_are_elsewhere(http: str, folder: Path) -> None:
