@@ -82,7 +82,7 @@ def ingest_command(
     quiet: bool,
     log_file: Path | None,
     **values: Any,
-) -> out.Answer:
+) -> out.Result:
     """Process scans, and store them in a catalogue.
 
     PATH is a file, a folder, a glob pattern, or a list of files (.txt, .csv). Scans that are stored already
@@ -109,7 +109,7 @@ def ingest_command(
             _stopped(stop, catalogue)
     if not quiet:
         _say_summary(summary, catalogue, values["labels"])
-    return _answer(summary, catalogue, options)
+    return _result(summary, catalogue, options)
 
 
 def _new_options(values: dict[str, Any]) -> pr.PipelineOptions | None:
@@ -159,7 +159,7 @@ def _facts(record: pr.Record) -> dict[str, object]:
     default=0,
 )
 @opt.process_options
-def retry_command(catalogue: str, progress: str, **chosen: Any) -> out.Answer:
+def retry_command(catalogue: str, progress: str, **chosen: Any) -> out.Result:
     """Process failed scans again, with the settings of their catalogue.
 
     \b
@@ -168,7 +168,7 @@ def retry_command(catalogue: str, progress: str, **chosen: Any) -> out.Answer:
     with pr.Catalogue(catalogue) as store, Progress("retry", progress) as shown:
         summary = pr.retry(store, on_start=shown.start, on_shape=partial(_advance, shown), **chosen)
     _say_summary(summary, catalogue)
-    return _answer(summary, catalogue)
+    return _result(summary, catalogue)
 
 
 @opt.command("watch", has_json=False)
@@ -210,7 +210,7 @@ def _tell(record: pr.Record) -> None:
 
 @opt.command("status")
 @opt.catalogue_argument
-def status_command(catalogue: str) -> out.Answer:
+def status_command(catalogue: str) -> out.Result:
     """Show the progress of the last ingest, while it runs and afterwards.
 
     \b
@@ -218,7 +218,7 @@ def status_command(catalogue: str) -> out.Answer:
     """
     found = pr.status(catalogue)
     document = {"catalogue": without_password(catalogue)} | asdict(found)
-    return out.Answer(document, show=lambda: _write_status(catalogue, found))
+    return out.Result(document, show=lambda: _write_status(catalogue, found))
 
 
 def _write_status(catalogue: str, found: pr.BatchStatus) -> None:
@@ -273,7 +273,7 @@ def _say_summary(summary: pr.Summary, catalogue: str, labels: str | None = None)
         )
 
 
-def _answer(summary: pr.Summary, catalogue: str, options: pr.PipelineOptions | None = None) -> out.Answer:
+def _result(summary: pr.Summary, catalogue: str, options: pr.PipelineOptions | None = None) -> out.Result:
     """What an ingest did, or would do; its options are those of the catalogue, if there is one."""
     if not summary.planned:
         with suppress(CatalogueError), pr.Catalogue(catalogue) as store:
@@ -288,7 +288,7 @@ def _answer(summary: pr.Summary, catalogue: str, options: pr.PipelineOptions | N
         "failed": [_facts(record) for record in _failures(summary)],
         "unknown_labels": summary.unknown_labels,
     }
-    return out.Answer(document, options, failed=_failures(summary))
+    return out.Result(document, options, failed=_failures(summary))
 
 
 def _failures(summary: pr.Summary) -> list[pr.Record]:

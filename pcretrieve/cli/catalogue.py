@@ -30,7 +30,7 @@ FAILED = {"STAGE" if name == "VERDICT" else name: kind for name, kind in DOUBTFU
 @opt.option("--doubtful", "Only shapes that are doubtful or unusable, with the reasons.")
 @opt.option("--limit N", "List at most N shapes.", opt.COUNT)
 @opt.option("--offset N", "Skip N shapes.", opt.NUMBER, default=0)
-def list_command(catalogue: str, failed: bool, **chosen: Any) -> out.Answer:
+def list_command(catalogue: str, failed: bool, **chosen: Any) -> out.Result:
     """List shapes: id, verdict, class, Euler characteristic, seconds, path.
 
     The verdict is sound, doubtful, unusable or failed; done means that the shape was not judged.
@@ -54,7 +54,7 @@ def list_command(catalogue: str, failed: bool, **chosen: Any) -> out.Answer:
             found = ", ".join(f"{n} {name}" for name, n in sorted(counts.items()))
             say(f"{found}; for reasons: {', '.join(f'--{name}' for name in sorted(counts))}")
 
-    return out.Answer(map(_facts, records), show=show)
+    return out.Result(map(_facts, records), show=show)
 
 
 def _facts(record: pr.Record) -> dict[str, object]:
@@ -81,7 +81,7 @@ def _row(record: pr.Record, columns: out.Columns, counts: Counter[str]) -> list[
 @opt.command("show")
 @click.argument("shape_id", metavar="ID", shell_complete=opt.complete_ids)
 @opt.catalogue_option
-def show_command(shape_id: str, catalogue: str) -> out.Answer:
+def show_command(shape_id: str, catalogue: str) -> out.Result:
     """Show how a shape was made: its file, each step, and the size of what is stored.
 
     \b
@@ -89,7 +89,7 @@ def show_command(shape_id: str, catalogue: str) -> out.Answer:
     """
     store = opt.opened(catalogue, any_numbers=True)
     record, stored = store.record(shape_id), store.stored_bytes(shape_id)
-    return out.Answer(_facts(record) | {"stored_bytes": stored}, show=lambda: _show(record, stored))
+    return out.Result(_facts(record) | {"stored_bytes": stored}, show=lambda: _show(record, stored))
 
 
 def _show(record: pr.Record, stored: dict[str, int]) -> None:
@@ -110,7 +110,7 @@ def _show(record: pr.Record, stored: dict[str, int]) -> None:
 @opt.command("remove")
 @click.argument("shape_ids", nargs=-1, required=True, metavar="ID...", shell_complete=opt.complete_ids)
 @opt.catalogue_option
-def remove_command(shape_ids: tuple[str, ...], catalogue: str) -> out.Answer:
+def remove_command(shape_ids: tuple[str, ...], catalogue: str) -> out.Result:
     """Remove shapes from a catalogue. Their files stay.
 
     \b
@@ -120,7 +120,7 @@ def remove_command(shape_ids: tuple[str, ...], catalogue: str) -> out.Answer:
     with pr.Catalogue(catalogue) as store:
         store.remove(*chosen)
     say(f"removed {len(chosen)} from {catalogue}")
-    return out.Answer({"removed": [*chosen]})
+    return out.Result({"removed": [*chosen]})
 
 
 @click.group("catalogue")
@@ -140,7 +140,7 @@ def catalogue_command() -> None:
     opt.CATALOGUE,
     required=True,
 )
-def merge_command(parts: tuple[str, ...], output: str) -> out.Answer:
+def merge_command(parts: tuple[str, ...], output: str) -> out.Result:
     """Store the shapes of several catalogues in one.
 
     PART is a file or a URL, such as the catalogue of one task of a job array (`ingest --shard`). All parts
@@ -152,7 +152,7 @@ def merge_command(parts: tuple[str, ...], output: str) -> out.Answer:
     """
     merged = pr.merge_catalogues(parts, output)
     say(f"{merged.n_added} added, {merged.n_held} known already: {output}")
-    return out.Answer(asdict(merged))
+    return out.Result(asdict(merged))
 
 
 catalogue_command.add_command(merge_command)
@@ -170,7 +170,7 @@ catalogue_command.add_command(merge_command)
     "--repair",
     "Remove damaged indexes and rows without a shape, and mark damaged shapes to be ingested again.",
 )
-def check_command(catalogue: str, sample: int, repair: bool) -> out.Answer:
+def check_command(catalogue: str, sample: int, repair: bool) -> out.Result:
     """Check a catalogue for damage: its file, each record, all arrays, and some signatures.
 
     The exit code is 1 if damage is left.
@@ -189,7 +189,7 @@ def check_command(catalogue: str, sample: int, repair: bool) -> out.Answer:
         options = store.options
     document = {"catalogue": without_password(catalogue), "is_whole": result.is_whole} | asdict(result)
     show = partial(_write_check, catalogue, result)
-    return out.Answer(document, options, show, failed=not result.is_whole, exit_code=out.EXIT_ERROR)
+    return out.Result(document, options, show, failed=not result.is_whole, exit_code=out.EXIT_ERROR)
 
 
 def _write_check(catalogue: str, result: pr.Check) -> None:
@@ -211,7 +211,7 @@ def _write_check(catalogue: str, result: pr.Check) -> None:
 @opt.command("backup")
 @click.argument("catalogue", type=opt.CATALOGUE)
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
-def backup_command(catalogue: str, file: Path) -> out.Answer:
+def backup_command(catalogue: str, file: Path) -> out.Result:
     """Copy a catalogue to one file, while others may use it.
 
     The copy is a catalogue itself, in SQLite. For large databases `pg_dump` is faster.
@@ -222,7 +222,7 @@ def backup_command(catalogue: str, file: Path) -> out.Answer:
     say(f"copying {catalogue}")
     size = pr.backup(catalogue, file)
     say(f"{size / MIB:.1f} MiB: {file}")
-    return out.Answer({"file": str(file), "bytes": size})
+    return out.Result({"file": str(file), "bytes": size})
 
 
 @opt.command("export")
@@ -247,7 +247,7 @@ def export_command(
     signatures: bool,
     to: str | None,
     **comparison: Any,
-) -> out.Answer:
+) -> out.Result:
     """Write meshes or signatures of a catalogue to files or to a database.
 
     \b
@@ -276,7 +276,7 @@ def export_command(
     if of_meshes and output is not None and output.is_dir():
         say(f"wrote {len(files)} meshes to {output}")
     show = partial(out.write_lines, *map(str, files))
-    return out.Answer({"files": files}, None if of_meshes else options, show)
+    return out.Result({"files": files}, None if of_meshes else options, show)
 
 
 def _export_meshes(store: pr.Catalogue, shape_ids: tuple[str, ...], output: Path) -> list[Path]:

@@ -46,7 +46,7 @@ def evaluate_command(
     per_class: bool,
     folder: Path | None,
     **values: Any,
-) -> out.Answer:
+) -> out.Result:
     """Measure how well scans of one class find each other.
 
     Each shape is a query in all others; shapes that failed count as misses. The measures are nearest
@@ -78,7 +78,7 @@ def evaluate_command(
     if folder is not None:
         found.write(folder)
         say(f"queries, classes, confusion and precision_recall: .csv files in {folder}")
-    return out.Answer(
+    return out.Result(
         _evaluation_document(found, how, per_class), options, lambda: _write_evaluation(found, how, per_class)
     )
 
@@ -178,7 +178,7 @@ def _numbers(values: Iterable[float | None], form: str = ".4f") -> list[str]:
 @opt.comparison_options
 def compare_command(
     first: str, second: str, labels: str | None, n_changes: int, **comparison: Any
-) -> out.Answer:
+) -> out.Result:
     """Compare two results for the same shapes, query by query.
 
     A and B are catalogues, distance matrices, or files queries.csv of `evaluate --csv`. The table has the
@@ -192,7 +192,7 @@ def compare_command(
     one, two = (_options_of(comparison, number) for number in range(2))
     found = pr.compare(first, second, options=one, second_options=two, labels=labels)
     show = partial(_write_comparison, found, n_changes, (first, second))
-    return out.Answer(_comparison_document(found, n_changes), show=show)
+    return out.Result(_comparison_document(found, n_changes), show=show)
 
 
 def _write_comparison(found: pr.Comparison, n_changes: int, names: tuple[str, str]) -> None:
@@ -257,7 +257,7 @@ for _parameter in compare_command.params:
 @opt.catalogue_option
 @opt.option("--output -o FILE", "Write this file, such as metric.npz.", opt.PATH, required=True)
 @opt.on_catalogue
-def calibrate_command(store: pr.Catalogue, options: pr.PipelineOptions, output: Path) -> out.Answer:
+def calibrate_command(store: pr.Catalogue, options: pr.PipelineOptions, output: Path) -> out.Result:
     """Learn from labelled scans which differences to ignore.
 
     Scan some bodies several times, in the way you will scan later: three people in ten poses will do. Use the
@@ -270,7 +270,7 @@ def calibrate_command(store: pr.Catalogue, options: pr.PipelineOptions, output: 
     """
     whitening = pr.calibrate(store, output, options=options)
     say(f"{output}: {whitening.reason}")
-    return out.Answer({"whitening": str(output), "reason": whitening.reason}, options)
+    return out.Result({"whitening": str(output), "reason": whitening.reason}, options)
 
 
 @opt.command("report")
@@ -290,7 +290,7 @@ def calibrate_command(store: pr.Catalogue, options: pr.PipelineOptions, output: 
 @opt.on_catalogue
 def report_command(
     store: pr.Catalogue, options: pr.PipelineOptions, output: Path, **shown: Any
-) -> out.Answer:
+) -> out.Result:
     """Write an HTML page of all queries with their results and measures, the worst first.
 
     The page has bars of the classes, mix-ups, a map, and the scans that failed. You can search and sort it
@@ -302,4 +302,4 @@ def report_command(
     pcretrieve report -c bodies.sqlite --versus none/queries.csv -o bodies.html
     """
     page = pr.report(store, output, options=options, **shown)
-    return out.Answer({"page": page}, options, lambda: out.write_lines(shown_path(str(page))))
+    return out.Result({"page": page}, options, lambda: out.write_lines(shown_path(str(page))))

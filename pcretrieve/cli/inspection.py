@@ -41,7 +41,7 @@ from pcretrieve.cli.scans import each_scan
 @opt.process_options
 def inspect_command(
     scan: Path, output: Path | None, png: Path | None, catalogue: str | None, **run: Any
-) -> out.Answer:
+) -> out.Result:
     """Show what is wrong with a scan, and what to do about it, on an HTML page.
 
     The page shows points, normals and surface from all sides and in 3D; points that were removed; gaps that
@@ -78,7 +78,7 @@ def inspect_command(
                 out.write_lines(shown_path(one["page"]) + words)
 
     failed = any("page" not in one or one["failure"] is not None for one in found)
-    return out.Answer(found[0] if is_alone else found, options, show, failed)
+    return out.Result(found[0] if is_alone else found, options, show, failed)
 
 
 def _inspected(scan: Path, page: Path, **asked: Any) -> dict[str, Any]:
@@ -119,7 +119,7 @@ def _say_checks(found: dict[str, Any]) -> None:
 @opt.option("--with-scan", "Pack the scan too.")
 @opt.settings_options
 @opt.limit_options
-def report_problem_command(scan: Path, output: Path | None, with_scan: bool, **limits: Any) -> out.Answer:
+def report_problem_command(scan: Path, output: Path | None, with_scan: bool, **limits: Any) -> out.Result:
     """Pack one file to send to us when a scan fails. It does not contain the scan.
 
     The scan is processed once more. The ZIP file has versions, settings, the error, the log, and name, size,
@@ -137,4 +137,4 @@ def report_problem_command(scan: Path, output: Path | None, with_scan: bool, **l
     else:
         say("the scan does not fail with these options; give those with which it failed")
     say(f"attach this file to your report; it has {'the' if with_scan else 'no'} points of the scan")
-    return out.Answer({"file": output, "failure": failure}, options, lambda: out.write_lines(str(output)))
+    return out.Result({"file": output, "failure": failure}, options, lambda: out.write_lines(str(output)))

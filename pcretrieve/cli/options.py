@@ -19,10 +19,10 @@ import pcretrieve as pr
 from pcretrieve.cli.messages import say
 from pcretrieve.cli.output import (
     JSON_FLAG,
-    Answer,
+    Result,
     choose_json,
     errors_as_json,
-    print_answer,
+    print_result,
     print_text,
     prints_json,
 )
@@ -64,7 +64,7 @@ class Option(click.Option):
 
 
 class Command(click.Command):
-    """A command that prints the answer of its function: for people, or with ``--json`` as JSON."""
+    """A command that prints the result of its function: for people, or with ``--json`` as JSON."""
 
     def __init__(self, *args: Any, has_json: bool = True, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -87,13 +87,13 @@ class Command(click.Command):
             return super().parse_args(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run, print the answer, and end with its exit code."""
+        """Run, print the result, and end with its exit code."""
         with errors_as_json(ctx, prints_json()):
-            answer = super().invoke(ctx)
-            if isinstance(answer, Answer):
-                print_answer(answer)
-                if answer.failed:
-                    ctx.exit(answer.exit_code)
+            result = super().invoke(ctx)
+            if isinstance(result, Result):
+                print_result(result)
+                if result.failed:
+                    ctx.exit(result.exit_code)
 
 
 #: Makes a command of a function.
@@ -333,11 +333,11 @@ def comparison_options(command: Decorated) -> Decorated:
     return _distance_option(_whitening_option(_rerank_option(command)))
 
 
-def on_catalogue(command: Callable[..., Answer]) -> Callable[..., Answer]:
+def on_catalogue(command: Callable[..., Result]) -> Callable[..., Result]:
     """Add the same, and give a command the opened catalogue, the options, and the distances of a matrix."""
 
     @wraps(command)
-    def opening(catalogue: str, **values: Any) -> Answer:
+    def opening(catalogue: str, **values: Any) -> Result:
         if "matrix" in values:
             values["matrix"] = read_distances(values, *COMPARISON)
         store = opened(catalogue)
@@ -347,7 +347,7 @@ def on_catalogue(command: Callable[..., Answer]) -> Callable[..., Answer]:
 
 
 def opened(catalogue: str, *, any_numbers: bool = False) -> pr.Catalogue:
-    """A catalogue, which is closed when the answer of the command is printed."""
+    """A catalogue, which is closed when the result of the command is printed."""
     return click.get_current_context().with_resource(pr.Catalogue(catalogue, any_numbers=any_numbers))
 
 
@@ -398,7 +398,7 @@ def refuse(reason: str, *names: str) -> None:
 
 @command("options")
 @config_option
-def options_command(**values: Any) -> Answer:
+def options_command(**values: Any) -> Result:
     """Print all settings of the pipeline with their units, as TOML for --config.
 
     \b
@@ -407,4 +407,4 @@ def options_command(**values: Any) -> Answer:
     from pcretrieve.options import describe_options
 
     options = load_options(values)
-    return Answer(None, options, lambda: print_text(describe_options(options)))
+    return Result(None, options, lambda: print_text(describe_options(options)))

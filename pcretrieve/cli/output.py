@@ -174,19 +174,19 @@ def _shortened(text: str, width: int) -> str:
     return f"{first}…{last}"
 
 
-# --- answers and documents -----------------------------------------------------------------------------
+# --- results and documents -----------------------------------------------------------------------------
 
 
-class Answer(NamedTuple):
-    """What a command found.
+class Result(NamedTuple):
+    """What a command returns, to be printed.
 
-    result: for JSON; the elements of an iterator are printed as soon as they are computed.
+    value: for JSON; the elements of an iterator are printed as soon as they are computed.
     options: the settings that led to it.
     show: prints it for people.
     failed: whether the exit code is not 0 but `exit_code`, known when the result is printed.
     """
 
-    result: object
+    value: object
     options: pr.PipelineOptions | None = None
     show: Callable[[], object] = lambda: None
     failed: object = False
@@ -203,25 +203,25 @@ def prints_json() -> bool:
     return bool(click.get_current_context().meta.get(AS_JSON))
 
 
-def print_answer(answer: Answer) -> None:
-    """Print an answer for people, or its document: what was asked, by which version, and the result."""
-    context, result = click.get_current_context(), answer.result
+def print_result(result: Result) -> None:
+    """Print a result for people, or its document: what was asked, by which version, and the result."""
+    context, value = click.get_current_context(), result.value
     if not prints_json():
-        answer.show()
-    elif not isinstance(result, Iterator):
-        print_text(_text(_head(context, answer.options) | {"result": result}))
+        result.show()
+    elif not isinstance(value, Iterator):
+        print_text(_text(_head(context, result.options) | {"result": value}))
     else:
-        for element in result:
+        for element in value:
             if BEGUN not in context.meta:
                 context.meta[BEGUN] = True
-                print_text(_text(_head(context, answer.options))[: -len("\n}")] + ',\n  "result": [')
+                print_text(_text(_head(context, result.options))[: -len("\n}")] + ',\n  "result": [')
             else:
                 print_text(",")
             print_text(textwrap.indent(_text(element), "    "), nl=False)
         if BEGUN in context.meta:
             print_text("\n  ]\n}")
         else:
-            print_answer(answer._replace(result=[]))
+            print_result(result._replace(value=[]))
 
 
 @contextmanager

@@ -75,7 +75,7 @@ def each_scan(
 @opt.option("--keep-largest", "Keep the largest piece of each view.", default=None)
 @opt.config_option
 @partial(opt.limit_options, unit="view")
-def merge_command(paths: tuple[str, ...], output: Path, **values: Any) -> out.Answer:
+def merge_command(paths: tuple[str, ...], output: Path, **values: Any) -> out.Result:
     """Merge views of one body, taken from different sides, into one scan.
 
     VIEWS are files, folders, glob patterns, a Stanford .conf file, or a folder of the TUM RGB-D benchmark.
@@ -119,7 +119,7 @@ def merge_command(paths: tuple[str, ...], output: Path, **values: Any) -> out.An
         "notes": step.notes,
         "seconds": round(step.seconds, 3),
     }
-    return out.Answer(document, options, failed=merged.left_out)
+    return out.Result(document, options, failed=merged.left_out)
 
 
 def _number(value: float) -> float | None:
@@ -143,7 +143,7 @@ def _number(value: float) -> float | None:
 @opt.config_option
 @opt.surface_option
 @opt.process_options
-def reconstruct_command(scan: Path, output: Path, suffix: str | None, report: bool, **run: Any) -> out.Answer:
+def reconstruct_command(scan: Path, output: Path, suffix: str | None, report: bool, **run: Any) -> out.Result:
     """Turn a scan into a closed surface, and write it to a mesh file.
 
     The surface is oriented and manifold. Each scan of a folder gets a mesh of the same name.
@@ -175,7 +175,7 @@ def reconstruct_command(scan: Path, output: Path, suffix: str | None, report: bo
             texts = (f"{value:.6g}" if isinstance(value, float) else str(value) for value in facts.values())
             say("  ".join(f"{name} {text}" for name, text in zip(facts, texts, strict=True)))
 
-    return out.Answer(found[0] if is_alone else found, options, show, len(found) - len(made))
+    return out.Result(found[0] if is_alone else found, options, show, len(found) - len(made))
 
 
 def _reconstructed(scan: Path, file: Path, options: pr.PipelineOptions) -> dict[str, Any]:
@@ -210,7 +210,7 @@ def _reconstructed(scan: Path, file: Path, options: pr.PipelineOptions) -> dict[
 @opt.process_options
 def signature_command(
     paths: tuple[str, ...], from_catalogue: str | None, progress: str | None, **values: Any
-) -> out.Answer:
+) -> out.Result:
     """Print the signatures of scans, one line each: path, then values.
 
     With --from-catalogue, the lines begin with the id, and nothing is reconstructed again.
@@ -251,7 +251,7 @@ def signature_command(
                 name = facts.get("id") or facts["path"]
                 out.write_row([shown_path(name), *(f"{value:.9g}" for value in facts["values"])])
 
-    return out.Answer(counted(), options, show, failures)
+    return out.Result(counted(), options, show, failures)
 
 
 def _described(path: Path, options: pr.PipelineOptions) -> dict[str, Any]:

@@ -70,7 +70,7 @@ def query_command(
     page: Path | None,
     up: str | None,
     **asked: Any,
-) -> out.Answer:
+) -> out.Result:
     """Find the shapes most similar to a scan, nearest first.
 
     A query is a scan, a folder of scans, or the id of a stored shape. The score tells how often two shapes so
@@ -110,7 +110,7 @@ def query_command(
             score = index.scores.reason if index.scores else "none, because labels and shapes are too few"
             say(f"score: {score}")
 
-    return out.Answer(_documents(outcomes, store, options, asked["matrix"]), options, show, failures)
+    return out.Result(_documents(outcomes, store, options, asked["matrix"]), options, show, failures)
 
 
 def _told(failures: list[ShapeError], is_alone: bool, found: Outcome) -> Outcome:
@@ -183,7 +183,7 @@ def _write_csv(outcomes: Outcomes) -> None:
 @opt.on_catalogue
 def matrix_command(
     store: pr.Catalogue, options: pr.PipelineOptions, output: Path, matcher: str | None
-) -> out.Answer:
+) -> out.Result:
     """Write the distances of all pairs of shapes, as the SHREC (Shape Retrieval Contest) tracks ask for them.
 
     The value in row i and column j is the distance from the query i to the shape j. The ids of the rows are
@@ -206,7 +206,7 @@ def matrix_command(
     say(f"{len(found)} shapes: distances in {output}, ids in {ids}")
     failed = [{"id": one.shape_id} | out.failure_facts(one) for one in failures]
     document = {"matrix": str(output), "ids": ids, "n_shapes": len(found), "failed": failed}
-    return out.Answer(document, options, failed=failures)
+    return out.Result(document, options, failed=failures)
 
 
 @opt.command("duplicates")
@@ -219,7 +219,7 @@ def matrix_command(
 @opt.on_catalogue
 def duplicates_command(
     store: pr.Catalogue, options: pr.PipelineOptions, threshold: float | None
-) -> out.Answer:
+) -> out.Result:
     """Find shapes that look the same, such as two scans of one body in one pose.
 
     The table has the distance, its limit and both ids, nearest first. Without --threshold, distances are
@@ -231,7 +231,7 @@ def duplicates_command(
     pairs = pr.duplicates(store, options=options, threshold=threshold)
     rows = ((f"{one.distance:#.4g}", f"{one.limit:#.4g}", one.first, one.second) for one in pairs)
     say(f"{len(pairs)} {'pair' if len(pairs) == 1 else 'pairs'}")
-    return out.Answer([pair._asdict() for pair in pairs], options, partial(out.write_table, PAIR, rows))
+    return out.Result([pair._asdict() for pair in pairs], options, partial(out.write_table, PAIR, rows))
 
 
 @opt.command("cluster")
@@ -243,7 +243,7 @@ def duplicates_command(
 @opt.on_catalogue
 def cluster_command(
     store: pr.Catalogue, options: pr.PipelineOptions, min_size: int, output: Path | None
-) -> out.Answer:
+) -> out.Result:
     """Group similar shapes, without using their classes.
 
     The method is HDBSCAN. The table has the columns id and label; a shape in no cluster has no label.
@@ -267,7 +267,7 @@ def cluster_command(
         elif output is None:
             out.write_csv(text)
 
-    return out.Answer([{"id": name, "label": label} for name, label in labels.items()], options, show)
+    return out.Result([{"id": name, "label": label} for name, label in labels.items()], options, show)
 
 
 @opt.command("map")
@@ -275,7 +275,7 @@ def cluster_command(
 @opt.option("--output -o PNG|HTML", "Write this picture or this page.", opt.PATH, required=True)
 @opt.up_option
 @opt.on_catalogue
-def map_command(store: pr.Catalogue, options: pr.PipelineOptions, output: Path, up: str | None) -> out.Answer:
+def map_command(store: pr.Catalogue, options: pr.PipelineOptions, output: Path, up: str | None) -> out.Result:
     """Plot a 2-D map of shapes: similar ones lie near each other.
 
     A page (.html) shows name and thumbnail of the shape under the pointer. A picture (.png) needs matplotlib.
@@ -284,7 +284,7 @@ def map_command(store: pr.Catalogue, options: pr.PipelineOptions, output: Path, 
     pcretrieve map --catalogue bodies.sqlite -o bodies.html
     """
     page = pr.draw_map(store, output, options=options, up=up)
-    return out.Answer({"page": page}, options, lambda: out.write_lines(shown_path(str(page))))
+    return out.Result({"page": page}, options, lambda: out.write_lines(shown_path(str(page))))
 
 
 @opt.command("serve", has_json=False)

@@ -16,7 +16,7 @@ from pcretrieve import __version__
 from pcretrieve.cli.batches import _say_summary
 from pcretrieve.cli.main import COMMANDS
 from pcretrieve.cli.options import command
-from pcretrieve.cli.output import Answer, write_words
+from pcretrieve.cli.output import Result, write_words
 from pcretrieve.errors import CatalogueError
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.run import Summary
@@ -147,9 +147,9 @@ def test_errors_are_documents_too(folder: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 @command("numbers")
-def numbers_command() -> Answer:
+def numbers_command() -> Result:
     """A command that fails after its first result."""
-    return Answer(one_number())
+    return Result(one_number())
 
 
 def one_number() -> Iterator[int]:
