@@ -17,7 +17,7 @@ from pcretrieve.evaluation.rankings import NO_FAILURES, Rankings, Subset, rank_s
 from pcretrieve.ingestion.labels import labels_of, match_labels
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import OptionsLike, PipelineOptions, RerankKind, RetrievalOptions
-from pcretrieve.retrieval import Whitening, resolution_covariance, table_whitening
+from pcretrieve.retrieval import DistanceBlock, Whitening, resolution_covariance, table_whitening
 from pcretrieve.values import SignatureTable
 
 logger = logging.getLogger(__name__)
@@ -142,7 +142,8 @@ def _of_matrix(
             f"re-ranking needs finite distances, got {np.isinf(matrix.values).sum()} that are infinite: "
             "rank without it"
         )
-    everything = Subset(np.arange(len(matrix)), matrix.blocks())
+    rows = np.arange(len(matrix))
+    everything = Subset(rows, [DistanceBlock(rows, matrix.values)])
     by_method = rank_subsets([everything], matrix.ids, labels, (rerank,), failed=missing)
     return RankedShapes(by_method[rerank], by_method["none"], len(missing))
 

@@ -23,7 +23,7 @@ from pcretrieve.evaluation.measures import (
 from pcretrieve.ingestion.labels import LAYOUTS
 from pcretrieve.matching import DistanceMatrix, Matcher, known_matcher, match_all
 from pcretrieve.options import OptionsLike, PipelineOptions
-from pcretrieve.retrieval import SignatureIndex, Whitening
+from pcretrieve.retrieval import Whitening
 from pcretrieve.retrieval.whitening import write_whitening
 from pcretrieve.values import Failure, FloatArray, SignatureTable
 
@@ -269,9 +269,7 @@ def matrix(
         if not labels:
             raise InputError(f"{store.location} holds no shapes: ingest some first")
         if matcher is None:
-            chosen = PipelineOptions.of(options, store.options)
-            whitening = store.whitening(chosen)
-            index = SignatureIndex(store.signatures(chosen), chosen.retrieval, whitening=whitening)
+            index = store.index(PipelineOptions.of(options, store.options))
             made = DistanceMatrix(tuple(index.ids), index.between(index.ids))
         else:
             method = known_matcher(matcher)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tokenize import TokenError
@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import InputError
-from pcretrieve.retrieval import DistanceBlock, Positions
 from pcretrieve.retrieval.distances import nearest_of, position_of
 from pcretrieve.values import FloatArray, Neighbors
 from pcretrieve.values.base import Value, locked
@@ -23,7 +22,7 @@ from pcretrieve.values.files import write_file
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DistanceMatrix(Value):
-    """All distances between the shapes of a gallery: a `Ranking`.
+    """All distances between the shapes of a gallery.
 
     Attributes
     ----------
@@ -65,11 +64,6 @@ class DistanceMatrix(Value):
         chosen = [self.ids.index(shape_id) for shape_id in ids]
         labels = tuple(self.labels[row] for row in chosen)
         return DistanceMatrix(tuple(ids), self.values[np.ix_(chosen, chosen)], labels)
-
-    def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:
-        """Distances from shapes of the gallery, by default all, to all of the gallery, in one block."""
-        rows = np.arange(len(self)) if queries is None else queries
-        yield DistanceBlock(rows, self.values[rows])
 
     def nearest(self, shape_id: str, k: int = 10) -> Neighbors:
         """The k shapes nearest to a shape of the gallery, itself included."""

@@ -33,7 +33,6 @@ from pcretrieve.pages.map_page import map_drawing
 from pcretrieve.pages.queries_page import settings_in_words
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.query import Question, without_labels
-from pcretrieve.retrieval import Ranking
 from pcretrieve.retrieval.clusters import plane_map
 
 # Side of the pictures, so that a page of 600 shapes stays below 3 MB.
@@ -181,7 +180,9 @@ def report(
         )
 
 
-def _ranking(catalogue: Catalogue, options: PipelineOptions, matrix: DistanceMatrix | None) -> Ranking:
+def _ranking(
+    catalogue: Catalogue, options: PipelineOptions, matrix: DistanceMatrix | None
+) -> SignatureIndex | DistanceMatrix:
     if matrix is not None:
         check_known(matrix, catalogue)
         return matrix
@@ -262,14 +263,16 @@ def _compared(other: QueryScores, scores: QueryScores) -> dict[str, Any]:
     return {"of": found, "rows": rows, "changes": changes}
 
 
-def _map(ranking: Ranking, records: Mapping[str, Record]) -> dict[str, object] | None:
+def _map(ranking: SignatureIndex | DistanceMatrix, records: Mapping[str, Record]) -> dict[str, object] | None:
     if not isinstance(ranking, SignatureIndex) or len(ranking) > MOST_MAPPED:
         return None
     labels = [records[shape_id].label for shape_id in ranking.ids]
     return map_drawing(ranking.ids, labels, plane_map(ranking))
 
 
-def _near(ranking: Ranking, shape_id: str, k: int, rerank: str) -> list[tuple[str, float]]:
+def _near(
+    ranking: SignatureIndex | DistanceMatrix, shape_id: str, k: int, rerank: str
+) -> list[tuple[str, float]]:
     """The `k` shapes nearest to a shape of the gallery, and their distances."""
     if isinstance(ranking, SignatureIndex):
         near = ranking.ranked(shape_id, k + 1, rerank=rerank)

@@ -1,6 +1,6 @@
 """Signatures → ranked shapes: distances, whitening, and an exact nearest-neighbour index."""
 
-from pcretrieve.retrieval.distances import DISTANCES, DistanceBlock, Positions, Ranking, coordinates, pairwise
+from pcretrieve.retrieval.distances import DISTANCES, DistanceBlock, Positions, coordinates, pairwise
 from pcretrieve.retrieval.index import SignatureIndex
 from pcretrieve.retrieval.whitening import (
     Whitening,
@@ -14,7 +14,6 @@ __all__ = [
     "DISTANCES",
     "DistanceBlock",
     "Positions",
-    "Ranking",
     "SignatureIndex",
     "Whitening",
     "coordinates",

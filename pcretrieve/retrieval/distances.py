@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -166,20 +166,6 @@ class DistanceBlock(NamedTuple):
     distances: FloatArray
 
 
-class Ranking(Protocol):
-    """A gallery of shapes and a distance, which need not be symmetric, from each of them to all."""
-
-    @property
-    def ids(self) -> Sequence[str]:
-        """The gallery; identifiers are distinct."""
-
-    def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:
-        """Distances from shapes of the gallery, by default from all, to all of the gallery."""
-
-    def nearest(self, shape_id: str, k: int = 10) -> Neighbors:
-        """The shapes nearest to a shape of the gallery, itself included."""
-
-
 def pairwise_blocks(
     distance: str | Distance, gallery: FloatArray, queries: Positions
 ) -> Iterator[DistanceBlock]:
@@ -200,10 +186,10 @@ def nearest_of(ids: Sequence[str], distances: FloatArray, k: int) -> Neighbors:
     return Neighbors(tuple(ids[row] for row in rows), distances[rows])
 
 
-def checked_k(k: int, name: str = "k") -> int:
-    """A number of neighbours, or of something else, after a check."""
+def checked_k(k: int) -> int:
+    """A number of neighbours, after a check."""
     if isinstance(k, bool) or not isinstance(k, (int, np.integer)) or k < 1:
-        raise OptionError(f"{name} must be a whole number of at least 1, got {k!r}")
+        raise OptionError(f"k must be a whole number of at least 1, got {k!r}")
     return int(k)
 
 

@@ -31,7 +31,7 @@ from pcretrieve.ingestion.pool import in_processes
 from pcretrieve.matching import MATCHERS, match_all
 from pcretrieve.options import PipelineOptions, RetrievalOptions, Scale, SignatureOptions
 from pcretrieve.pipeline.process import process
-from pcretrieve.retrieval import table_whitening
+from pcretrieve.retrieval import DistanceBlock, table_whitening
 from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.surface.simplify import simplified
 from pcretrieve.values import Metric, Shape, TriangleMesh
@@ -192,7 +192,8 @@ def _matched(catalogue: Catalogue, system: System) -> Rankings:
     matrix = match_all(matcher, ids, lambda shape_id: catalogue.shape(shape_id, matcher.needs))
     classes = {record.id: record.label for record in catalogue.records()}
     labels = [classes.pop(shape_id) for shape_id in matrix.ids]
-    return rank_gallery(matrix.blocks(), matrix.ids, labels, failed=classes)
+    block = DistanceBlock(np.arange(len(matrix)), matrix.values)
+    return rank_gallery([block], matrix.ids, labels, failed=classes)
 
 
 def _row(system: System, ranked: Rankings, published: Sequence[float] | None) -> str:
