@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from pcretrieve import Catalogue
+from pcretrieve.catalogue import Record
 
 Everything = dict[str, tuple[Any, ...]]
 
 
-def everything(location: str) -> Everything:
-    """The row, the signatures and the payloads of each shape, without times."""
+def content(location: str | Path) -> list[tuple[Record, dict[str, bytes], dict[Any, bytes]]]:
+    """The record, the signatures and the payloads of each shape, in ascending order of id."""
     with Catalogue(location) as store:
-        found = {}
-        for entry in store.entries([origin.id for origin in store.origins()]):
-            steps = tuple(replace(step, seconds=0.0) for step in entry.record.steps)
-            record = replace(entry.record, steps=steps, added="", stamp=None)
-            found[record.id] = (record, dict(entry.signatures), dict(entry.payloads))
-        return found
+        entries = store.entries([origin.id for origin in store.origins()])
+        return [(one.record, dict(one.signatures), dict(one.payloads)) for one in entries]
+
+
+def everything(location: str) -> Everything:
+    """The same by id, without times."""
+    found = {}
+    for record, *rest in content(location):
+        steps = tuple(replace(step, seconds=0.0) for step in record.steps)
+        found[record.id] = (replace(record, steps=steps, added="", stamp=None), *rest)
+    return found

@@ -25,6 +25,6 @@ def test_the_words_come_from_the_first_subject_too() -> None:
 
 def test_a_hand_moves_with_the_resolution_as_was_measured() -> None:
     sample = kept("pcretrieve.retrieval", "resolution.npy")  # 56 people, animals and hands each
-    made = log_eigenvalues("hand", 0)
+    made = log_eigenvalues(("hand", 0))
     np.testing.assert_allclose(made, sample[:, 2 * 56], atol=1e-3)
     assert np.linalg.norm(made[0] - made[1]) > 0.01, "cells of two sizes, two surfaces"

@@ -39,7 +39,10 @@ def packed(arrays: Sequence[NDArray[Any]]) -> bytes:
     for array in arrays:
         stored = np.asarray(array, array.dtype.newbyteorder("<"), order="C")
         compressed = stored.nbytes >= SHORTEST_COMPRESSED
-        body = zlib.compress(_planes(stored), LEVEL) if compressed else stored.tobytes()
+        body = stored.tobytes()
+        if compressed:
+            planes = np.frombuffer(body, np.uint8).reshape(-1, stored.itemsize).T
+            body = zlib.compress(planes.tobytes(), LEVEL)
         parts += [
             HEADER.pack(DTYPES.index(stored.dtype), stored.ndim, compressed, len(body)),
             struct.pack(f"<{stored.ndim}I", *stored.shape),
@@ -118,12 +121,6 @@ def unpacked_values(blob: bytes | bytearray, n: int, n_values: int) -> FloatArra
     if (np.bitwise_xor.reduce(words[:, :-1], axis=1) != words[:, -1]).any():
         raise ValueError("its checksum does not fit")
     return words[:, :-1].view(np.float64)
-
-
-def _planes(array: NDArray[Any]) -> bytes:
-    """The first bytes of all numbers, then the second bytes, and so on."""
-    rows = array.reshape(-1).view(np.uint8).reshape(-1, array.itemsize)
-    return np.ascontiguousarray(rows.T).tobytes()
 
 
 # --- shapes ---------------------------------------------------------------------------------------------

@@ -234,7 +234,8 @@ class Rows:
             for number, digest, value in self._each(query, "shape", records):
                 signatures.setdefault(number, {})[digest] = value
             if payloads:
-                query = f"SELECT shape, {_quoted(payloads)} FROM arrays"
+                names = ", ".join(f'"{name}"' for name in payloads)
+                query = f"SELECT shape, {names} FROM arrays"
                 for number, *stored in self._each(query, "shape", records):
                     given = zip(payloads, stored, strict=True)
                     arrays[number] = {name: value for name, value in given if value is not None}
@@ -251,9 +252,13 @@ class Rows:
         the next free number. A failure never replaces a finished shape.
         """
         record = entry.record
+
+        def is_taken(shape_id: str) -> bool:
+            return bool(self._all("SELECT 1 FROM shapes WHERE id = ?", [shape_id]))
+
         with self.database.writing():
             earlier = self._all("SELECT id, status FROM shapes WHERE path = ?", [record.path])
-            shape_id, status = earlier[0] if earlier else (free_id(record, self._is_taken), None)
+            shape_id, status = earlier[0] if earlier else (free_id(record, is_taken), None)
             if not (status == "done" and record.status == "failed"):
                 self._insert([replace(entry, record=replace(record, id=shape_id))])
                 if "done" in (status, record.status):
@@ -415,9 +420,6 @@ class Rows:
     def _add_descriptors(self, digests: Iterable[str]) -> None:
         self.database.each(f"{inserting('descriptors')} ON CONFLICT DO NOTHING", [(one,) for one in digests])
 
-    def _is_taken(self, shape_id: str) -> bool:
-        return bool(self._all("SELECT 1 FROM shapes WHERE id = ?", [shape_id]))
-
     def _each(self, query: str, column: str, values: Iterable[object]) -> Iterator[Any]:
         """Yield the result of a query for rows whose column has one of some values, a few at a time."""
         chosen = list(dict.fromkeys(values))
@@ -428,7 +430,3 @@ class Rows:
 
     def _all(self, query: str, values: Collection[object] = ()) -> list[Any]:
         return self.database.execute(query, list(values))
-
-
-def _quoted(names: Iterable[Payload]) -> str:
-    return ", ".join(f'"{name}"' for name in names)

@@ -21,6 +21,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -28,7 +29,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
-from benchmarks import lapy
 from benchmarks.measuring import (
     Column,
     Table,
@@ -43,6 +43,7 @@ from benchmarks.measuring import (
     use_one_core,
 )
 from benchmarks.sets import CONDITIONS, DEFECTS, SETS, Item, spread, write_scan
+from benchmarks.spectral import lapy_eigenvalues
 from pcretrieve.arrays import DOUBLE_OFFSET, Frame
 from pcretrieve.descriptors import describe
 from pcretrieve.draw.open3d import RayScene, open3d_cloud
@@ -545,8 +546,8 @@ def textbook_seconds(path: Path, timeout: float) -> float:
         timeout=timeout,
     )
     boundary = compact(nodes, boundary_faces(nodes, tetrahedra))
-    if lapy.is_installed():
-        lapy.eigenvalues(boundary.vertices, boundary.faces, N_PAIRS)
+    if find_spec("lapy") is not None:
+        lapy_eigenvalues(boundary.vertices, boundary.faces, N_PAIRS)
     else:
         eigenpairs(laplace_beltrami(boundary), N_PAIRS)
     return time.perf_counter() - started

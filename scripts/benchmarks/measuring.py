@@ -15,13 +15,15 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple
 from pathlib import Path
-from typing import Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import click
+from PIL import Image
 from tqdm import tqdm
 
-from pcretrieve.errors import BenchmarkError
+from pcretrieve.errors import BenchmarkError, PcretrieveError
 from pcretrieve.evaluation import RetrievalMeasures
+from pcretrieve.ingestion import in_processes
 from pcretrieve.values import FloatArray
 from pcretrieve.values.files import write_file
 
@@ -139,6 +141,33 @@ Thing = TypeVar("Thing")
 def progress(things: Sequence[Thing], title: str) -> Iterable[Thing]:
     """Iterate with a progress bar on standard error, if that is a terminal."""
     return tqdm(things, desc=title, disable=None, leave=False)
+
+
+def in_workers(
+    function: Callable[[Thing], Result], things: Sequence[Thing], title: str, **limits: Any
+) -> dict[Thing, Result | PcretrieveError]:
+    """What a function returns for each thing, or its error, in worker processes with a progress bar."""
+    found = dict(in_processes(function, progress(things, title), **limits))
+    return {thing: found[thing] for thing in things}
+
+
+def all_in_workers(
+    function: Callable[[Thing], Result], things: Sequence[Thing], title: str, **limits: Any
+) -> list[Result]:
+    """As `in_workers`, where the first error is raised."""
+    results = []
+    for outcome in in_workers(function, things, title, **limits).values():
+        if isinstance(outcome, PcretrieveError):
+            raise outcome
+        results.append(outcome)
+    return results
+
+
+def png(picture: Image.Image) -> bytes:
+    """A picture as a PNG file."""
+    data = io.BytesIO()
+    picture.save(data, "PNG", optimize=True)
+    return data.getvalue()
 
 
 # Titles of the measures, in the order of the first fields of `RetrievalMeasures`.

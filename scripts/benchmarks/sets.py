@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict
-from functools import partial
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from benchmarks.damage import DamageOptions, damaged
-from benchmarks.measuring import progress, timed
+from benchmarks.measuring import progress
 from pcretrieve import ingest
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
@@ -33,7 +32,7 @@ from pcretrieve.simulation import (
     scan_uniformly,
     write_ply,
 )
-from pcretrieve.values import FloatArray, Metric, Signature, SignatureTable, TriangleMesh
+from pcretrieve.values import FloatArray, IntArray, Metric, SignatureTable, TriangleMesh
 
 N_SUBJECTS = 10
 HUMAN_POSES = (
@@ -141,40 +140,21 @@ def pooled_vectors(path: Path, metric: Metric) -> SignatureTable:
     return SignatureTable(ids, values, "csd", labels=labels, metric=metric)
 
 
-class Described(NamedTuple):
-    """The signatures of a catalogue's shapes by one descriptor."""
-
-    table: SignatureTable
-    failed: dict[str, str | None]
-    seconds: float
-
-
-def described(catalogue: Catalogue, options: SignatureOptions) -> Described:
-    """Compute the signatures of all shapes from their stored spectra and surfaces."""
+def described(
+    catalogue: Catalogue, options: SignatureOptions
+) -> tuple[SignatureTable, dict[str, str | None]]:
+    """The signatures of all shapes from what is stored of them, and the classes of shapes that have none."""
     values: dict[str, FloatArray] = {}
-    times = []
-    labels = {record.id: record.label for record in catalogue.records()}
-
-    def signature(shape_id: str) -> Signature:
-        return describe(catalogue.shape(shape_id, DESCRIPTORS[options.method].needs), options)
-
+    descriptor = DESCRIPTORS[options.method]
+    failed = {record.id: record.label for record in catalogue.records()}
     for shape_id in catalogue.signatures().ids:
-        try:
-            seconds, found = timed(partial(signature, shape_id))
-        except ShapeError:
-            continue  # counts as a miss
-        values[shape_id] = found.values
-        times.append(seconds)
-    classes = tuple(labels[shape_id] for shape_id in values)
+        with suppress(ShapeError):  # counts as a miss
+            values[shape_id] = describe(catalogue.shape(shape_id, descriptor.needs), options).values
+    labels = tuple(failed.pop(shape_id) for shape_id in values)
     table = SignatureTable(
-        tuple(values),
-        np.array(list(values.values())),
-        options.method,
-        labels=classes,
-        metric=DESCRIPTORS[options.method].metric,
+        tuple(values), np.array([*values.values()]), options.method, labels=labels, metric=descriptor.metric
     )
-    failed = {shape_id: label for shape_id, label in labels.items() if shape_id not in values}
-    return Described(table, failed, statistics.median(times))
+    return table, failed
 
 
 LEVELS: dict[str, dict[str, Any]] = {
@@ -218,3 +198,68 @@ def write_scan(stem: Path, mesh: TriangleMesh, condition: str, rng: np.random.Ge
         path = stem.with_suffix(".ply")
         write_ply(path, cloud.points)
     return path
+
+
+# --- damage ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class DamageOptions:
+    """Defects of a mesh. A patch is the set of faces whose centroids lie in a ball round that of one face."""
+
+    n_holes: int = 4
+    n_flipped: int = 4
+    n_flaps: int = 3
+    radius: float = 0.02
+    duplicated_share: float = 0.01
+    shell_radius: float = 0.15
+    shell_depth: float = 0.004
+
+
+def damaged(mesh: TriangleMesh, options: DamageOptions, rng: np.random.Generator) -> TriangleMesh:
+    """Add defects to a mesh at random places. Other parts of the surface do not change."""
+    middles = mesh.vertices[mesh.faces].mean(axis=1)  # (m, 3)
+
+    def patch(radius: float) -> NDArray[np.bool_]:
+        """A mask of the faces in a patch round a random face, (m,)."""
+        centre = middles[rng.integers(len(middles))]
+        near: NDArray[np.bool_] = np.linalg.norm(middles - centre, axis=1) <= radius * mesh.diagonal
+        return near
+
+    # Flaps and the second surface are copied from the mesh before holes are cut.
+    sheets = [_turned(mesh.vertices, mesh.faces[patch(options.radius)], rng) for _ in range(options.n_flaps)]
+    if options.shell_radius > 0:
+        beneath = mesh.vertices - options.shell_depth * mesh.diagonal * vertex_normals(mesh)
+        sheets.append((beneath, mesh.faces[patch(options.shell_radius)]))
+    faces = mesh.faces.copy()
+    for _ in range(options.n_flipped):
+        flipped = patch(options.radius)
+        faces[flipped] = faces[flipped][:, ::-1]
+    whole = np.ones(len(faces), dtype=bool)
+    for _ in range(options.n_holes):
+        whole &= ~patch(options.radius)
+    faces = faces[whole]
+    twice = faces[rng.choice(len(faces), round(options.duplicated_share * len(faces)), replace=False)]
+    twice[::2] = twice[::2, ::-1]
+    vertices, parts = [mesh.vertices], [faces, twice]
+    for points, sheet in sheets:
+        used, number = np.unique(sheet, return_inverse=True)
+        parts.append(number.reshape(-1, 3) + sum(map(len, vertices)))
+        vertices.append(points[used])
+    return TriangleMesh(np.concatenate(vertices), np.concatenate(parts))
+
+
+def _turned(vertices: FloatArray, faces: IntArray, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
+    """All vertices, rotated at random about the mean vertex of some faces, and these faces."""
+    middle = vertices[faces].mean(axis=(0, 1))
+    turn = Rotation.from_quat(rng.standard_normal(4)).as_matrix()
+    return (vertices - middle) @ turn.T + middle, faces
+
+
+def vertex_normals(mesh: TriangleMesh) -> FloatArray:
+    """(n, 3) unit normals of vertices: means of the normals of the incident faces, weighted by area."""
+    normals, of_faces = np.zeros_like(mesh.vertices), mesh.area_vectors
+    for k in range(3):
+        np.add.at(normals, mesh.faces[:, k], of_faces)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    return normals

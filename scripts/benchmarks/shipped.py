@@ -26,9 +26,8 @@ from typing import NamedTuple
 import click
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
-from benchmarks.measuring import argument_parser
+from benchmarks.measuring import all_in_workers, argument_parser
 from pcretrieve.descriptors import reduced_matrix
 from pcretrieve.descriptors.bags import SAMPLE as HEAT_SAMPLE
 from pcretrieve.descriptors.bags import heat_features
@@ -44,8 +43,7 @@ from pcretrieve.descriptors.dl import (
 )
 from pcretrieve.descriptors.ispm import SAMPLE as WAVELET_SAMPLE
 from pcretrieve.descriptors.ispm import wavelet_signatures
-from pcretrieve.errors import InputError, PcretrieveError
-from pcretrieve.ingestion import in_processes
+from pcretrieve.errors import InputError
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval.whitening import SAMPLE as RESOLUTION_SAMPLE
@@ -110,17 +108,13 @@ RESOLUTION_SEED = 2016
 def resolution() -> None:
     """Compute the sample, and write it into the package."""
     bodies = [(family, number) for family in POSES for number in range(N_BODIES)]
-    running = in_processes(_of_body, bodies)
-    found: dict[tuple[str, int], FloatArray] = {}
-    for which, outcome in tqdm(running, total=len(bodies), unit="body"):
-        if isinstance(outcome, PcretrieveError):
-            raise outcome
-        found[which] = outcome
-    _write("retrieval", RESOLUTION_SAMPLE, np.stack([found[which] for which in bodies], axis=1))
+    made = all_in_workers(log_eigenvalues, bodies, "bodies")
+    _write("retrieval", RESOLUTION_SAMPLE, np.stack(made, axis=1))
 
 
-def log_eigenvalues(family: str, number: int) -> FloatArray:
+def log_eigenvalues(which: tuple[str, int]) -> FloatArray:
     """(2, 61) logarithms of the eigenvalues of R-BiHDM, of one body with small and large voxels."""
+    family, number = which
     rng = np.random.default_rng((RESOLUTION_SEED, list(POSES).index(family), number))
     poses = list(POSES[family].values())
     mesh = body(make_subject(family, rng), poses[number % len(poses)], rng)
@@ -130,10 +124,6 @@ def log_eigenvalues(family: str, number: int) -> FloatArray:
         shape = process(cloud, PipelineOptions().changed(surface={"cell": cell, "reconstructions": 1}))
         rows.append(np.log(np.abs(np.linalg.eigvalsh(reduced_matrix(shape.spectrum, N_MODES)))))
     return np.array(rows)
-
-
-def _of_body(which: tuple[str, int]) -> FloatArray:
-    return log_eigenvalues(*which)
 
 
 # Individuals of each family, and poses of each individual.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import io
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from benchmarks.measuring import png
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.draw import CLAY, cameras_around, depth_picture, rgb, surface_picture
 from pcretrieve.formats import read_scan
@@ -22,7 +22,8 @@ from pcretrieve.values.files import write_file
 
 __all__ = ["main"]
 
-SIDE, MARGIN, LINE = 200, 14, 22
+# Side of a picture, space between two, and height of the line below; pixels.
+TILE, MARGIN, LINE = 200, 14, 22
 
 INK = (30, 34, 40)
 
@@ -47,27 +48,31 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for rank, shape_id in enumerate(found.ids[1:], start=1):  # the scan itself is the nearest
             other = catalogue.mesh(shape_id)
             tiles.append((f"{rank}. {shape_id}", _surface(other.vertices, other.faces)))
-    font = ImageFont.load_default(15)
-    sheet = Image.new("RGB", (len(tiles) * (SIDE + MARGIN) + MARGIN, SIDE + LINE + 2 * MARGIN), "white")
-    pen = ImageDraw.Draw(sheet)
-    for column, (words, picture) in enumerate(tiles):
-        x = MARGIN + column * (SIDE + MARGIN)
-        sheet.paste(picture, (x, MARGIN), picture)
-        pen.text((x + SIDE / 2, MARGIN + SIDE + 4), words, INK, font, anchor="ma")
-    x = MARGIN + 2 * (SIDE + MARGIN) - MARGIN // 2
-    pen.line((x, MARGIN, x, MARGIN + SIDE), rgb(CLAY), 2)
-    data = io.BytesIO()
-    sheet.save(data, "PNG", optimize=True)
-    write_file(given.output, data.getvalue())
+    sheet = captioned(tiles, len(tiles))
+    x = MARGIN + 2 * (TILE + MARGIN) - MARGIN // 2
+    ImageDraw.Draw(sheet).line((x, MARGIN, x, MARGIN + TILE), rgb(CLAY), 2)
+    write_file(given.output, png(sheet))
     sys.stdout.write(f"{given.output}\n")
+
+
+def captioned(tiles: Sequence[tuple[str, Image.Image]], n_columns: int) -> Image.Image:
+    """Pictures in rows, each over its words."""
+    width, height, n_rows = TILE + MARGIN, TILE + MARGIN + LINE, -(-len(tiles) // n_columns)
+    sheet = Image.new("RGB", (n_columns * width + MARGIN, n_rows * height + MARGIN), "white")
+    pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(15)
+    for number, (words, picture) in enumerate(tiles):
+        x, y = MARGIN + number % n_columns * width, MARGIN + number // n_columns * height
+        sheet.paste(picture, (x, y), picture)
+        pen.text((x + TILE / 2, y + TILE + 4), words, INK, font, anchor="ma")
+    return sheet
 
 
 def _cloud(points: FloatArray) -> Image.Image:
     points = points[:: -(-len(points) // MOST_POINTS)]
     camera = cameras_around(points)[0]
-    return depth_picture(points, BLUE, camera, width=0.0, size=SIDE)
+    return depth_picture(points, BLUE, camera, width=0.0, size=TILE)
 
 
 def _surface(vertices: FloatArray, faces: IntArray) -> Image.Image:
     colours = np.tile(CLAY, (len(faces), 1))
-    return surface_picture(vertices, faces, colours, cameras_around(vertices)[0], size=SIDE)
+    return surface_picture(vertices, faces, colours, cameras_around(vertices)[0], size=TILE)

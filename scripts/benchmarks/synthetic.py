@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.random import Generator
 from scipy.spatial import ConvexHull
+from trimesh.remesh import subdivide
 
 from benchmarks.measuring import timed
 from pcretrieve.catalogue import Catalogue, Record, merge_catalogues
@@ -135,22 +136,7 @@ def bumpy_sphere(n: int) -> TriangleMesh:
 
 def quartered(mesh: TriangleMesh) -> TriangleMesh:
     """The same surface with each face cut in four at the midpoints of its edges."""
-    ends = np.sort(
-        np.concatenate([mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]], mesh.faces[:, [0, 1]]]), axis=1
-    )
-    edges, of_face = np.unique(ends, axis=0, return_inverse=True)
-    a, b, c = mesh.faces.T
-    opposite_a, opposite_b, opposite_c = of_face.reshape(3, -1) + len(mesh.vertices)
-    corners = [
-        (a, opposite_c, opposite_b),
-        (b, opposite_a, opposite_c),
-        (c, opposite_b, opposite_a),
-        (opposite_a, opposite_b, opposite_c),
-    ]
-    return TriangleMesh(
-        np.concatenate([mesh.vertices, mesh.vertices[edges].mean(axis=1)]),
-        np.concatenate([np.stack(corner, axis=1) for corner in corners]),
-    )
+    return TriangleMesh(*subdivide(mesh.vertices, mesh.faces))  # type: ignore[no-untyped-call]
 
 
 def unit_square(n: int) -> TriangleMesh:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.no_match import no_match_measures
+from benchmarks.retrieval import no_match_measures
 
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.options import RetrievalOptions

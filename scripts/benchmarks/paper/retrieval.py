@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from benchmarks.measuring import Column, Table, draw_curves, progress, timed
+from benchmarks.measuring import Column, Table, draw_curves, in_workers, progress, timed
 from benchmarks.sets import SETS, described, ingested, pooled_vectors, read_mesh, spread, written_set
 from benchmarks.synthetic import quartered
 from pcretrieve.catalogue import Catalogue
@@ -27,7 +27,6 @@ from pcretrieve.evaluation.rankings import Rankings
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import discover_labelled, read_labels
-from pcretrieve.ingestion.pool import in_processes
 from pcretrieve.matching import MATCHERS, match_all
 from pcretrieve.options import PipelineOptions, RetrievalOptions, Scale, SignatureOptions
 from pcretrieve.pipeline.process import process
@@ -178,11 +177,11 @@ def _mixed(data: Path, folder: Path, limit: int | None) -> dict[str, str]:
     return labels
 
 
-def _ranked(catalogue: Catalogue, system: System | Row5) -> Rankings:
+def _ranked(catalogue: Catalogue, system: System) -> Rankings:
     options = SignatureOptions(method=system.method, n_values=system.n_values, scale=system.scale)
-    shapes = described(catalogue, options)
+    table, failed = described(catalogue, options)
     retrieval = RetrievalOptions(distance=system.distance, whitening="none")
-    return rank_table(shapes.table, retrieval, failed=shapes.failed)
+    return rank_table(table, retrieval, failed=failed)
 
 
 def _matched(catalogue: Catalogue, system: System) -> Rankings:
@@ -267,9 +266,7 @@ def table_2(*, full: bool) -> Iterator[str]:
     methods += [("descriptor", name) for name in DESCRIPTORS.own]
     methods += [("matcher", name) for name in MATCHERS]
     tasks = [Task(*method, size) for method in methods for size in sizes]
-    costs = dict(
-        in_processes(_cost, progress(tasks, "table2"), workers=1, timeout=TIMEOUTS[full], memory=MEMORY)
-    )
+    costs = in_workers(_cost, tasks, "table2", workers=1, timeout=TIMEOUTS[full], memory=MEMORY)
     yield table.head
     failures = []
     for kind, method in methods:
@@ -354,16 +351,6 @@ CONDITION = "typical-uniform"
 N_BODIES = 30
 
 
-class Row5(NamedTuple):
-    """A row of the table."""
-
-    published: str | None
-    method: str
-    n_values: int
-    scale: Scale = "area"
-    distance: str = "log"
-
-
 class Track(NamedTuple):
     title: str
     folder: Path
@@ -371,18 +358,20 @@ class Track(NamedTuple):
     labels: dict[str, str]
 
 
+def _by_area(title: str, method: str, n_values: int = 59) -> System:
+    """A row of table 5; without a title, the paper has no such row."""
+    return System(title, method, n_values, "log", "area")
+
+
 SYSTEMS = (
-    Row5("ISPM", "ispm", 59),
-    Row5("HAPT", "hapt", 45),
-    Row5("unsupervised dictionary learning", "dl", 32),
-    Row5("supervised dictionary learning", "dl-supervised", 32),
-    Row5("ShapeGoogle (VQ)", "hks-bow", 59),
-    Row5("R-BiHDM-s", "r-bihdm", 23, "relative", "d2"),
-    Row5("R-BiHDM-s", "r-bihdm", 59),
-    Row5(None, "bihdm", 59),
-    Row5(None, "shape-dna", 59),
-    Row5(None, "hapt+r-bihdm", 59),
-    Row5(None, "combined", 59),
+    _by_area("ISPM", "ispm"),
+    _by_area("HAPT", "hapt", 45),
+    _by_area("unsupervised dictionary learning", "dl", 32),
+    _by_area("supervised dictionary learning", "dl-supervised", 32),
+    _by_area("ShapeGoogle (VQ)", "hks-bow"),
+    System("R-BiHDM-s", "r-bihdm"),
+    _by_area("R-BiHDM-s", "r-bihdm"),
+    *(_by_area("", method) for method in ("bihdm", "shape-dna", "hapt+r-bihdm", "combined")),
 )
 
 # The vectors, by what is compared; and the whitenings, of which the last one is fitted by grouped folds.
@@ -400,7 +389,7 @@ def table_5(data: Path, *, full: bool) -> Iterator[str]:
         name: {row.method: row.measures[-1] for row in PUBLISHED[f"shrec14-{name}"]} for name in TRACKS
     }
     yield "Table 5: mAP of people without whitening; in parentheses that of the paper, of SHREC'14"
-    measured: dict[str, dict[Row5, float]] = {}
+    measured: dict[str, dict[System, float]] = {}
     with TemporaryDirectory() as temporary:
         for name in TRACKS:
             if name == "real" and not full and not (data / "shrec14-real").is_dir():
@@ -417,9 +406,7 @@ def table_5(data: Path, *, full: bool) -> Iterator[str]:
                 }
     yield f"{'method':<16}{'L':<4}{'scale':<10}{'D':<5}" + "".join(f"{name:<16}" for name in TRACKS).rstrip()
     for system in SYSTEMS:
-        cells = [
-            _cell(measured[name].get(system), published[name].get(system.published or "")) for name in TRACKS
-        ]
+        cells = [_cell(measured[name].get(system), published[name].get(system.title)) for name in TRACKS]
         facts = f"{system.method:<16}{system.n_values:<4}{system.scale:<10}{system.distance:<5}"
         yield facts + "".join(f"{cell:<16}" for cell in cells).rstrip()
     if (data / "shrec14_csd").is_dir():

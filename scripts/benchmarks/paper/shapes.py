@@ -1,4 +1,4 @@
-"""Silhouette, as a black and white picture → planar triangle mesh."""
+"""Figures 1, 4 and 5 and section 4.4: pictures of meshes, silhouettes, and perturbed meshes."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
-from benchmarks.measuring import progress
+from benchmarks.measuring import all_in_workers, in_workers, png
 from benchmarks.paper.spectra import unit_area_spectrum
-from benchmarks.sets import read_mesh, spread
+from benchmarks.sets import read_mesh, spread, vertex_normals
+from benchmarks.strip import TILE, captioned
 from pcretrieve.descriptors import describe
 from pcretrieve.draw import thumbnail
 from pcretrieve.errors import BenchmarkError, PcretrieveError
@@ -21,7 +22,6 @@ from pcretrieve.evaluation.measures import evaluate_rankings
 from pcretrieve.evaluation.rankings import rank_gallery
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import read_labels
-from pcretrieve.ingestion.pool import in_processes
 from pcretrieve.options import RemeshOptions, RetrievalOptions, Scale, SignatureOptions
 from pcretrieve.points.grid import Mask
 from pcretrieve.retrieval import DistanceBlock
@@ -196,20 +196,14 @@ def ranked_strips(spectra: Spectra) -> bytes:
             y += step
         pen.line((MARGIN, y, sheet.width - MARGIN, y), (210, 214, 220))
         y += MARGIN
-    data = io.BytesIO()
-    sheet.save(data, "PNG", optimize=True)
-    return data.getvalue()
+    return png(sheet)
 
 
 def _spectra(paths: Sequence[Path]) -> tuple[Spectra, Mapping[Path, PcretrieveError]]:
     """The spectra of silhouettes, and the errors of others, in the order of the files."""
-    answers = in_processes(
-        _spectrum, progress(paths, "silhouettes"), workers=None, timeout=TIMEOUT, memory=None
-    )
-    outcomes = dict(answers)
+    outcomes = in_workers(_spectrum, paths, "silhouettes", timeout=TIMEOUT)
     failed = {path: answer for path, answer in outcomes.items() if isinstance(answer, PcretrieveError)}
-    made = {path: outcomes[path] for path in paths if path not in failed}
-    return {path: answer for path, answer in made.items() if isinstance(answer, ModalSpectrum)}, failed
+    return {path: one for path, one in outcomes.items() if isinstance(one, ModalSpectrum)}, failed
 
 
 def _spectrum(path: Path) -> ModalSpectrum:
@@ -238,10 +232,8 @@ def _thumbnail(path: Path, ink: tuple[int, int, int]) -> Image.Image:
     return tile
 
 
-# Pictures in a row; side of a picture, space between two, and height of the line of the class; pixels.
-N_COLUMNS, FIGURE_1_SIDE, FIGURE_1_MARGIN, LINE = 6, 150, 10, 20
-
-INK = (30, 34, 40)
+# Pictures in a row.
+N_COLUMNS = 6
 
 # Meshes of SHREC'11, one of each class, that the camera of thumbnails shows upright: chosen by eye, because
 # that camera knows principal axes and not what is up.
@@ -261,28 +253,14 @@ def figure_1(folder: Path, sheet: Path | None) -> Iterator[str]:
         shown.setdefault(classes[path.name], path)
     yield f"Figure 1: {len(paths)} meshes of {folder.name}, of {len(shown)} classes"
     if sheet is not None:
-        write_file(sheet, _sheet(dict(sorted(shown.items()))))
+        tiles = [(label, _tile(path)) for label, path in sorted(shown.items())]
+        write_file(sheet, png(captioned(tiles, N_COLUMNS)))
         yield f"wrote {sheet}: one mesh of each class"
 
 
-def _sheet(shown: dict[str, Path]) -> bytes:
-    """A PNG file of meshes, each over the name of its class."""
-    rows = -(-len(shown) // N_COLUMNS)
-    step = FIGURE_1_SIDE + FIGURE_1_MARGIN
-    size = (N_COLUMNS * step + FIGURE_1_MARGIN, rows * (step + LINE) + FIGURE_1_MARGIN)
-    picture = Image.new("RGB", size, "white")
-    pen, font = ImageDraw.Draw(picture), ImageFont.load_default(13)
-    for number, (label, path) in enumerate(shown.items()):
-        row, column = divmod(number, N_COLUMNS)
-        x, y = FIGURE_1_MARGIN + column * step, FIGURE_1_MARGIN + row * (step + LINE)
-        mesh = read_mesh(path)
-        with Image.open(io.BytesIO(thumbnail(mesh.vertices, mesh.faces, size=FIGURE_1_SIDE))) as body:
-            tile = body.convert("RGBA")
-        picture.paste(tile, (x, y), tile)
-        pen.text((x + FIGURE_1_SIDE / 2, y + FIGURE_1_SIDE), label, INK, font, anchor="ma")
-    data = io.BytesIO()
-    picture.save(data, "PNG", optimize=True)
-    return data.getvalue()
+def _tile(path: Path) -> Image.Image:
+    mesh = read_mesh(path)
+    return Image.open(io.BytesIO(thumbnail(mesh.vertices, mesh.faces, size=TILE))).convert("RGBA")
 
 
 N_VALUES = 23
@@ -290,6 +268,7 @@ N_VALUES = 23
 # Standard deviations of the noise in mean edge lengths, and shares of faces that are removed.
 NOISE = (0.1, 0.3, 0.5)
 REMOVED = (0.01, 0.02, 0.03)
+PERTURBATIONS = (*(f"noise {size}" for size in NOISE), *(f"holes {share:.0%}" for share in REMOVED))
 
 # With optimisation of the tetrahedra: without it, the surface has three times as many faces as the input, and
 # many handles.
@@ -337,10 +316,7 @@ def perturbed(
     mesh: TriangleMesh, rng: np.random.Generator, *, remeshed: bool = True
 ) -> Iterator[tuple[str, TriangleMesh]]:
     """The perturbations of section 4.4 and two remeshings."""
-    for size in NOISE:
-        yield f"noise {size}", noisy(mesh, size, rng)
-    for share in REMOVED:
-        yield f"holes {share:.0%}", without_faces(mesh, share, rng)
+    yield from zip(PERTURBATIONS, noisy_and_incomplete(mesh, rng), strict=True)
     yield "half faces", simplified(mesh, len(mesh.faces) // 2)
     if not remeshed:
         return
@@ -350,16 +326,18 @@ def perturbed(
     yield "fTetWild", surface
 
 
+def noisy_and_incomplete(mesh: TriangleMesh, rng: np.random.Generator) -> list[TriangleMesh]:
+    """A mesh with each of `PERTURBATIONS`."""
+    made = [noisy(mesh, size, rng) for size in NOISE]
+    return made + [without_faces(mesh, share, rng) for share in REMOVED]
+
+
 def noisy(mesh: TriangleMesh, size: float, rng: np.random.Generator) -> TriangleMesh:
     """A mesh with white noise along the normals of its vertices."""
     corners = mesh.vertices[mesh.faces]  # (m, 3, 3)
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # (m, 3)
-    normals = np.zeros_like(mesh.vertices)
-    np.add.at(normals, mesh.faces, across[:, None])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean()
-    offsets = size * edge * rng.standard_normal(len(normals))
-    return TriangleMesh(mesh.vertices + offsets[:, None] * normals, mesh.faces)
+    offsets = size * edge * rng.standard_normal(len(mesh.vertices))
+    return TriangleMesh(mesh.vertices + offsets[:, None] * vertex_normals(mesh), mesh.faces)
 
 
 def without_faces(mesh: TriangleMesh, share: float, rng: np.random.Generator) -> TriangleMesh:
@@ -375,8 +353,6 @@ def _signatures(mesh: TriangleMesh, methods: tuple[str, ...]) -> list[FloatArray
     options = (SignatureOptions(method=method, scale="relative", **lengths) for method in methods)
     return [coordinates(describe(shape, each).values) for each in options]
 
-
-PERTURBATIONS = (*(f"noise {size}" for size in NOISE), *(f"holes {share:.0%}" for share in REMOVED))
 
 PERTURBED_VARIANTS: tuple[tuple[str, Scale], ...] = (
     ("r-bihdm", "relative"),
@@ -400,7 +376,8 @@ PERTURBED_TIMEOUT = 300.0
 def figure_5(folder: Path, limit: int | None) -> Iterator[str]:
     """NN and mAP of perturbed queries, for each descriptor."""
     paths = [path for _, path in spread(discover([folder]), limit)]
-    found = _perturbed_signatures(paths)
+    tasks = list(enumerate(paths))
+    found = all_in_workers(_perturbed, tasks, "perturbed", timeout=PERTURBED_TIMEOUT)
     classes = read_labels(folder / "labels.csv")
     labels = [classes[path.name] for path in paths]
     yield (
@@ -421,27 +398,11 @@ def figure_5(folder: Path, limit: int | None) -> Iterator[str]:
         yield f"{method:<12}{scale:<10}" + "".join(f"{cell:<12}" for cell in cells).rstrip()
 
 
-def _perturbed_signatures(paths: Sequence[Path]) -> list[list[FloatArray]]:
-    """The log-signatures of each mesh, as by `_perturbed`."""
-    tasks = list(enumerate(paths))
-    outcomes = dict(
-        in_processes(
-            _perturbed, progress(tasks, "perturbed"), workers=None, timeout=PERTURBED_TIMEOUT, memory=None
-        )
-    )
-    found = [outcomes[task] for task in tasks]
-    for outcome in found:
-        if isinstance(outcome, PcretrieveError):
-            raise outcome
-    return [outcome for outcome in found if not isinstance(outcome, PcretrieveError)]
-
-
 def _perturbed(task: tuple[int, Path]) -> list[FloatArray]:
     """(1 + P, L) log-signatures of a mesh, clean and with P perturbations, by each of `OPTIONS`."""
     seed, path = task
     mesh, rng = read_mesh(path), np.random.default_rng(seed)
-    meshes = [mesh, *(noisy(mesh, size, rng) for size in NOISE)]
-    meshes += [without_faces(mesh, share, rng) for share in REMOVED]
+    meshes = [mesh, *noisy_and_incomplete(mesh, rng)]
     shapes = [Shape((Surface(each.area, unit_area_spectrum(each, N_MODES), each),)) for each in meshes]
     return [
         coordinates(np.array([describe(shape, options).values for shape in shapes])) for options in OPTIONS
