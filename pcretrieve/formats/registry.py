@@ -40,8 +40,15 @@ from pcretrieve.values import METRES
 MARK = "#"
 # Largest number of names in a message.
 MOST_QUOTED = 5
-# What to write instead of formats that programs export and that are not read.
-INSTEAD = {".wrl": ".obj or .glb", ".vrml": ".obj or .glb", ".x3d": ".obj or .glb", ".fbx": ".glb"}
+# What other programs write instead, for formats without a specification or a reader that is free.
+EXPORTS = {
+    ".glb": ".fbx .blend .usd .usda .usdc .usdz .abc .max .ma .mb .c4d .3ds",
+    ".obj or .glb": ".wrl .vrml .x3d",
+    ".stl": ".step .stp .iges .igs .sldprt .sldasm .ipt .3dm .f3d .x_t .brep",
+    ".e57": ".fls .fws .zfs .zfprj .rcp .rcs .rdbx .imp .lgs",
+    ".ply": ".vtk .vtp .vtu .ctm .nvm .mesh .wrp",
+}
+INSTEAD = {suffix: target for target, suffixes in EXPORTS.items() for suffix in suffixes.split()}
 
 
 def suffixes() -> tuple[str, ...]:

@@ -27,21 +27,13 @@ from pcretrieve.formats import (
     suffixes,
     url_of,
 )
+from pcretrieve.formats.registry import INSTEAD
 
 logger = logging.getLogger(__name__)
 
 # Suffixes of manifests, of which files may also be tables of points, and the columns with the paths.
 MANIFESTS = frozenset({".txt", ".csv"})
 PATH_COLUMNS = ("path", "file", "filename", "name")
-
-# What other programs write instead, for formats without a specification or a reader that is free.
-EXPORTS = {
-    ".glb": ".fbx .blend .usd .usda .usdc .usdz .abc .max .ma .mb .c4d .3ds .x3d",
-    ".stl": ".step .stp .iges .igs .sldprt .sldasm .ipt .3dm .f3d .x_t .brep",
-    ".e57": ".fls .fws .zfs .zfprj .rcp .rcs .rdbx .imp .lgs",
-    ".ply": ".vtk .vtp .vtu .ctm .nvm .mesh .wrp",
-}
-EXPORT = {suffix: target for target, suffixes in EXPORTS.items() for suffix in suffixes.split()}
 
 # Suffixes of files left unread that are named; further ones are counted together.
 MOST_NAMED = 8
@@ -110,7 +102,7 @@ def unread_files(paths: Iterable[Path]) -> str:
     advice = {}
     for suffix in counts:
         extra = missing_extra(suffix)
-        export = f" (export them as {EXPORT[suffix]})" if suffix in EXPORT else ""
+        export = f" (export them as {INSTEAD[suffix]})" if suffix in INSTEAD else ""
         advice[suffix] = export if extra is None else f" ({extra.command})"
     order = sorted(counts, key=lambda suffix: (not advice[suffix], -counts[suffix], suffix))
     said = [f"{counts[suffix]} {suffix}{advice[suffix]}" for suffix in order[:MOST_NAMED]]

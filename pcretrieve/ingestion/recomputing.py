@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -129,11 +129,10 @@ def _sample(store: Catalogue, number: int, seed: int | None) -> Iterator[Record]
     """Some finished shapes, without those whose records are damaged."""
     n_shapes = len(store)
     for offset in sorted(random.Random(seed).sample(range(n_shapes), min(number, n_shapes))):
-        try:
-            for page in store.pages(status="done", offset=offset, limit=1):
-                yield from page
-        except CatalogueError:
-            continue
+        with suppress(CatalogueError):
+            yield from [
+                record for page in store.pages(status="done", offset=offset, limit=1) for record in page
+            ]
 
 
 def _tasks(catalogue: Catalogue, records: Iterable[Record]) -> Iterator[_Task]:
@@ -151,18 +150,11 @@ def _tasks(catalogue: Catalogue, records: Iterable[Record]) -> Iterator[_Task]:
         meshes = tuple(surface.mesh for surface in surfaces if surface.mesh is not None)
         if of_points or len(meshes) < len(surfaces):
             meshes = ()
-        if meshes or _is_unchanged(record):
-            yield _Task(record, stored, meshes)
-
-
-def _is_unchanged(record: Record) -> bool:
-    """Whether the file has the stored content, and was processed by the options of the catalogue."""
-    if any(step.stage == "retry" for step in record.steps):
-        return False
-    try:
-        return content_hash(Path(record.path)) == record.content_hash
-    except ShapeError:
-        return False
+        # A file that was tried again was not processed by the options of the catalogue.
+        is_retried = any(step.stage == "retry" for step in record.steps)
+        with suppress(ShapeError):  # the file is not there any more
+            if meshes or (not is_retried and content_hash(Path(record.path)) == record.content_hash):
+                yield _Task(record, stored, meshes)
 
 
 def _again(options: PipelineOptions, task: _Task) -> FloatArray:
