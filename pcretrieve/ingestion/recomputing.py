@@ -130,9 +130,8 @@ def _sample(store: Catalogue, number: int, seed: int | None) -> Iterator[Record]
     n_shapes = len(store)
     for offset in sorted(random.Random(seed).sample(range(n_shapes), min(number, n_shapes))):
         with suppress(CatalogueError):
-            yield from [
-                record for page in store.pages(status="done", offset=offset, limit=1) for record in page
-            ]
+            for page in store.pages(status="done", offset=offset, limit=1):
+                yield from page
 
 
 def _tasks(catalogue: Catalogue, records: Iterable[Record]) -> Iterator[_Task]:
