@@ -8,10 +8,8 @@ from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.simulation.samples import write_ply
 from pcretrieve.simulation.scanner import (
     RigOptions,
-    UniformOptions,
     camera_pose,
     scan,
-    scan_uniformly,
     scan_views,
 )
 from pcretrieve.simulation.skeleton import Bone, Contact, Pose, RoundCone, Subject
@@ -26,12 +24,10 @@ __all__ = [
     "RoundCone",
     "Subject",
     "TurningOptions",
-    "UniformOptions",
     "body",
     "camera_pose",
     "make_subject",
     "scan",
-    "scan_uniformly",
     "scan_views",
     "turning_frames",
     "write_frames",

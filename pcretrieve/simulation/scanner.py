@@ -6,7 +6,7 @@ scan hands and horses. Lengths in the clouds are in the unit of the surface. The
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +58,7 @@ def scan_views(mesh: TriangleMesh, options: RigOptions, rng: np.random.Generator
         seen = [points[part] for points, part in zip(seen, np.split(kept, ends), strict=True)]
     return [
         PointCloud(
-            np.concatenate([points, _outliers(mesh, round(options.outlier_share * len(points)), rng)]),
+            np.concatenate([points, strays(mesh, round(options.outlier_share * len(points)), rng)]),
             viewpoints=pose[:3, 3],
         )
         for pose, points in zip(poses, seen, strict=True)
@@ -84,7 +84,7 @@ def camera_pose(mesh: TriangleMesh, options: RigOptions, view: int) -> FloatArra
     right = np.array([np.cos(azimuth), 0, -np.sin(azimuth)])
     pose = np.eye(4)
     pose[:3, :3] = np.stack([right, np.cross(ahead, right), ahead], axis=1)
-    pose[:3, 3] = _box_centre(mesh) - options.distance * mesh.diagonal * ahead
+    pose[:3, 3] = box_centre(mesh) - options.distance * mesh.diagonal * ahead
     return pose
 
 
@@ -109,7 +109,7 @@ def _see(
     flying = (step > reach) & (rng.random(len(step)) < options.flying_share)
     error = rng.normal(0, options.noise * diagonal, len(depth)) / cosine
     error = np.where(flying, reach * rng.random(len(depth)), error)
-    uncovered = _outside_holes(position + depth[:, None] * rays, holes, options.hole_radius * diagonal)
+    uncovered = outside_holes(position + depth[:, None] * rays, holes, options.hole_radius * diagonal)
     return np.asarray((position + (depth + error)[:, None] * rays)[uncovered])
 
 
@@ -132,81 +132,11 @@ def _step_behind(depth: FloatArray) -> FloatArray:
     return step
 
 
-# Number of sensor positions that are tried for each point before the point is left out as hidden. A point
-# that is visible from a twentieth of all positions is left out with a probability of 1 / 700.
-SENSOR_TRIES = 128
-
-# Largest difference between the distance of a point and the length of the ray to it, if no other part of the
-# surface is between; relative to the distance.
-SAME_PLACE = 1e-3
-
-
-@dataclass(frozen=True, slots=True)
-class UniformOptions:
-    """Options of a uniform scan. Lengths are relative to the diagonal of the surface."""
-
-    n_points: int = 30_000
-    noise: float = 0.001
-    n_holes: int = 6
-    hole_radius: float = 0.02
-    outlier_share: float = 0.003
-    sensors: bool = False
-
-
-def scan_uniformly(mesh: TriangleMesh, options: UniformOptions, rng: np.random.Generator) -> PointCloud:
-    """Random points of a surface, uniform by area, with isotropic Gaussian noise, holes and outliers."""
-    points, _ = uniform_points(mesh, options.n_points, rng)
-    centres, _ = uniform_points(mesh, options.n_holes, rng)
-    points = points[_outside_holes(points, centres, options.hole_radius * mesh.diagonal)]
-    noisy = points + rng.normal(0, options.noise * mesh.diagonal, points.shape)
-    strange = _outliers(mesh, round(options.outlier_share * options.n_points), rng)
-    cloud = PointCloud(np.concatenate([noisy, strange]))
-    if not options.sensors:
-        return cloud
-    sensors, seen = _sensors(mesh, points, rng)
-    # An outlier is on no surface: any sensor may have measured it.
-    viewpoints = np.concatenate([sensors, _around(mesh, len(strange), rng)])
-    kept = np.concatenate([seen, np.ones(len(strange), dtype=bool)])
-    return replace(cloud, viewpoints=viewpoints).select(kept)
-
-
-def _sensors(
-    mesh: TriangleMesh, points: FloatArray, rng: np.random.Generator
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Random sensor positions round a surface, one for each point, from which the point is visible.
-
-    A sensor measures a point with a probability equal to the cosine of the angle of incidence, because the
-    density of pixels on an inclined surface is proportional to it. Returns positions (n, 3), and whether the
-    sensor measures the point (n,): not if none of `SENSOR_TRIES` positions does.
-    """
-    scene = RayScene(mesh.vertices, mesh.faces)
-    steepest = np.cos(np.radians(RigOptions().max_incidence))
-    sensors = np.empty_like(points)
-    hidden = np.arange(len(points))
-    for _ in range(SENSOR_TRIES):
-        sensors[hidden] = _around(mesh, len(hidden), rng)
-        rays = points[hidden] - sensors[hidden]  # (h, 3)
-        reached, normals, _ = scene.cast(sensors[hidden], rays)  # in lengths of the rays
-        cosine = -np.einsum("ij,ij->i", rays, normals) / np.linalg.norm(rays, axis=1)
-        taken = (np.abs(reached - 1) < SAME_PLACE) & (cosine > np.maximum(steepest, rng.random(len(hidden))))
-        hidden = hidden[~taken]
-    seen = np.ones(len(points), dtype=bool)
-    seen[hidden] = False
-    return sensors, seen
-
-
-def _around(mesh: TriangleMesh, n: int, rng: np.random.Generator) -> FloatArray:
-    """Random positions of sensors, (n, 3), uniform on a sphere round the surface."""
-    directions = rng.standard_normal((n, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return np.asarray(_box_centre(mesh) + RigOptions().distance * mesh.diagonal * directions)
-
-
 # Outliers lie in the bounding box of the surface, enlarged by this factor about its centre.
 OUTLIER_BOX = 1.2
 
 
-def _outside_holes(points: FloatArray, centres: FloatArray, radius: float) -> NDArray[np.bool_]:
+def outside_holes(points: FloatArray, centres: FloatArray, radius: float) -> NDArray[np.bool_]:
     """(n,) whether points are outside all holes of a scan, which are balls."""
     outside = np.ones(len(points), dtype=bool)
     for centre in centres:
@@ -214,11 +144,12 @@ def _outside_holes(points: FloatArray, centres: FloatArray, radius: float) -> ND
     return outside
 
 
-def _outliers(mesh: TriangleMesh, n: int, rng: np.random.Generator) -> FloatArray:
+def strays(mesh: TriangleMesh, n: int, rng: np.random.Generator) -> FloatArray:
     """(n, 3) random points in the bounding box of a surface, enlarged."""
     extent = np.ptp(mesh.vertices, axis=0)
-    return np.asarray(_box_centre(mesh) + OUTLIER_BOX * extent * rng.uniform(-0.5, 0.5, (n, 3)))
+    return np.asarray(box_centre(mesh) + OUTLIER_BOX * extent * rng.uniform(-0.5, 0.5, (n, 3)))
 
 
-def _box_centre(mesh: TriangleMesh) -> FloatArray:
+def box_centre(mesh: TriangleMesh) -> FloatArray:
+    """(3,) centre of the bounding box of a surface."""
     return np.asarray((mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2)

@@ -23,10 +23,11 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from benchmarks.measuring import Column, Table, argument_parser, positive, print_lines, use_one_core
+from benchmarks.uniform import UniformOptions, scan_uniformly
 from pcretrieve import ingest
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.ingestion import DaskExecutor, Executor, in_processes
-from pcretrieve.simulation import POSES, UniformOptions, body, make_subject, scan_uniformly, write_ply
+from pcretrieve.simulation import POSES, body, make_subject, write_ply
 
 __all__ = ["EXECUTORS", "Run", "main", "run_of"]
 

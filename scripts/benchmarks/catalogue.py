@@ -51,12 +51,13 @@ from benchmarks.synthetic import (
     write_small_meshes,
     written_in,
 )
+from benchmarks.uniform import UniformOptions, scan_uniformly
 from pcretrieve import status
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import PcretrieveError
 from pcretrieve.options import PipelineOptions
 from pcretrieve.retrieval import DISTANCES, SignatureIndex
-from pcretrieve.simulation import UniformOptions, scan_uniformly, write_ply
+from pcretrieve.simulation import write_ply
 from pcretrieve.values import FloatArray, Neighbors
 
 __all__ = ["main"]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from benchmarks.measuring import progress
+from benchmarks.uniform import UniformOptions, scan_uniformly
 from pcretrieve import ingest
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
@@ -25,11 +26,9 @@ from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.simulation import (
     POSES,
     RigOptions,
-    UniformOptions,
     body,
     make_subject,
     scan,
-    scan_uniformly,
     write_ply,
 )
 from pcretrieve.values import FloatArray, IntArray, Metric, SignatureTable, TriangleMesh

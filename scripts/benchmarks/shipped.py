@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measuring import all_in_workers, argument_parser
+from benchmarks.uniform import UniformOptions, scan_uniformly
 from pcretrieve.descriptors import reduced_matrix
 from pcretrieve.descriptors.bags import SAMPLE as HEAT_SAMPLE
 from pcretrieve.descriptors.bags import heat_features
@@ -48,7 +49,6 @@ from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval.whitening import SAMPLE as RESOLUTION_SAMPLE
 from pcretrieve.simulation.bodies import POSES, body, make_subject
-from pcretrieve.simulation.scanner import UniformOptions, scan_uniformly
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.values import FloatArray
 from pcretrieve.values.files import write_file

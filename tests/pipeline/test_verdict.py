@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from benchmarks.uniform import UniformOptions, scan_uniformly
 from numpy.typing import NDArray
 
 from pcretrieve import PointCloud, TriangleMesh, process
@@ -16,7 +17,6 @@ from pcretrieve.checks import Check, fit_checks, verdict_of
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SignatureOptions
-from pcretrieve.simulation import UniformOptions, scan_uniformly
 from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.values import FloatArray, Shape, Verdict
 

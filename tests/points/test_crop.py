@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import ScanOptions
 from pcretrieve.points import crop
-from pcretrieve.simulation import UniformOptions, scan_uniformly
+from pcretrieve.simulation import RigOptions
+from pcretrieve.simulation import scan as scanned
 from pcretrieve.values import FloatArray, PointCloud
 
 BODY = shapes.body(3)
@@ -40,7 +41,7 @@ def floor(n: int) -> FloatArray:
 
 @pytest.mark.parametrize("sensors", [True, False])
 def test_a_scan_without_background_is_not_changed(sensors: bool) -> None:
-    scan = scan_uniformly(BODY, UniformOptions(), np.random.default_rng(0))
+    scan = scanned(BODY, RigOptions(), np.random.default_rng(0))
     scan = scan if sensors else PointCloud(scan.points)
     kept = crop(scan, ScanOptions())
     assert notes(kept) == ()

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.uniform import UniformOptions, scan_uniformly
 
 from pcretrieve.simulation import (
     Bone,
@@ -15,11 +16,9 @@ from pcretrieve.simulation import (
     RigOptions,
     RoundCone,
     Subject,
-    UniformOptions,
     body,
     camera_pose,
     scan,
-    scan_uniformly,
     scan_views,
 )
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh

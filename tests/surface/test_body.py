@@ -7,12 +7,13 @@ from functools import cache
 import numpy as np
 import pytest
 import shapes
+from benchmarks.uniform import UniformOptions, scan_uniformly
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import ScanOptions, SurfaceOptions
 from pcretrieve.points import oriented_normals
 from pcretrieve.points.neighbors import neighborhoods, spacing
-from pcretrieve.simulation import POSES, UniformOptions, body, make_subject, scan_uniformly
+from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.surface import SurfaceMarks, body_surfaces, defects
 from pcretrieve.surface.reconstruct import uniform_points
 from pcretrieve.values import PointCloud, TriangleMesh
