@@ -7,11 +7,10 @@ import re
 import shlex
 from pathlib import Path
 
-import pytest
-from click.testing import CliRunner
+from commands import run
 
 import pcretrieve
-from pcretrieve.cli.main import COMMANDS, cli
+from pcretrieve.cli.main import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -67,20 +66,6 @@ def test_every_public_name_is_in_the_reference() -> None:
     assert names == set()
 
 
-def test_python_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run in order, on the sample scans and a catalogue of two of them."""
-    samples = sorted((ROOT / "scans" / "person-1").glob("*.ply"))[:2]
-    (tmp_path / "scans").symlink_to(ROOT / "scans")
-    monkeypatch.chdir(tmp_path)
-    ingest = ["ingest", *map(str, samples), "--catalogue", "bodies.sqlite", "--workers", "2"]
-    assert CliRunner().invoke(cli, ingest).exit_code == 0
-    blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    assert blocks
-    names: dict[str, object] = {}
-    for block in blocks:
-        exec(compile(block, "README.md", "exec"), names)
-
-
 def test_commands_of_the_documents_exist() -> None:
     """Every option that a document shows is one that the command has, and every help has an example."""
     text = re.sub(r"^```.*?^```$", "", ALL, flags=re.MULTILINE | re.DOTALL)
@@ -94,13 +79,13 @@ def test_commands_of_the_documents_exist() -> None:
         command = tuple(words[1:3] if words[1] == "catalogue" else words[1:2])
         if command not in helps:
             helps[command] = "".join(
-                CliRunner().invoke(cli, [*command, flag]).output for flag in ("--help", "--help-all")
+                run(*command, flag, code=None).output for flag in ("--help", "--help-all")
             )
         for word in words[2:]:
             if word.startswith("-"):
                 assert re.search(rf"(^|[\s,]){re.escape(word)}\b", helps[command]), words
     for name in COMMANDS:
-        assert f"  pcretrieve {name} " in CliRunner().invoke(cli, [name, "--help"]).output, name
+        assert f"  pcretrieve {name} " in run(name, "--help").output, name
 
 
 def test_the_readme_is_short_and_documents_name_every_command_and_script() -> None:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import csv
-import json
-import subprocess
-import sys
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import shapes
+from commands import result, run
 
 import pcretrieve as pr
 from pcretrieve.errors import InputError
@@ -37,15 +34,6 @@ def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Path:
     summary = pr.ingest(folder, path, labels=LABELS, options=SHORT, workers=1)
     assert sorted(record.id for record in summary.done) == sorted(LABELS)
     return path
-
-
-def command(*words: object) -> str:
-    program = [sys.executable, "-m", "pcretrieve", *map(str, words)]
-    return subprocess.run(program, capture_output=True, text=True, check=True).stdout
-
-
-def result(*words: object) -> Any:
-    return json.loads(command(*words, "--json"))["result"]
 
 
 def test_a_question_has_one_answer(catalogue: Path, tmp_path: Path) -> None:
@@ -82,7 +70,7 @@ def test_measures_are_the_same_numbers(catalogue: Path, tmp_path: Path) -> None:
     with pr.Catalogue(catalogue) as store:
         assert pr.evaluate(store.signatures(), options=store.options) == pr.evaluate(store)
     page = pr.report(catalogue, tmp_path / "bodies.html", k=2)
-    command("report", "-c", catalogue, "-o", tmp_path / "same.html", "-k", 2)
+    run("report", "-c", catalogue, "-o", tmp_path / "same.html", "-k", 2)
     assert page.read_text(encoding="utf-8") == (tmp_path / "same.html").read_text(encoding="utf-8")
 
 
@@ -123,7 +111,7 @@ def test_signatures_are_exported(catalogue: Path, tmp_path: Path) -> None:
         wanted = store.signatures().select(["egg-1", "ball-0"])
     for suffix in (".npz", ".parquet", ".csv"):
         path = tmp_path / f"bodies{suffix}"
-        command("export", "--signatures", "-c", catalogue, "-o", path, "egg-1", "ball-0")
+        run("export", "--signatures", "-c", catalogue, "-o", path, "egg-1", "ball-0")
         if suffix == ".npz":
             with np.load(path, allow_pickle=False) as file:
                 ids, labels, values = file["ids"].tolist(), file["labels"].tolist(), file["values"]

@@ -86,7 +86,7 @@ def ingest_command(
     """Process scans, and store them in a catalogue.
 
     PATH is a file, a folder, a glob pattern, or a list of files (.txt, .csv). Scans that are stored already
-    are skipped, so after an interruption the same command goes on.
+    are skipped: after an interruption, run the same command again.
 
     \b
     pcretrieve ingest scans/ --labels scans/labels.csv --catalogue bodies.sqlite
@@ -320,7 +320,7 @@ def demo_command(folder: Path) -> None:
     """
     from pcretrieve.simulation.samples import DEMO_QUERY, DEMO_SAMPLES, write_samples
 
-    scans, catalogue, page = folder / "scans", folder / "bodies.sqlite", folder / "index.html"
+    scans, catalogue = folder / "scans", folder / "bodies.sqlite"
     n = len(DEMO_SAMPLES)
     say(f"Simulating {n} scans of five bodies in {scans}, and a new scan of one of the bodies.")
     stop_waiting()
@@ -331,21 +331,23 @@ def demo_command(folder: Path) -> None:
         except OSError as error:
             raise InputError(f"cannot write scans into {folder}: {error.strerror}; name another") from error
 
-    steps: dict[str, tuple[str | Path, ...]] = {
-        "Of each scan, a surface, a spectrum and a signature are computed and stored in a catalogue.": (
-            *("ingest", scans, "--labels", scans / "labels.csv", "--catalogue", catalogue),
+    inside, page = ("--catalogue", catalogue), folder / "index.html"
+    steps: list[tuple[str, list[str | Path]]] = [
+        (
+            "Compute surface, spectrum and signature of each scan, and store them in a catalogue.",
+            ["ingest", scans, "--labels", scans / "labels.csv", *inside],
         ),
-        "The scans most similar to the new scan, nearest first, and the class that they vote for.": (
-            *("query", "--catalogue", catalogue, folder / "new" / new, "-k", "5"),
+        (
+            "Find the scans most similar to the new scan, and the class that they vote for.",
+            ["query", *inside, folder / "new" / new, "-k", "5"],
         ),
-        "How well scans of one body find each other: each scan is a query, and the best score is 1.": (
-            *("evaluate", "--catalogue", catalogue),
+        (
+            "Measure how well scans of one body find each other. The best score is 1.",
+            ["evaluate", *inside],
         ),
-        "The results with pictures, on an HTML page.": (
-            *("report", "--catalogue", catalogue, "--output", page),
-        ),
-    }
-    for purpose, words in steps.items():
+        ("Write the results with pictures on an HTML page.", ["report", *inside, "--output", page]),
+    ]
+    for purpose, words in steps:
         arguments = [str(word) for word in words]
         for line in ("", purpose, f"$ {join(['pcretrieve', *arguments])}"):
             say(line)

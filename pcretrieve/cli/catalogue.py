@@ -144,7 +144,7 @@ def merge_command(parts: tuple[str, ...], output: str) -> out.Result:
     """Store the shapes of several catalogues in one.
 
     PART is a file or a URL, such as the catalogue of one task of a job array (`ingest --shard`). All parts
-    need the same settings. Of a file in several parts, the first finished shape is kept. If a file has two
+    need the same settings. If parts share a file, its first finished shape is kept. If a file has two
     contents or two classes, or an id belongs to two files, the command names it and stores nothing.
 
     \b

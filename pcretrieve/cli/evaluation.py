@@ -32,7 +32,7 @@ PRECISIONS = {"ID": "text", "CLASS": "text", "A": "number", "B": "number"}
 @opt.labels_option
 @opt.matrix_option
 @opt.option("--sound-only", "Leave out shapes that are doubtful or unusable.")
-@opt.option("--per-class", "Add the means of each class, and the classes that it is mistaken for.")
+@opt.option("--per-class", "Add the means of each class, and which classes are confused with it.")
 @opt.option(
     "--csv FOLDER",
     "Write queries.csv, classes.csv, confusion.csv and precision_recall.csv to a folder.",

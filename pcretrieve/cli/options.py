@@ -234,7 +234,7 @@ config_option = option(
 )
 surface_option = option(
     "--surface WHICH",
-    "Meshes to rebuild: auto (with holes, or no manifolds), reconstruct (all), keep (none).",
+    "Meshes to rebuild: auto (those with holes or defects), reconstruct (all), keep (none).",
     ("auto", "reconstruct", "keep"),
 )
 unit_option = option(
@@ -249,10 +249,10 @@ def limit_options(
 ) -> Decorated:
     """Options that limit time and memory of the processes in which a command works."""
     seconds, space = click.FloatRange(min=1), click.FloatRange(min=0.5)
-    text = f"Give up after this time for each {unit}."
-    command = rare_option("--timeout SECONDS", text, seconds, default=time)(command)
     text = "Give a worker process no more memory than this."
-    return rare_option("--memory GIB", text, space, default=memory)(command)
+    command = rare_option("--memory GIB", text, space, default=memory)(command)
+    text = f"Give up after this time for each {unit}."
+    return rare_option("--timeout SECONDS", text, seconds, default=time)(command)
 
 
 def process_options(command: Decorated) -> Decorated:
@@ -295,7 +295,7 @@ scale_option = rare_option(
 size_weight_option = rare_option(
     "--size-weight W",
     "Weight of the size of bodies beside their form; 6 is best for people. All files need known units, or "
-    "one.  [default: 0, or the catalogue's]",
+    "the same one.  [default: 0, or the catalogue's]",
     click.FloatRange(min=0, max=20),
 )
 _overlay_option = rare_option(
@@ -315,8 +315,8 @@ _whitening_option = rare_option(
     "--whitening NAME|FILE",
     "Differences that count less: those between near shapes (neighbours), within classes (within-class), "
     "between all shapes (pca), those that come from the resolution (resolution), those in a FILE of "
-    "`calibrate`, or none. auto is within-class if there are enough labels, else neighbours; for `evaluate`, "
-    "which does not fit auto to labels, always the latter.  [default: auto, or the catalogue's]",
+    "`calibrate`, or none. auto is within-class if there are enough labels, else neighbours; `evaluate` does "
+    "not fit auto to labels.  [default: auto, or the catalogue's]",
 )
 _distance_option = rare_option(
     "--distance",

@@ -44,7 +44,7 @@ PAIR = {"DISTANCE": "number", "LIMIT": "number", "FIRST": "text", "SECOND": "tex
 @opt.option("-k N", "Number of results.", opt.COUNT, into="k", default=10)
 @opt.option(
     "--filter label=CLASS",
-    "Search this class only; several times: these classes.",
+    "Search this class only; give it again for more classes.",
     str,
     into="labels",
     multiple=True,

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import shapes
 from commands import program
+from packages import install
 
 from pcretrieve.formats import write_mesh
 
@@ -48,11 +49,9 @@ COMMANDS = {
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A catalogue of one egg, and vicious scans with the package that reads them."""
     place = tmp_path_factory.mktemp("limits")
-    about = place / "site" / "vicious-1.0.dist-info"
-    about.mkdir(parents=True)
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: vicious\nVersion: 1\n")
-    (about / "entry_points.txt").write_text("[pcretrieve.readers]\n.vicious = vicious:read\n")
-    (place / "site" / "vicious.py").write_text(VICIOUS)
+    with pytest.MonkeyPatch.context() as patch:
+        reader = "[pcretrieve.readers]\n.vicious = vicious:read\n"
+        install(place / "site", "vicious", {"vicious": VICIOUS}, reader, patch)
     for deed in ("crash", "hang", "fill"):
         (place / f"{deed}.vicious").write_text(deed)
     write_mesh(shapes.ellipsoid((1, 1, 2), subdivisions=3), place / "egg.off")
