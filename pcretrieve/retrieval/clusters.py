@@ -32,10 +32,9 @@ FIRST = 4
 
 
 def cluster_numbers(index: SignatureIndex, *, min_size: int = 3) -> NDArray[np.intp]:
-    """Cluster the shapes of an index by the density of their whitened signatures (HDBSCAN).
+    """(N,) numbers of the clusters of an index by density (HDBSCAN), from 1 for the largest; 0 for none.
 
-    Returns (N,) intp: the number of the cluster of each shape of the index, from 1 for the largest, of equal
-        ones that with the first shape; 0 for shapes in none.
+    Of equally large clusters, that with the first shape comes first.
     """
     if min_size < 2:
         raise OptionError(f"min_size must be at least 2, got {min_size}")
@@ -119,12 +118,7 @@ class NearPair(NamedTuple):
 
 
 def near_pairs(index: SignatureIndex, errors: FloatArray) -> list[NearPair]:
-    """Find all pairs of shapes whose distance is at most that of their errors.
-
-    The errors of two shapes are independent, so that the limit is the root of the sum of their squares.
-
-    errors: (N,) float64, the error of each shape of the index, comparable to its distance; not negative.
-    """
+    """Find all pairs of shapes that are nearer than the root of the sum of squares of their errors (N,)."""
     error_of = dict(zip(index.ids, errors.tolist(), strict=True))
     largest = max(error_of.values(), default=0.0)
     found = []

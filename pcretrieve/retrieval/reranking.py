@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, NamedTuple, get_args
 
 import numpy as np
 
-from pcretrieve.errors import OptionError
 from pcretrieve.options import RerankKind
 from pcretrieve.retrieval.distances import DistanceBlock, Positions
 from pcretrieve.values import FloatArray, Neighbors
@@ -95,8 +94,6 @@ def rerank(
     Returns (Q, K) intp: the shapes of the lists of the queries in their new order; the first two, which are
         the query and the shape nearest to it, keep their places.
     """
-    if method not in RERANKINGS:
-        raise OptionError(f"rerank must be one of {', '.join(RERANKINGS)}, got {method!r}")
     rows = np.arange(len(lists.order)) if rows is None else rows
     if method == "none" or lists.order.shape[1] < 3:
         return lists.order[rows]

@@ -51,14 +51,10 @@ def class_vote(labels: Sequence[str | None], weights: FloatArray) -> Vote | None
 def rank_ranges(
     index: SignatureIndex, query: str | Signature, deviation: FloatArray, ids: Sequence[str]
 ) -> NDArray[np.intp]:
-    """The ranks that the results of a query have within its error bar.
+    """The ranks of the results of a query whose coordinates are normally distributed round the measured ones.
 
-    The coordinates of the query are drawn from independent normal distributions round the measured ones.
-
-    deviation: (L,) float64, standard deviation of each coordinate of the query before whitening, such as
-        `Signature.deviation`.
-    Returns (m, 2) intp: the lowest and the highest rank of each shape among `ids`, from 1, between which its
-        rank lies in nine of ten draws.
+    deviation: (L,) float64, of each coordinate before whitening, such as `Signature.deviation`.
+    Returns (m, 2) intp: the lowest and the highest rank of each shape among `ids` in nine of ten draws.
     """
     point = index.point_of(query)
     drawn = deviation * np.random.default_rng(SEED).normal(size=(N_DRAWS, len(deviation)))
@@ -72,12 +68,7 @@ def rank_ranges(
 
 
 def swapping_ranks(ranges: NDArray[np.intp]) -> list[tuple[int, int]]:
-    """The runs of ranks that could swap with each other.
-
-    ranges: (k, 2) intp, the lowest and the highest rank of each result, in the order of the results.
-    Returns list of (int, int): first and last rank of each run, from 1: results in a row, each of which has a
-        range in common with the next.
-    """
+    """First and last of each run of ranks, from 1, that could swap, by the ranges (k, 2) of the results."""
     runs: list[tuple[int, int]] = []
     for rank in range(1, len(ranges)):
         if ranges[:rank, 1].max() >= ranges[rank:, 0].min():  # one before could come behind one after

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcretrieve.errors import OptionError
 from pcretrieve.retrieval import pairwise
 from pcretrieve.retrieval.distances import pairwise_blocks
 from pcretrieve.retrieval.reranking import (
@@ -43,8 +42,6 @@ def test_a_list_keeps_its_shapes_and_its_first(method: str) -> None:
     for n in (1, 2, 3, 4):
         for few in (np.ones((n, 3)), np.random.default_rng(0).normal(size=(n, 3))):
             assert np.sort(rerank(method, lists_of(few)), axis=1).tolist() == [list(range(n))] * n
-    with pytest.raises(OptionError, match="rerank must be one of none, local, k-reciprocal, got 'gnn'"):
-        rerank("gnn", lists)
 
 
 def test_k_reciprocal_is_that_of_sets() -> None:
