@@ -1,6 +1,5 @@
 """Values of other packages in, values for other packages out."""
 
-import pickle
 from collections.abc import Callable
 from typing import Any
 
@@ -11,9 +10,9 @@ import shapes
 import trimesh
 
 import pcretrieve as pr
-from pcretrieve.errors import InputError, OptionError
+from pcretrieve.errors import InputError
 from pcretrieve.formats import as_scan
-from pcretrieve.values import Eigenpairs, ModalSpectrum, Neighbors, Shape, Signature, SignatureTable, Surface
+from pcretrieve.values import ModalSpectrum, Neighbors, Shape, Signature, SignatureTable, Surface
 from pcretrieve.values.conversion import as_cloud, as_geometry, as_mesh
 
 MESH = shapes.body(3)
@@ -23,21 +22,7 @@ TABLE = SignatureTable(("a", "b"), np.array([[1.0, 2], [3, 4]]), "r-bihdm", labe
 NEIGHBORS = Neighbors(("a", "b"), np.array([0.0, 0.5]))
 
 
-def eigenpairs() -> Eigenpairs:
-    return pr.eigenpairs(pr.laplace_beltrami(MESH), 5)
-
-
-VALUES: dict[str, Any] = {
-    "cloud": CLOUD,
-    "mesh": MESH,
-    "signature": SIGNATURE,
-    "table": TABLE,
-    "neighbors": NEIGHBORS,
-    "eigenpairs": eigenpairs(),
-    "spectrum": ModalSpectrum.of(eigenpairs()),
-    "shape": Shape((Surface(MESH.area, mesh=MESH),)),
-    "operator": pr.laplace_beltrami(MESH),
-}
+PAIRS = pr.eigenpairs(pr.laplace_beltrami(MESH), 5)
 
 
 @pytest.mark.parametrize("back", [lambda mesh: mesh.to_open3d(), lambda mesh: mesh.to_trimesh()])
@@ -95,20 +80,6 @@ def test_what_stands_for_no_scan_is_said(thing: Any) -> None:
         as_scan(thing)
 
 
-@pytest.mark.parametrize("options", ["clean-mesh", {"surface": {"mode": "keep"}}], ids=["preset", "mapping"])
-def test_options_may_be_named_or_written_down(options: Any) -> None:
-    assert pr.PipelineOptions.of(options).surface.mode == "keep"
-    np.testing.assert_array_equal(
-        pr.signature(MESH, options).values,
-        pr.signature(MESH, pr.PipelineOptions().changed(surface={"mode": "keep"})).values,
-    )
-
-
-def test_no_other_options() -> None:
-    with pytest.raises(OptionError, match=r"options must be PipelineOptions, a mapping .*, got int"):
-        pr.signature(MESH, 3)  # type: ignore[arg-type]
-
-
 def test_a_signature_is_an_array() -> None:
     np.testing.assert_array_equal(np.asarray(SIGNATURE), SIGNATURE.values)
     assert np.asarray(SIGNATURE, dtype=np.float32).dtype == np.float32
@@ -116,35 +87,26 @@ def test_a_signature_is_an_array() -> None:
     assert np.asarray(TABLE).shape == (2, 2)
 
 
-@pytest.mark.parametrize("value", VALUES.values(), ids=VALUES)
-def test_values_are_shown_in_one_line_and_pickled(value: Any) -> None:
-    line = repr(value)
-    assert line.startswith(type(value).__name__ + "(")
-    assert "\n" not in line
-    assert len(line) < 120
-    again = pickle.loads(pickle.dumps(value))
-    assert repr(again) == line
-    assert again == value
-
-
-@pytest.mark.parametrize("name", ["cloud", "mesh", "shape"])
-def test_notebooks_show_a_picture(name: str) -> None:
-    html = VALUES[name]._repr_html_()
+@pytest.mark.parametrize("value", [CLOUD, MESH, Shape((Surface(MESH.area, mesh=MESH),))], ids=type)
+def test_notebooks_show_a_picture(value: Any) -> None:
+    html = value._repr_html_()
     assert 'src="data:image/png;base64,' in html
     assert "<script" not in html
 
 
-@pytest.mark.parametrize("name", ["cloud", "mesh", "signature", "neighbors", "eigenpairs", "spectrum"])
-def test_plots_draw_into_the_axes_given(name: str) -> None:
+@pytest.mark.parametrize(
+    "value", [CLOUD, MESH, SIGNATURE, NEIGHBORS, PAIRS, ModalSpectrum.of(PAIRS)], ids=type
+)
+def test_plots_draw_into_the_axes_given(value: Any) -> None:
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    axes = VALUES[name].plot()
+    axes = value.plot()
     assert axes.has_data()
     axes.figure.canvas.draw()
-    assert VALUES[name].plot(axes) is axes
+    assert value.plot(axes) is axes
     pyplot.close("all")
 
 

@@ -10,14 +10,13 @@ quantise the gallery better, but change every signature with every shape that is
 from __future__ import annotations
 
 from functools import cache
-from importlib import resources
 from typing import NamedTuple
 
 import numpy as np
 from scipy.cluster.vq import kmeans2
 from scipy.spatial.distance import cdist
 
-from pcretrieve.descriptors.descriptor import Descriptor
+from pcretrieve.descriptors.descriptor import Descriptor, shipped
 from pcretrieve.errors import OptionError
 from pcretrieve.values import Eigenpairs, FloatArray, Signature
 
@@ -72,10 +71,9 @@ def hks_bow(
         shares = ((in_modes.T * heat) @ in_modes)[np.triu_indices(n_words)]  # (L (L + 1) / 2,)
     else:
         shares = in_modes[0]  # (L,): ∫ θ_w, since φ_0 = 1 on unit area
-    kind = "si-hks-bow" if scale_invariant else "hks-bow"
+    kind = f"{'si-' * scale_invariant}hks-bow{'-spatial' * spatial}"
     # The heat kernel truncated at m modes may have small negative values.
     values = np.maximum(shares, 0) + SMALLEST_SHARE
-    kind = f"{kind}-spatial" if spatial else kind
     return Signature(values, kind=kind, digest=f"L={n_words} m={len(pairs.eigenvalues) - 1}")
 
 
@@ -103,8 +101,7 @@ def scale_invariant_heat(pairs: Eigenpairs, n_frequencies: int) -> FloatArray:
 
 @cache
 def _vocabulary(n_words: int, scale_invariant: bool) -> Vocabulary:
-    sample = np.load(str(resources.files(__package__).joinpath(SAMPLE)))[int(scale_invariant)]  # (s, 6)
-    return clustered(sample.astype(np.float64), n_words)
+    return clustered(shipped(SAMPLE)[int(scale_invariant)], n_words)  # of (s, 6)
 
 
 def _bag(name: str, spread: float, *, spatial: bool = False, scale_invariant: bool = False) -> Descriptor:

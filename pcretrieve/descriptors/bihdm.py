@@ -140,19 +140,17 @@ def sd_gdm(
     return Signature(values / unit, kind=kind, digest=f"L={n_values} {scale}")
 
 
-SD_GDM = Descriptor(
-    name="sd-gdm",
-    make=lambda shape, o: sd_gdm(shape.mesh, o.n_values, scale=o.measured_by),
-    needs=("mesh",),
-    spread=0.48,
-)
+def _sd_gdm(name: str, spread: float, *, weighted: bool) -> Descriptor:
+    return Descriptor(
+        name=name,
+        make=lambda shape, o: sd_gdm(shape.mesh, o.n_values, scale=o.measured_by, weighted=weighted),
+        needs=("mesh",),
+        spread=spread,
+    )
 
-SD_GDM_SAMPLED = Descriptor(
-    name="sd-gdm-sampled",
-    make=lambda shape, o: sd_gdm(shape.mesh, o.n_values, scale=o.measured_by, weighted=False),
-    needs=("mesh",),
-    spread=0.45,
-)
+
+SD_GDM = _sd_gdm("sd-gdm", 0.48, weighted=True)
+SD_GDM_SAMPLED = _sd_gdm("sd-gdm-sampled", 0.45, weighted=False)
 
 
 def geodesic_matrix(mesh: TriangleMesh, *, weighted: bool = True) -> FloatArray:
@@ -178,17 +176,15 @@ def geodesic_matrix(mesh: TriangleMesh, *, weighted: bool = True) -> FloatArray:
             "sd-gdm needs potpourri3d, which is not installed: pip install pcretrieve[geodesic]"
         ) from error
 
-    # Imported here because the module's numba functions are compiled on import,
-    # which no other descriptor needs.
+    # Imported here, because its compiled functions are loaded on import, which no other descriptor needs.
     from pcretrieve.surface.simplify import simplified
 
     coarse = simplified(mesh, N_FACES) if len(mesh.faces) > N_FACES else mesh
     solver = MeshHeatMethodDistanceSolver(coarse.vertices, coarse.faces)
-    distances = np.array(
-        [solver.compute_distance(vertex) for vertex in range(len(coarse.vertices))]
-    )  # (n, n)
+    n = len(coarse.vertices)
+    distances = np.array([solver.compute_distance(vertex) for vertex in range(n)])  # (n, n)
     corners = np.repeat(coarse.face_areas / 3, 3)  # (3m,)
-    areas = np.bincount(coarse.faces.ravel(), corners, len(coarse.vertices))  # (n,)
+    areas = np.bincount(coarse.faces.ravel(), corners, n)  # (n,)
     weights = np.sqrt(areas if weighted else np.full_like(areas, areas.mean()))  # (n,)
     matrix: FloatArray = np.outer(weights, weights) * (distances + distances.T) / 2
     return matrix

@@ -1,19 +1,11 @@
 """The table of descriptors, and their application to shapes.
 
-Another package adds a descriptor by an entry point of the group ``pcretrieve.descriptors`` that names a
-record `Descriptor`::
+Another package adds a record `Descriptor` by an entry point of the group ``pcretrieve.descriptors``, as in
+CONTRIBUTING.md; the name of the entry point is then a value of the option `--method`. Instead of a record,
+the entry point may name a function of a shape and `SignatureOptions`, which is taken as a descriptor that
+needs the spectrum, its overlaps and the mesh, and returns `SignatureOptions.n_values` positive values.
 
-    [project.entry-points."pcretrieve.descriptors"]
-    diameter = "other_package:DIAMETER"
-
-    DIAMETER = Descriptor("diameter", make=diameter, needs=("mesh",), length=lambda options: 1)
-
-The name of the entry point is then a value of the option `--method`. The names of pcretrieve's own
-descriptors are reserved. Instead of a record, the entry point may name a function of a shape and
-`SignatureOptions`, which is taken as a descriptor that needs the spectrum, its overlaps and the mesh, and
-returns `SignatureOptions.n_values` positive values.
-
-Names joined by ``+``, such as ``hapt+r-bihdm``, stand for the fusion of these descriptors.
+Names joined by ``+, such as ``hapt+r-bihdm``, stand for the fusion of these descriptors.
 """
 
 from __future__ import annotations
@@ -54,9 +46,8 @@ class _Descriptors(Registry[Descriptor]):
 
     def __getitem__(self, name: str) -> Descriptor:
         """The record of a name, or of the fusion of several names; OptionError as by `Registry`."""
-        names = fused_names(name)
-        record = super().__getitem__
-        return record(name) if len(names) == 1 else fused([record(part) for part in names])
+        records = [super(_Descriptors, self).__getitem__(part) for part in fused_names(name)]
+        return records[0] if len(records) == 1 else fused(records)
 
     def called(self, name: str) -> str:
         """The descriptor in a message; of a fusion, without the packages of its parts."""
@@ -149,17 +140,13 @@ def _described(descriptor: Descriptor, part: Shape, options: SignatureOptions) -
     needed = _needed(descriptor, part, options)
     with DESCRIPTORS.blamed(options.method, Stage.SIGNATURE):
         made = descriptor.make(needed, options)
-    called, length = DESCRIPTORS.called(options.method), descriptor.length(options)
+    length, wrong = descriptor.length(options), None
     if not isinstance(made, Signature) or made.metric != descriptor.metric:
-        raise ShapeError(
-            f"{called} must give a Signature with the metric {descriptor.metric!r}, got {made!r}",
-            stage=Stage.SIGNATURE,
-        )
-    if len(made.values) != length:
-        raise ShapeError(
-            f"{called} must give {length} values, as its record declares, got {len(made.values)}",
-            stage=Stage.SIGNATURE,
-        )
+        wrong = f"a Signature with the metric {descriptor.metric!r}, got {made!r}"
+    elif len(made.values) != length:
+        wrong = f"{length} values, as its record declares, got {len(made.values)}"
+    if wrong:
+        raise ShapeError(f"{DESCRIPTORS.called(options.method)} must give {wrong}", stage=Stage.SIGNATURE)
     if not options.size_weight:
         return made
     logarithm = options.size_weight * np.log(part.area)

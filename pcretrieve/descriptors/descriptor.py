@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from types import MappingProxyType
 from typing import get_args
 
@@ -77,6 +78,11 @@ def check_modes(n_modes: int, n_pairs: int, *, least: int = 1) -> None:
         raise OptionError(
             f"n_modes must be between {least} and {n_pairs - 1} for {n_pairs} eigenpairs, got {n_modes}"
         )
+
+
+def shipped(name: str) -> FloatArray:
+    """An array that is stored beside this file, in double precision."""
+    return np.asarray(np.load(str(resources.files(__package__).joinpath(name))), dtype=np.float64)
 
 
 def spectrum_of(shape: Shape, options: SignatureOptions) -> ModalSpectrum:

@@ -9,13 +9,12 @@ different galleries are comparable.
 from __future__ import annotations
 
 from functools import cache
-from importlib import resources
 from typing import NamedTuple
 
 import numpy as np
 
 from pcretrieve.descriptors.bags import scale_invariant_heat
-from pcretrieve.descriptors.descriptor import Descriptor
+from pcretrieve.descriptors.descriptor import Descriptor, shipped
 from pcretrieve.values import Eigenpairs, FloatArray, Signature
 
 # Number of atoms, as published, and of frequencies of the point descriptor.
@@ -71,8 +70,7 @@ def surface_points(pairs: Eigenpairs) -> SurfacePoints:
 @cache
 def _atoms() -> FloatArray:
     """(2, 32, 19): the dictionary that was learned without labels, and the one with labels."""
-    stored = np.load(str(resources.files(__package__).joinpath(ATOMS)))
-    return np.asarray(stored, dtype=np.float64)
+    return shipped(ATOMS)
 
 
 def atom_shares(points: SurfacePoints, atoms: FloatArray) -> FloatArray:

@@ -15,12 +15,11 @@ is at most the smaller one of the two.
 from __future__ import annotations
 
 from functools import cache
-from importlib import resources
 
 import numpy as np
 
 from pcretrieve.descriptors.bags import Vocabulary, clustered
-from pcretrieve.descriptors.descriptor import Descriptor, check_modes
+from pcretrieve.descriptors.descriptor import Descriptor, check_modes, shipped
 from pcretrieve.values import Eigenpairs, FloatArray, Signature
 
 # Number of levels of the pyramid: 1, 2, 4 and 8 parts, which have one weight.
@@ -120,8 +119,7 @@ def _sorted_pairs(shares: FloatArray) -> FloatArray:
 
 @cache
 def _vocabulary(n_words: int) -> Vocabulary:
-    sample = np.load(str(resources.files(__package__).joinpath(SAMPLE)))  # (s, 3)
-    return clustered(sample.astype(np.float64), n_words)
+    return clustered(shipped(SAMPLE), n_words)  # of (s, 3)
 
 
 ISPM = Descriptor(

@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcretrieve.descriptors.descriptor import Descriptor, spectrum_of
+from pcretrieve.descriptors.descriptor import Descriptor, check_modes, spectrum_of
 from pcretrieve.errors import OptionError, SpectrumError
 from pcretrieve.options import Scale
 from pcretrieve.values import Eigenpairs, FloatArray, ModalSpectrum, Signature
@@ -89,9 +89,8 @@ def reduced_matrix(pairs: Eigenpairs | ModalSpectrum, n_modes: int = 60) -> Floa
         and its diagonal only.
     """
     spectrum = pairs if isinstance(pairs, ModalSpectrum) else ModalSpectrum.of(pairs)
-    m, n_pairs = n_modes, len(spectrum.eigenvalues)
-    if not 1 <= m < n_pairs:
-        raise OptionError(f"n_modes must be between 1 and {n_pairs - 1} for {n_pairs} eigenpairs, got {m}")
+    m = n_modes
+    check_modes(m, len(spectrum.eigenvalues))
     lam = spectrum.eigenvalues[1 : m + 1]  # (m,): λ_1 … λ_m
     green = lam**-2 @ spectrum.moments[1 : m + 1, 1 : m + 1]  # (m,): ∫ g φ_j = Σ_i ⟨φ_i², φ_j⟩ / λ_i²
     matrix = np.diag(np.concatenate([[np.sum(2 / lam**2)], -2 / lam**2]))  # (m + 1, m + 1): a_0, −2/λ_j²

@@ -227,3 +227,33 @@ def test_size_is_one_value_more_beside_the_form(method: str) -> None:
     assert size == pytest.approx(areas.mean())
     assert sized.deviation is not None
     assert sized.deviation[-1] == pytest.approx(areas.std(ddof=1))
+
+
+# --- fusion ---------------------------------------------------------------------------------------------
+
+
+def options(method: str) -> SignatureOptions:
+    return SignatureOptions(method=method, n_values=N_VALUES)
+
+
+def test_fused_values_are_the_coordinates_of_the_parts_in_units_of_their_spread() -> None:
+    found = describe(body(), options("hapt+r-bihdm+ispm"))
+    assert (found.kind, found.metric) == ("hapt+r-bihdm+ispm", "values")
+    parts = []
+    for name in ("hapt", "r-bihdm", "ispm"):
+        alone = describe(body(), options(name))
+        parts.append(coordinates(alone.values, alone.metric) / DESCRIPTORS[name].spread)
+        assert alone.digest in found.digest
+    np.testing.assert_array_equal(found.values, np.concatenate(parts))
+    assert signature_length(options("hapt+r-bihdm+ispm")) == len(found.values)
+
+
+def test_squared_distances_of_fused_descriptors_add_up() -> None:
+    def squared(method: str) -> float:
+        one, two = (describe(shape, options(method)) for shape in (body(), longer()))
+        between = coordinates(one.values, one.metric) - coordinates(two.values, two.metric)
+        return float(between @ between)
+
+    spreads = {name: DESCRIPTORS[name].spread for name in ("csd", "shape-dna")}
+    expected = sum(squared(name) / spread**2 for name, spread in spreads.items())
+    assert squared("csd+shape-dna") == pytest.approx(expected)

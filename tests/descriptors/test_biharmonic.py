@@ -1,4 +1,4 @@
-"""R-BiHDM: comparison with the dense kernel, and invariances."""
+"""R-BiHDM and BiHDM: comparison with the dense kernel between all vertices, and invariances."""
 
 from __future__ import annotations
 
@@ -7,22 +7,26 @@ import pytest
 import shapes
 
 from pcretrieve import eigenpairs, laplace_beltrami, r_bihdm, shape_dna
-from pcretrieve.descriptors import reduced_matrix
+from pcretrieve.descriptors import bihdm, bihdm_sampled, full_matrix, reduced_matrix
 from pcretrieve.errors import OptionError
-from pcretrieve.values import FloatArray, TriangleMesh
+from pcretrieve.spectral import unit_eigenpairs
+from pcretrieve.values import Eigenpairs, FloatArray, TriangleMesh
 
 N_MODES = 12
 
 
+def squared_distances(pairs: Eigenpairs) -> FloatArray:
+    """(n, n): equation (4), truncated at m."""
+    places = pairs.eigenvectors[:, 1:] / pairs.eigenvalues[1:]
+    return np.asarray(((places[:, None] - places[None]) ** 2).sum(axis=2))
+
+
 def dense_kernel(mesh: TriangleMesh, mass: str) -> tuple[FloatArray, FloatArray]:
-    """Arrowhead, and ΦᵀM D² MΦ with D² the squared distances of equation (4) between all vertices."""
+    """Arrowhead, and ΦᵀM D² MΦ with D² the squared distances between all vertices."""
     operator = laplace_beltrami(mesh, mass=mass)  # type: ignore[arg-type]
     pairs = eigenpairs(operator, n_pairs=N_MODES + 1)
-    lam, phi = pairs.eigenvalues[1:], pairs.eigenvectors
-    embedded = phi[:, 1:] / lam
-    squared = ((embedded[:, None] - embedded[None]) ** 2).sum(axis=2)
-    projected = operator.mass @ phi
-    return reduced_matrix(pairs, N_MODES), projected.T @ squared @ projected
+    projected = operator.mass @ pairs.eigenvectors
+    return reduced_matrix(pairs, N_MODES), projected.T @ squared_distances(pairs) @ projected
 
 
 def test_with_lumped_mass_the_arrowhead_is_the_dense_kernel() -> None:
@@ -70,3 +74,35 @@ def test_lengths_that_do_not_fit(n_values: int, n_modes: int) -> None:
     pairs = eigenpairs(laplace_beltrami(shapes.icosphere(3)))
     with pytest.raises(OptionError, match="must be between"):
         r_bihdm(pairs, n_values=n_values, n_modes=n_modes)
+
+
+@pytest.mark.parametrize("mesh", [shapes.body(3), shapes.torus(24, 12)], ids=["body", "torus"])
+def test_the_spectrum_of_bihdm_is_that_of_the_dense_kernel(mesh: TriangleMesh) -> None:
+    operator = laplace_beltrami(mesh, mass="lumped")
+    pairs = eigenpairs(operator, n_pairs=N_MODES + 1)
+    root = np.sqrt(operator.mass.diagonal())
+    dense = np.linalg.eigvalsh(root[:, None] * squared_distances(pairs) * root)
+    dense = dense[np.argsort(-np.abs(dense))]
+    small = np.linalg.eigvalsh(full_matrix(pairs, N_MODES))
+    np.testing.assert_allclose(
+        np.sort(dense[: N_MODES + 2]), np.sort(small), atol=1e-12 * dense[0], err_msg="the same eigenvalues"
+    )
+    assert np.abs(dense[N_MODES + 2 :]).max() < 1e-12 * dense[0], "and rank m + 2"
+    reduced = np.linalg.eigvalsh(reduced_matrix(pairs, N_MODES))
+    assert np.abs(reduced[-1] - dense[0]) > 1e-9 * dense[0], "R-BiHDM is another matrix"
+
+
+def test_r_bihdm_approaches_bihdm_as_modes_are_added() -> None:
+    pairs = eigenpairs(laplace_beltrami(shapes.body(4)), n_pairs=61)
+    gaps = [
+        np.abs(np.log(bihdm(pairs, 5, m).values / r_bihdm(pairs, 5, m).values)).max() for m in (6, 15, 30, 60)
+    ]
+    assert (np.diff(gaps) < 0).all(), gaps
+    assert 0 < gaps[-1] < 1e-3 * gaps[0]
+
+
+def test_sampled_eigenvalues_are_those_of_the_matrix_of_distances_between_vertices() -> None:
+    pairs = unit_eigenpairs(shapes.body(2), 31)
+    distances = squared_distances(pairs)
+    magnitudes = -np.linalg.eigvalsh(distances)[:9] * pairs.area / len(distances)
+    np.testing.assert_allclose(bihdm_sampled(pairs, 9, 30, scale="absolute").values, magnitudes, rtol=1e-9)
