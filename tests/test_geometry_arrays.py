@@ -1,5 +1,6 @@
 """Geometry of other packages, as arrays."""
 
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import numpy as np
@@ -24,7 +25,7 @@ def open3d_cloud() -> o3d.geometry.PointCloud:
     return cloud
 
 
-MESHES = {
+MESHES: dict[str, Callable[[], object]] = {
     "open3d": open3d_mesh,
     "open3d tensor": lambda: o3d.t.geometry.TriangleMesh.from_legacy(open3d_mesh()),
     "trimesh": lambda: trimesh.Trimesh(VERTICES, FACES, process=False),
@@ -33,7 +34,7 @@ MESHES = {
     "pair": lambda: (VERTICES, FACES),
     "pair of lists": lambda: [VERTICES.tolist(), FACES.tolist()],
 }
-CLOUDS = {
+CLOUDS: dict[str, Callable[[], object]] = {
     "open3d": open3d_cloud,
     "open3d tensor": lambda: o3d.t.geometry.PointCloud.from_legacy(open3d_cloud()),
     "trimesh": lambda: trimesh.PointCloud(VERTICES),  # type: ignore[no-untyped-call]
@@ -45,26 +46,21 @@ CLOUDS = {
 }
 
 
-@pytest.mark.parametrize("make", MESHES.values(), ids=MESHES)
-def test_meshes_keep_their_vertices_and_faces(make: object) -> None:
-    points, faces, normals = geometry_arrays(make())  # type: ignore[operator]
-    np.testing.assert_allclose(points, VERTICES, atol=1e-7)
-    assert faces is not None
-    np.testing.assert_array_equal(faces, FACES)
-    assert normals is None
-
-
-@pytest.mark.parametrize("make", CLOUDS.values(), ids=CLOUDS)
-def test_clouds_keep_their_points(make: object) -> None:
-    points, faces, _ = geometry_arrays(make())  # type: ignore[operator]
-    np.testing.assert_allclose(points, VERTICES[: len(points)], atol=1e-7)
-    assert len(points) in (2, 4)
-    assert faces is None
+@pytest.mark.parametrize("kind", [MESHES, CLOUDS], ids=["mesh", "cloud"])
+def test_meshes_and_clouds_keep_their_vertices_and_faces(kind: dict[str, Callable[[], object]]) -> None:
+    for name, make in kind.items():
+        points, faces, normals = geometry_arrays(make())
+        np.testing.assert_allclose(points, VERTICES[: 2 if name == "two points" else 4], atol=1e-7)
+        if kind is MESHES:
+            np.testing.assert_array_equal(faces, FACES)
+            assert normals is None
+        else:
+            assert faces is None
 
 
 @pytest.mark.parametrize("make", [open3d_cloud, CLOUDS["open3d tensor"]], ids=["legacy", "tensor"])
-def test_normals_get_unit_length(make: object) -> None:
-    normals = geometry_arrays(make()).normals  # type: ignore[operator]
+def test_normals_get_unit_length(make: Callable[[], object]) -> None:
+    normals = geometry_arrays(make()).normals
     assert normals is not None
     expected = 2 * VERTICES + [1.0, 0, 0]
     np.testing.assert_allclose(normals, expected / np.linalg.norm(expected, axis=1, keepdims=True), atol=1e-6)

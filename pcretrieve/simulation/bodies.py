@@ -30,7 +30,7 @@ LARGEST_DEVIATION = 2.0
 FAMILIES = {"person": people, "animal": animals, "hand": hands}
 
 POSES: Mapping[str, Mapping[str, Pose]] = {name: family.POSES for name, family in FAMILIES.items()}
-"""Poses by family and name. In poses with contacts (`Pose.touching`) parts of the body touch each other."""
+"""Poses by family and name. In poses with contacts (`Pose.contacts`) parts of the body touch each other."""
 
 
 def make_subject(family: str, rng: np.random.Generator) -> Subject:
@@ -66,7 +66,8 @@ def body(
     if rng is not None:
         pose = pose.jittered(subject.joints, jitter, rng)
     own = skin(subject)
-    return follow(own, motions(subject, close_contacts(own, pose)))
+    moved = motions(subject, close_contacts(own, pose))
+    return TriangleMesh(blend(own.weights, moved, own.rest.vertices), own.rest.faces)
 
 
 # Rounds of tangential smoothing after marching cubes, which suffice to remove thin triangles.
@@ -99,11 +100,6 @@ def skin(subject: Subject) -> Skin:
     rest = _rest_surface(subject)
     owner = np.argmin([bone_distance(bone, rest.vertices) for bone in subject.bones], axis=0)  # (n,)
     return Skin(subject, rest, _weights(subject, rest, owner), owner)
-
-
-def follow(skin: Skin, moved: FloatArray) -> TriangleMesh:
-    """The skin after its bones have moved, each by a rigid motion (b, 4, 4)."""
-    return TriangleMesh(blend(skin.weights, moved, skin.rest.vertices), skin.rest.faces)
 
 
 def blend(weights: FloatArray, moved: FloatArray, points: FloatArray) -> FloatArray:

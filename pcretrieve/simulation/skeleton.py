@@ -96,11 +96,6 @@ class Pose:
         """Names of the joints that the pose rotates."""
         return frozenset(self.angles).union(*(contact.by for contact in self.contacts))
 
-    @property
-    def touching(self) -> bool:
-        """Whether parts of the body touch each other."""
-        return bool(self.contacts)
-
     def jittered(self, joints: frozenset[str], spread: float, rng: np.random.Generator) -> Pose:
         """The pose with normal random changes of its angles, of the standard deviation `spread`; degrees."""
         angles = {

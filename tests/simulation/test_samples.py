@@ -13,6 +13,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from pcretrieve.draw.open3d import RayScene
+from pcretrieve.formats.conf import read_poses
+from pcretrieve.formats.ply import read_ply
 from pcretrieve.simulation import POSES, RigOptions, body, camera_pose, make_subject
 from pcretrieve.simulation.samples import moved, random_motion, write_samples
 from pcretrieve.values import FloatArray
@@ -33,24 +35,6 @@ def read_pcd(path: Path) -> tuple[FloatArray, FloatArray]:
     return points, np.array(said["VIEWPOINT"].split(), dtype=np.float64)
 
 
-def read_conf(path: Path) -> list[tuple[Path, Rotation, FloatArray]]:
-    """File, rotation and translation of each view."""
-    lines = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
-    assert all(words[0] == "bmesh" for words in lines)
-    numbers = [np.array(words[2:], dtype=np.float64) for words in lines]
-    return [
-        (path.parent / words[1], Rotation.from_quat(pose[3:]).inv(), pose[:3])
-        for words, pose in zip(lines, numbers, strict=True)
-    ]
-
-
-def read_ply(path: Path) -> FloatArray:
-    header, _, content = path.read_bytes().partition(b"end_header\n")
-    points = np.frombuffer(content, "<f4").reshape(-1, 3).astype(np.float64)
-    assert f"element vertex {len(points)}\n".encode() in header
-    return points
-
-
 def test_the_same_seed_makes_the_same_bytes_and_the_points_of_the_set(tmp_path: Path) -> None:
     for run in ("one", "two"):
         labels = write_samples(tmp_path / run, ["hand-2_fan", "hand-1_open"], write=write)
@@ -62,7 +46,8 @@ def test_the_same_seed_makes_the_same_bytes_and_the_points_of_the_set(tmp_path: 
     assert len(one) == 2 + RigOptions().n_views + 1
     assert one == two
     # Bytes differ from processor to processor, in the last digits; the points are those of the set.
-    made, kept = (read_ply(folder / "hand-1" / "hand-1_open.ply") for folder in (tmp_path / "one", SCANS))
+    name = "hand-1/hand-1_open.ply"
+    made, kept = (read_ply(folder / name).points for folder in (tmp_path / "one", SCANS))
     gap, _ = cKDTree(made).query(kept)
     assert np.median(gap) < 1e-3 * np.linalg.norm(np.ptp(kept, axis=0))
 
@@ -73,7 +58,7 @@ def test_views_lie_on_the_body_and_sensors_where_they_stood(tmp_path: Path) -> N
     placed = random_motion(rng)
     conf = write_views(tmp_path / "hand_spread", surface, placed, rng)
     scene, rig = RayScene(surface.vertices, surface.faces), RigOptions()
-    views = read_conf(conf)
+    views = read_poses(conf)
     assert len(views) == rig.n_views
     back = np.linalg.inv(placed).astype(np.float64)
     for number, (path, rotation, translation) in enumerate(views):
@@ -99,7 +84,7 @@ def test_the_sample_set_is_whole_and_small() -> None:
     assert len(counts) == 8
     assert set(counts.values()) == {5}
     files = {SCANS / row["file"] for row in labels}
-    views = {view for file in files if file.suffix == ".conf" for view, _, _ in read_conf(file)}
+    views = {view for file in files if file.suffix == ".conf" for view, _, _ in read_poses(file)}
     assert all(file.is_file() for file in files | views)
     strange = {file for file in SCANS.rglob("*.*") if file.is_file()} - files - views
     assert strange == {SCANS / "labels.csv", SCANS / "README.md"}

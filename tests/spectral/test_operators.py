@@ -1,4 +1,4 @@
-"""Properties of all elements: the matrices, the boundary conditions, and invalid arguments."""
+"""Properties of all elements: the matrices, what they converge to, boundaries, and invalid arguments."""
 
 from __future__ import annotations
 
@@ -97,7 +97,45 @@ def test_eigenvalues_do_not_depend_on_numbers(element: Any) -> None:
     np.testing.assert_allclose(there.eigenvalues, here.eigenvalues, rtol=1e-9)
 
 
+def test_stiffness_of_one_triangle_is_half_its_cotangents() -> None:
+    triangle = TriangleMesh(
+        np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]], dtype=np.int32)
+    )
+    operator = laplace_beltrami(triangle)
+    # Angles 90°, 45° and 45°: cotangents 0, 1 and 1.
+    np.testing.assert_allclose(
+        operator.stiffness.toarray(), [[1, -0.5, -0.5], [-0.5, 0.5, 0], [-0.5, 0, 0.5]]
+    )
+    np.testing.assert_allclose(operator.mass.toarray(), np.array([[2, 1, 1], [1, 2, 1], [1, 1, 2]]) / 24)
+
+
 # --- what they converge to ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mass", ["consistent", "lumped"])
+def test_eigenvalues_of_the_sphere_converge_at_order_two(mass: Any) -> None:
+    exact = np.array([degree * (degree + 1.0) for degree in range(6) for _ in range(2 * degree + 1)])
+    errors = [
+        np.abs(eigenpairs(laplace_beltrami(shapes.icosphere(level), mass=mass), 36).eigenvalues - exact)[1:]
+        / exact[1:]
+        for level in (3, 4, 5)
+    ]
+    # An edge halves from level to level, so errors of order two fall to a quarter; some fall faster, where
+    # the symmetries of the mesh are those of the eigenfunction.
+    assert np.log2(np.array(errors[:-1]) / errors[1:]).min() > 1.9
+    worst = np.max(errors, axis=1)
+    np.testing.assert_allclose(np.log2(worst[:-1] / worst[1:]), 2, atol=0.1)
+    assert worst[-1] < 0.004
+
+
+def test_eigenvalues_are_invariant_to_bending_without_stretching() -> None:
+    # A strip of paper, flat and rolled to a quarter of a tube: every edge along or across keeps its length
+    # up to second order.
+    flat = shapes.square(24)
+    x, y, _ = flat.vertices.T
+    rolled = TriangleMesh(np.column_stack([np.sin(x), y, 1 - np.cos(x)]), flat.faces)
+    one, other = (eigenpairs(laplace_beltrami(mesh), 12).eigenvalues for mesh in (flat, rolled))
+    np.testing.assert_allclose(one[1:], other[1:], rtol=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from pcretrieve.surface import defects
 from pcretrieve.surface.marching import Crossings, crossed, marched, smoothed
-from pcretrieve.surface.topology import Defects
+from pcretrieve.surface.topology import SOUND
 from pcretrieve.values import FloatArray, TriangleMesh
 
 Mask = NDArray[np.bool_]
-
-SOUND = Defects(0, 0, 0, 0, 0, 1)
 
 
 def random_cells(share: float, seed: int, n: int = 14) -> Mask:

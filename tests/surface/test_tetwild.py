@@ -117,16 +117,12 @@ def client(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
 # --- answers ------------------------------------------------------------------------------------------
 
 
-def test_a_ball_is_filled() -> None:
+def test_a_ball_is_filled_and_one_server_answers_again_and_again() -> None:
     nodes, tetrahedra = ball()
+    first = own_server()
     assert (nodes.dtype.name, tetrahedra.dtype.name) == ("float64", "int32")
     assert (nodes.shape[1:], tetrahedra.shape[1:]) == ((3,), (4,))
     assert volume(nodes, tetrahedra) == pytest.approx(BALL.volume, rel=0.02)
-
-
-def test_one_server_answers_again_and_again() -> None:
-    ball()
-    first = own_server()
     ball()
     assert own_server() == first
 

@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 
 from pcretrieve.surface.repair import split_non_manifold
 from pcretrieve.surface.tetwild import boundary_faces
-from pcretrieve.surface.topology import Defects, compact, components, defects, orient_faces
+from pcretrieve.surface.topology import SOUND, Defects, compact, components, defects, orient_faces
 from pcretrieve.values import TriangleMesh
-
-SOUND = Defects(0, 0, 0, 0, 0, 1)
 
 # The six tetrahedra around the long diagonal of a cube whose corners are numbered x + 2 y + 4 z.
 CUBE = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
