@@ -69,7 +69,7 @@ CALIBRATED = "calibrated"
 # Least number of classes from which labels are used by "auto".
 LEAST_CLASSES = 5
 
-# (2, n, m + 1) float32, written by scripts/sample_resolution: logarithms of |μ_1| … |μ_m| and μ_0, divided by
+# (2, n, m + 1) float32, written by scripts/sample resolution: logarithms of |μ_1| … |μ_m| and μ_0, divided by
 # the squared area, of n bodies reconstructed with the smaller and with the larger voxel edge.
 SAMPLE = "resolution.npy"
 

@@ -7,7 +7,6 @@ import contextlib
 import io
 import os
 import re
-import statistics
 import subprocess
 import sys
 import threading
@@ -30,22 +29,6 @@ from pcretrieve.values.files import write_file
 Result = TypeVar("Result")
 
 
-class Timing(NamedTuple):
-    """Wall-clock times of one function."""
-
-    seconds: list[float]
-
-    @property
-    def median(self) -> float:
-        """Median time of a call; seconds."""
-        return statistics.median(self.seconds)
-
-    @property
-    def best(self) -> float:
-        """Shortest time of a call; seconds."""
-        return min(self.seconds)
-
-
 def timed(function: Callable[[], Result]) -> tuple[float, Result]:
     """Call a function once and take the time."""
     started = time.perf_counter()
@@ -53,13 +36,15 @@ def timed(function: Callable[[], Result]) -> tuple[float, Result]:
     return time.perf_counter() - started, result
 
 
-def timed_by_turns(functions: Sequence[Callable[[], Result]], n_repeats: int) -> list[tuple[Timing, Result]]:
+def timed_by_turns(
+    functions: Sequence[Callable[[], Result]], n_repeats: int
+) -> list[tuple[list[float], Result]]:
     """Call each function in turn, `n_repeats` times over, so that other load on the machine slows all alike.
 
-    Returns list of (Timing, result): the times of each function, and the result of its first call.
+    Returns the times of each function in seconds, and the result of its first call.
     """
     calls = [[timed(function) for function in functions] for _ in range(n_repeats)]
-    return [(Timing([seconds for seconds, _ in own]), own[0][1]) for own in zip(*calls, strict=True)]
+    return [([seconds for seconds, _ in own], own[0][1]) for own in zip(*calls, strict=True)]
 
 
 def use_one_core() -> None:

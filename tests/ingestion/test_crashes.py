@@ -1,7 +1,7 @@
 """An ingest that is killed again and again, at any moment, makes the catalogue of an undisturbed one.
 
 By default it is killed a few times; PCRETRIEVE_KILLS says how often, also with a Dask cluster of this
-computer (`scripts/benchmark_crashes`).
+computer.
 """
 
 from __future__ import annotations

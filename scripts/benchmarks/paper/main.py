@@ -100,12 +100,6 @@ def _meshes(given: argparse.Namespace) -> dict[str, TriangleMesh]:
     return {name: read_mesh(given.data / "tosca" / f"{name}.off") for name in SHAPES}
 
 
-def _figure_4(given: argparse.Namespace) -> Iterator[str]:
-    return figure_4(
-        given.data / "mpeg7", _output(given, "figure4.png"), None if given.full else N_SILHOUETTES
-    )
-
-
 # What prints each part, and the sets that it needs.
 PARTS: Mapping[str, tuple[Callable[[argparse.Namespace], Iterator[str]], tuple[str, ...]]] = {
     "figure1": (lambda o: figure_1(o.data / "shrec11", _output(o, "figure1.png")), ("shrec11",)),
@@ -113,7 +107,10 @@ PARTS: Mapping[str, tuple[Callable[[argparse.Namespace], Iterator[str]], tuple[s
     "table3": (lambda o: retrieval_tables("table3", o.data, o.output, full=o.full), ("shrec11",)),
     "table4": (lambda o: retrieval_tables("table4", o.data, o.output, full=o.full), ("shrec11", "tosca")),
     "table5": (lambda o: table_5(o.data, full=o.full), ()),
-    "figure4": (_figure_4, ("mpeg7",)),
+    "figure4": (
+        lambda o: figure_4(o.data / "mpeg7", _output(o, "figure4.png"), None if o.full else N_SILHOUETTES),
+        ("mpeg7",),
+    ),
     "figure5": (lambda o: figure_5(o.data / "shrec11", None if o.full else N_PERTURBED), ("shrec11",)),
     "figure6": (lambda o: figure_6(), ()),
     "figure7": (lambda o: figure_7(_meshes(o), _output(o, "figure7.png")), ("tosca",)),
