@@ -130,6 +130,11 @@ class Answer(Value):
         """Whether classes are known, and each neighbour is probably of another class than the query."""
         return self.vote is not None and self.best_score is not None and self.best_score < LIKELY_SCORE
 
+    @property
+    def swaps(self) -> list[tuple[int, int]]:
+        """First and last of each run of ranks that could swap within the error bar of the query."""
+        return [] if self.rank_ranges is None else swapping_ranks(self.rank_ranges)
+
     def __str__(self) -> str:
         """The verdict, in one line: the class, how sure it is, and which ranks could swap."""
         if not self.records:
@@ -142,7 +147,7 @@ class Answer(Value):
                 f"margin {self.vote.margin:.0%}"
             )
         if self.rank_ranges is not None:
-            runs = ", ".join(f"{first} to {last}" for first, last in swapping_ranks(self.rank_ranges))
+            runs = ", ".join(f"{first} to {last}" for first, last in self.swaps)
             parts.append(f"ranks {runs} could swap" if runs else "no ranks could swap")
         return "; ".join(parts) or f"nearest {self.records[0].id}"
 
@@ -240,6 +245,8 @@ def search_many(
     min_score: float | None = None,
     timeout: float | None = None,
     memory: float | None = None,
+    has_pictures: bool = False,
+    up: str | None = None,
 ) -> Iterator[tuple[str, Answer | ShapeError]]:
     """Answer several queries, in their order.
 
@@ -255,6 +262,10 @@ def search_many(
         Longest time in seconds for each scan, which is then processed in another process.
     memory : float, optional
         Largest heap of that process; GiB.
+    has_pictures : bool, default False
+        Whether `Answer.query` has a picture of a scan that is processed.
+    up : {"x", "-x", "y", "-y", "z", "-z"}, optional
+        The axis of the files that points upwards on it; by default found for each scan.
 
     Yields
     ------
@@ -269,14 +280,14 @@ def search_many(
     """
     with opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
-        how = (matrix, timeout, memory)
-        yield from answers(store, queries, Question(chosen, k, labels, exclude_self, min_score, unit, *how))
+        how = (matrix, timeout, memory, has_pictures, up)
+        question = Question(chosen, k, labels, exclude_self, min_score, unit, *how)
+        yield from _answers(store, queries, question)
 
 
-def answers(
+def _answers(
     catalogue: Catalogue, queries: Iterable[str | Path | Signature], question: Question
 ) -> Iterator[tuple[str, Answer | ShapeError]]:
-    """Answer several queries as `search_many`."""
     asked = [each for query in queries for each in _expanded(catalogue, query, question)]
     scans = [query for _, query in asked if isinstance(query, Path)]
     of_scan = partial(described_scan, question.scan_options(catalogue), question.has_picture, question.up)
@@ -394,19 +405,12 @@ def cluster(
         As by `search`.
     """
     with opened(catalogue) as store:
-        index = store.index(without_labels(PipelineOptions.of(options, store.options)))
+        index = store.index(PipelineOptions.of(options, store.options).without_labels)
         numbers = cluster_numbers(index, min_size=min_size).tolist()
         return {
             shape_id: f"cluster-{number}" if number else None
             for shape_id, number in zip(index.ids, numbers, strict=True)
         }
-
-
-def without_labels(options: PipelineOptions) -> PipelineOptions:
-    """The options, in which the whitening auto does not use labels, as in an evaluation."""
-    if options.retrieval.calibration is None and options.retrieval.whitening == "auto":
-        return options.changed(retrieval={"whitening": "neighbours"})
-    return options
 
 
 def described_scan(options: PipelineOptions, has_picture: bool, up: str | None, scan: ScanLike) -> Described:

@@ -120,6 +120,22 @@ class Catalogue(Rows):
 
     # --- shapes -----------------------------------------------------------------------------------------
 
+    @classmethod
+    @contextmanager
+    def opened(
+        cls,
+        catalogue: Catalogue | str | Path,
+        options: PipelineOptions | None = None,
+        *,
+        create: bool = False,
+    ) -> Iterator[Catalogue]:
+        """Open a catalogue that is given by its path, and close it at the end; leave others as they are."""
+        if isinstance(catalogue, Catalogue):
+            yield catalogue
+        else:
+            with cls(catalogue, options, create=create) as store:
+                yield store
+
     def shape(self, shape_id: str, needs: tuple[Need, ...] = ("spectrum", "mesh")) -> Shape:
         """Read a shape with some of its parts."""
         return self._read(shape_id, needs)[1]
@@ -394,14 +410,4 @@ def _with_overlaps(surface: Surface, element: str) -> Surface:
 #: A catalogue, or its path or URL.
 CatalogueLike: TypeAlias = "Catalogue | str | Path"
 
-
-@contextmanager
-def opened(
-    catalogue: CatalogueLike, options: PipelineOptions | None = None, *, create: bool = False
-) -> Iterator[Catalogue]:
-    """Open a catalogue that is given by its path, and close it at the end; leave others as they are."""
-    if isinstance(catalogue, Catalogue):
-        yield catalogue
-    else:
-        with Catalogue(catalogue, options, create=create) as store:
-            yield store
+opened = Catalogue.opened

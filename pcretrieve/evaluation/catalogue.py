@@ -12,7 +12,7 @@ import numpy as np
 
 from pcretrieve.catalogue import Catalogue, CatalogueLike, opened
 from pcretrieve.errors import BenchmarkError, InputError
-from pcretrieve.evaluation.folds import rerank_table, unsupervised
+from pcretrieve.evaluation.folds import rerank_table
 from pcretrieve.evaluation.rankings import NO_FAILURES, Rankings, Subset, rank_subsets
 from pcretrieve.ingestion.labels import labels_of, match_labels
 from pcretrieve.matching import DistanceMatrix
@@ -90,7 +90,7 @@ def _of_catalogue(
         table = table.select([shape_id for shape_id in table.ids if shape_id not in left])
     table = replace(table, labels=tuple(classes[shape_id] for shape_id in table.ids))
     failed = {record.id: classes[record.id] for record in records.values() if record.status == "failed"}
-    retrieval = unsupervised(options.retrieval)
+    retrieval = options.retrieval.without_labels
     whitening = None
     if retrieval.whitening == "within-class" and retrieval.calibration is None:
         reason = f"within-class, fitted for each of {retrieval.n_folds} folds of classes to the other folds"

@@ -98,7 +98,7 @@ def rerank_table(
     Distances are computed once, and a within-class whitening is fitted once for each fold. With re-ranking
     the gallery of a query is its fold, which has only classes to which the whitening was not fitted.
     """
-    options = unsupervised(options or RetrievalOptions())
+    options = (options or RetrievalOptions()).without_labels
     is_plain = set(methods) == {"none"}
     if (options.whitening if whitening is None else whitening.kind) == "within-class":
         if whitening is not None:
@@ -113,11 +113,6 @@ def rerank_table(
     queries = np.flatnonzero([label is not None for label in labels]) if is_plain else None
     everything = Subset(np.arange(len(index)), index.blocks(queries))
     return rank_subsets([everything], index.ids, labels, methods, failed=failed)
-
-
-def unsupervised(options: RetrievalOptions) -> RetrievalOptions:
-    """The options of an evaluation: whitening ``auto`` must not be fitted to the labels of the queries."""
-    return options.model_copy(update={"whitening": "neighbours"}) if options.whitening == "auto" else options
 
 
 def evaluate_table(

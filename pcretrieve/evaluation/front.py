@@ -14,10 +14,15 @@ from pcretrieve.evaluation.comparison import Comparison, compare_scores, result_
 from pcretrieve.evaluation.measures import (
     LEVEL,
     ClassMeasures,
+    Confusion,
+    PrecisionRecall,
+    QueryScores,
     RetrievalMeasures,
     bootstrap_interval,
     class_measures,
+    confusion,
     evaluate_rankings,
+    precision_recall,
     query_scores,
 )
 from pcretrieve.ingestion.labels import LAYOUTS
@@ -88,7 +93,7 @@ class Evaluation(RetrievalMeasures):
     @property
     def interval(self) -> FloatArray:
         """(2, 6) float64, lower and upper ends of the confidence intervals (`level`) of the measures."""
-        return bootstrap_interval(query_scores(self.ranked.rankings).columns)
+        return bootstrap_interval(self.scores.columns)
 
     @property
     def classes(self) -> tuple[ClassMeasures, ...]:
@@ -105,6 +110,21 @@ class Evaluation(RetrievalMeasures):
         """How others measure on this set; empty, unless the labels are a layout."""
         layout = LAYOUTS.get(self.layout)
         return f"{layout.name}: {layout.protocol}" if layout else ""
+
+    @property
+    def scores(self) -> QueryScores:
+        """The measures of each query."""
+        return query_scores(self.ranked.rankings)
+
+    @property
+    def confusion(self) -> Confusion:
+        """How often the nearest shape of a class is of each class."""
+        return confusion(self.ranked.rankings)
+
+    @property
+    def precision_recall(self) -> PrecisionRecall:
+        """The mean precision at each recall."""
+        return precision_recall(self.ranked.rankings)
 
     def write(self, folder: str | Path) -> tuple[Path, ...]:
         """Write the measures of queries and classes, confusions and precision-recall as CSV files."""
@@ -154,8 +174,8 @@ def evaluate(
 
 
 def compare(
-    first: CatalogueLike | DistanceMatrix,
-    second: CatalogueLike | DistanceMatrix,
+    first: CatalogueLike | DistanceMatrix | Evaluation,
+    second: CatalogueLike | DistanceMatrix | Evaluation,
     *,
     options: OptionsLike = None,
     second_options: OptionsLike = None,
@@ -165,9 +185,9 @@ def compare(
 
     Parameters
     ----------
-    first : Catalogue, str, Path or DistanceMatrix
-        A catalogue; a distance matrix, or its file; or a file ``queries.csv`` of `Evaluation.write`.
-    second : Catalogue, str, Path or DistanceMatrix
+    first : Catalogue, str, Path, DistanceMatrix or Evaluation
+        A catalogue; a distance matrix, or its file; an evaluation, or its file ``queries.csv``.
+    second : Catalogue, str, Path, DistanceMatrix or Evaluation
         The other result, which may be the same catalogue.
     options : OptionsLike, optional
         Signature, distance, whitening and re-ranking. By default the options of each catalogue.
@@ -191,8 +211,10 @@ def compare(
     InputError
         If a file cannot be read, or the results have no query in common.
     """
-    one, one_options = result_scores(first, options, labels)
-    two, two_options = result_scores(second, options if second_options is None else second_options, labels)
+    (one, one_options), (two, two_options) = (
+        (one.scores, None) if isinstance(one, Evaluation) else result_scores(one, chosen, labels)
+        for one, chosen in ((first, options), (second, options if second_options is None else second_options))
+    )
     return replace(compare_scores(one, two), first_options=one_options, second_options=two_options)
 
 

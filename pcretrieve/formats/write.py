@@ -13,7 +13,7 @@ from pcretrieve.errors import InputError
 from pcretrieve.formats.registry import FORMATS
 from pcretrieve.values import PointCloud, SignatureTable, TriangleMesh
 from pcretrieve.values.conversion import GeometryLike, as_cloud, as_mesh
-from pcretrieve.values.files import csv_text, parquet_bytes, write_file
+from pcretrieve.values.files import check_target, csv_text, parquet_bytes, write_file
 
 SIGNATURE_SUFFIXES = (".npz", ".parquet", ".csv")
 
@@ -109,12 +109,7 @@ def check_output(path: Path, sources: Sequence[Path] = (), kind: Kind | None = N
     """Check, before a long computation, that its result can be written."""
     if kind is not None:
         _writer(path, kind)
-    if not path.parent.is_dir():
-        raise InputError(f"there is no folder {path.parent} to put {path.name} into: make it first")
-    if path.is_dir():
-        raise InputError(f"{path} is a folder: name a file")
-    if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
-        raise InputError(f"{path} is one of the files to be read: name another file")
+    check_target(path, sources)
 
 
 def _write(value: PointCloud | TriangleMesh, path: Path, kind: Kind) -> None:

@@ -181,6 +181,11 @@ class PipelineOptions(Options):
         return self._digest_of(self.signature.measured_by)
 
     @property
+    def without_labels(self) -> PipelineOptions:
+        """The options, in which the whitening auto is not fitted to labels, as in an evaluation."""
+        return self.model_copy(update={"retrieval": self.retrieval.without_labels})
+
+    @property
     def compared(self) -> SignatureOptions:
         """The options of the signatures that are compared, with the normalisation that auto stands for."""
         return self.signature.model_copy(update={"scale": self._compared_by})

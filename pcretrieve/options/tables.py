@@ -301,6 +301,11 @@ class RetrievalOptions(Options):
     # Seed of the random assignment of classes to folds.
     fold_seed: ClassVar[int] = 0
 
+    @property
+    def without_labels(self) -> RetrievalOptions:
+        """The options, in which the whitening auto is not fitted to labels, as in an evaluation."""
+        return self.model_copy(update={"whitening": "neighbours"}) if self.whitening == "auto" else self
+
 
 Kept = Literal["meshes", "overlaps"]
 

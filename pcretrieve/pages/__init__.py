@@ -5,7 +5,7 @@ In comes a catalogue or an `Inspection`; out come self-contained HTML files and 
 
 from pcretrieve.pages.inspection_page import inspect, write_inspection_page, write_inspection_png
 from pcretrieve.pages.map_page import draw_map
-from pcretrieve.pages.queries_page import query_page, write_query_page
+from pcretrieve.pages.queries_page import query_page
 from pcretrieve.pages.retrieval_page import report
 
 __all__ = [
@@ -15,5 +15,4 @@ __all__ = [
     "report",
     "write_inspection_page",
     "write_inspection_png",
-    "write_query_page",
 ]

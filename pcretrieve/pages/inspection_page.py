@@ -9,15 +9,13 @@ from __future__ import annotations
 from contextlib import nullcontext
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from pcretrieve import Inspection, PointCloud
-from pcretrieve.catalogue import CatalogueLike, opened
+from pcretrieve import Catalogue, Inspection, PointCloud
 from pcretrieve.draw import CLAY, Colour, rgb
-from pcretrieve.formats import check_output, split_member
 from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import encoded, line_of, page_of, write_page
 from pcretrieve.pages.inspection_pictures import (
@@ -36,10 +34,8 @@ from pcretrieve.pages.inspection_pictures import (
     thinned,
 )
 from pcretrieve.pages.scene import VIEWER_SIZE, Cube
-from pcretrieve.values.files import write_file
-
-if TYPE_CHECKING:
-    from pcretrieve.formats import ScanLike
+from pcretrieve.values.conversion import GeometryLike
+from pcretrieve.values.files import check_target, write_file
 
 # Number of points that were removed, side by side, across half of the 3D viewer.
 REMOVED_IN_VIEW = 90
@@ -57,13 +53,13 @@ class Served(NamedTuple):
 
 
 def inspect(
-    scan: ScanLike,
+    scan: str | Path | GeometryLike,
     options: OptionsLike = None,
     *,
     n_rescans: int = 4,
     page: str | Path | None = None,
     png: str | Path | None = None,
-    catalogue: CatalogueLike | None = None,
+    catalogue: Catalogue | str | Path | None = None,
 ) -> Inspection:
     """Process a scan, and check the result of each stage.
 
@@ -98,11 +94,16 @@ def inspect(
     """
     from pcretrieve.pipeline.inspecting import inspect_scan
 
-    read = [split_member(Path(scan))[0]] if isinstance(scan, (str, Path)) else []
+    # Of one of several scans in a file, too: ``file#name``.
+    read = (
+        [Path(name) for name in (str(scan), str(scan).partition("#")[0])]
+        if isinstance(scan, (str, Path))
+        else []
+    )
     for target in (page, png):
         if target is not None:
-            check_output(Path(target), read)
-    with nullcontext() if catalogue is None else opened(catalogue) as store:
+            check_target(Path(target), read)
+    with nullcontext() if catalogue is None else Catalogue.opened(catalogue) as store:
         found = inspect_scan(scan, options, n_rescans=n_rescans, catalogue=store)
     if page is not None:
         write_inspection_page(found, page)

@@ -10,13 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve import Catalogue, PipelineOptions
-from pcretrieve.catalogue import CatalogueLike, opened
 from pcretrieve.errors import InputError
 from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import encoded, write_page
 from pcretrieve.pages.thumbnails import Thumbnails
-from pcretrieve.query import without_labels
-from pcretrieve.retrieval.clusters import plane_map
 from pcretrieve.values import FloatArray
 from pcretrieve.values.files import write_file
 
@@ -53,7 +50,7 @@ class ClassGroup(NamedTuple):
 
 
 def draw_map(
-    catalogue: CatalogueLike, path: str | Path, *, options: OptionsLike = None, up: str | None = None
+    catalogue: Catalogue | str | Path, path: str | Path, *, options: OptionsLike = None, up: str | None = None
 ) -> Path:
     """Draw the shapes of a catalogue in the plane, near shapes near each other.
 
@@ -86,12 +83,12 @@ def draw_map(
     target = Path(path).absolute()
     if target.suffix.lower() not in (".png", ".html"):
         raise InputError(f"a map is a picture .png or a page .html, got {target.name}")
-    with opened(catalogue) as store:
-        index = store.index(without_labels(PipelineOptions.of(options, store.options)))
+    with Catalogue.opened(catalogue) as store:
+        index = store.index(PipelineOptions.of(options, store.options).without_labels)
         labels = {origin.id: origin.label for origin in store.origins()}
         classes = [labels[shape_id] for shape_id in index.ids]
         title = f"Map of {Path(store.location).name}"
-        places = plane_map(index)
+        places = index.places()
         if target.suffix.lower() == ".png":
             from pcretrieve.draw.plot import draw_places
 

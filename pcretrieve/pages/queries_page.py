@@ -9,15 +9,20 @@ from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import Any
 
-from pcretrieve import Answer, Catalogue, DistanceMatrix, PipelineOptions, Signature, __version__
-from pcretrieve.catalogue import CatalogueLike, opened
-from pcretrieve.errors import ShapeError
-from pcretrieve.formats import check_output
+from pcretrieve import (
+    Answer,
+    Catalogue,
+    DistanceMatrix,
+    PipelineOptions,
+    ShapeError,
+    Signature,
+    __version__,
+    search_many,
+)
 from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import write_page
 from pcretrieve.pages.thumbnails import Thumbnails
-from pcretrieve.query import Described, Question, answers
-from pcretrieve.retrieval.votes import swapping_ranks
+from pcretrieve.values.files import check_target
 
 DISTANCES = {
     "log": "log, the Euclidean distance of the logarithms of the values",
@@ -27,21 +32,14 @@ DISTANCES = {
 
 
 def query_page(
-    catalogue: CatalogueLike,
+    catalogue: Catalogue | str | Path,
     queries: str | Path | Iterable[str | Path | Signature],
     path: str | Path,
     *,
-    k: int = 10,
     options: OptionsLike = None,
-    matrix: DistanceMatrix | None = None,
-    unit: str | None = None,
-    labels: Collection[str] | None = None,
-    exclude_self: bool = False,
-    min_score: float | None = None,
-    timeout: float | None = None,
-    memory: float | None = None,
     up: str | None = None,
     on_answer: Callable[[str, Answer | ShapeError], None] = lambda name, answer: None,
+    **asked: Any,
 ) -> Path:
     """Answer one or more queries on an HTML page, with pictures.
 
@@ -53,20 +51,15 @@ def query_page(
         As for `search_many`. Scans that fail are listed on the page, with the reasons.
     path : str or Path
         The HTML file. It needs no other file.
-    k : int, default 10
-        This and the following parameters up to `memory` are those of `search_many`.
     options : OptionsLike, optional
-    matrix : DistanceMatrix, optional
-    unit : str, optional
-    labels : collection of str, optional
-    exclude_self : bool, default False
-    min_score : float, optional
-    timeout : float, optional
-    memory : float, optional
+        Signature, distance and whitening. By default the options of the catalogue.
     up : {"x", "-x", "y", "-y", "z", "-z"}, optional
         The axis of the files that points upwards on pictures; by default found for each shape.
     on_answer : function, optional
         Called with the name and the answer or the error of each query, when the page is written.
+    asked : object
+        The other arguments of `search_many` by name: `k`, `matrix`, `unit`, `labels`, `exclude_self`,
+        `min_score`, `timeout` and `memory`.
 
     Returns
     -------
@@ -80,82 +73,74 @@ def query_page(
     InputError
         As by `search`, or if the page cannot be written.
     """
-    with opened(catalogue) as store:
+    with Catalogue.opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
-        how = (matrix, timeout, memory, True, up)
-        question = Question(chosen, k, labels, exclude_self, min_score, unit, *how)
         many = [queries] if isinstance(queries, (str, Path)) else [*queries]
         files = [Path(one) for one in (store.location, *many) if isinstance(one, (str, Path))]
-        check_output(Path(path), files)
-        outcomes = list(answers(store, many, question))
-        written = write_query_page(path, store, outcomes, question, up=up)
+        check_target(Path(path), files)
+        outcomes = list(search_many(store, many, options=chosen, has_pictures=True, up=up, **asked))
+        thumbnails = Thumbnails(up)
+        panels = [
+            {"name": name} | _panel(store, one, thumbnails)
+            for name, one in outcomes
+            if isinstance(one, Answer)
+        ]
+        failures = [(name, one) for name, one in outcomes if isinstance(one, ShapeError)]
+        written = write_page(
+            path,
+            "query.html",
+            title=Path(outcomes[0][0]).name if len(outcomes) == 1 else f"{len(outcomes)} queries",
+            catalogue=Path(store.location).name,
+            panels=panels,
+            failures=failures,
+            min_score=asked.get("min_score"),
+            settings=settings_in_words(
+                store, chosen, asked.get("matrix"), asked.get("labels"), asked.get("min_score")
+            ),
+            version=__version__,
+        )
         for name, outcome in outcomes:
             on_answer(name, outcome)
         return written
 
 
-def write_query_page(
-    path: str | Path,
+def settings_in_words(
     catalogue: Catalogue,
-    outcomes: Iterable[tuple[str, Answer | ShapeError]],
-    question: Question,
-    *,
-    up: str | None = None,
-) -> Path:
-    """Write answers that are known already on a page; those that failed are listed at the end."""
-    panels, failures, thumbnails = [], [], Thumbnails(up)
-    for name, outcome in outcomes:
-        if isinstance(outcome, ShapeError):
-            failures.append((name, outcome))
-        else:
-            panels.append({"name": name} | _panel(catalogue, outcome, thumbnails))
-    names = [panel["name"] for panel in panels] + [name for name, _ in failures]
-    return write_page(
-        path,
-        "query.html",
-        title=Path(names[0]).name if len(names) == 1 else f"{len(names)} queries",
-        catalogue=Path(catalogue.location).name,
-        panels=panels,
-        failures=failures,
-        min_score=question.min_score,
-        settings=settings_in_words(catalogue, question),
-        version=__version__,
-    )
-
-
-def settings_in_words(catalogue: Catalogue, question: Question) -> dict[str, str]:
+    options: PipelineOptions,
+    matrix: DistanceMatrix | None = None,
+    labels: Collection[str] | None = None,
+    min_score: float | None = None,
+) -> dict[str, str]:
     """How shapes are compared, in words."""
-    classes = f"the class {' or '.join(sorted(question.labels))} of " if question.labels else ""
-    least = {} if question.min_score is None else {"least score": f"{question.min_score:g}"}
-    if question.matrix is not None:
-        n_shapes = len(question.matrix)
-        return {"searched": f"{classes}{n_shapes} shapes", "distance": "that of a matrix"} | least
-    index = catalogue.index(question.options)
-    compared, retrieval = question.options.compared, question.options.retrieval
+    classes = f"the class {' or '.join(sorted(labels))} of " if labels else ""
+    least = {} if min_score is None else {"least score": f"{min_score:g}"}
+    if matrix is not None:
+        return {"searched": f"{classes}{len(matrix)} shapes", "distance": "that of a matrix"} | least
+    index = catalogue.index(options)
+    compared, retrieval = options.compared, options.retrieval
     size = compared.size_weight
     return {
         "searched": f"{classes}{len(index)} shapes",
         "signature": f"{compared.method}, {len(index.whitening.mean)} values, "
         + (f"with the size, weighted by {size:g}" if size else "of the form alone"),
         "distance": DISTANCES.get(retrieval.distance, retrieval.distance),
-        "whitening": catalogue.whitening(question.options).reason,
+        "whitening": index.whitening.reason,
         "re-ranking": "none" if retrieval.rerank == "none" else f"by {retrieval.rerank} neighbours",
         "score": index.scores.reason if index.scores else "none, because labels and shapes are too few",
     } | least
 
 
 def _panel(catalogue: Catalogue, answer: Answer, thumbnails: Thumbnails) -> dict[str, Any]:
-    """One query as the template shows it; `swaps`: first and last of each run of ranks that could swap."""
+    """One query as the template shows it."""
     query, record, picture, verdict = answer.query, None, None, None
     if isinstance(query, str):
         record = catalogue.record(query)
         picture, verdict = thumbnails.of(catalogue, record), record.verdict
-    elif isinstance(query, Described):
+    elif query is not None:
         picture, verdict = query.picture, query.verdict
     results = [
         row | {"picture": thumbnails.of(catalogue, found)}
         for row, found in zip(answer.rows(), answer.records, strict=True)
     ]
-    swaps = [] if answer.rank_ranges is None else swapping_ranks(answer.rank_ranges)
-    shown = {"answer": answer, "results": results, "swaps": swaps}
-    return shown | {"record": record, "picture": picture, "verdict": verdict}
+    shown = {"answer": answer, "results": results, "record": record}
+    return shown | {"picture": picture, "verdict": verdict}

@@ -15,25 +15,21 @@ import numpy as np
 
 from pcretrieve import (
     Catalogue,
+    Comparison,
     DistanceMatrix,
     Evaluation,
     PipelineOptions,
     Record,
     SignatureIndex,
+    compare,
     evaluate,
 )
-from pcretrieve.catalogue import CatalogueLike, opened
 from pcretrieve.errors import InputError
-from pcretrieve.evaluation.catalogue import check_known
-from pcretrieve.evaluation.comparison import compare_scores, result_scores
-from pcretrieve.evaluation.measures import Confusion, QueryScores, confusion, precision_recall, query_scores
 from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import line_of, write_page
 from pcretrieve.pages.map_page import map_drawing
 from pcretrieve.pages.queries_page import settings_in_words
 from pcretrieve.pages.thumbnails import Thumbnails
-from pcretrieve.query import Question, without_labels
-from pcretrieve.retrieval.clusters import plane_map
 
 # Side of the pictures, so that a page of 600 shapes stays below 3 MB.
 PIXELS = 88
@@ -89,7 +85,7 @@ class _Panel(NamedTuple):
 
 
 def report(
-    catalogue: CatalogueLike,
+    catalogue: Catalogue | str | Path,
     path: str | Path,
     *,
     n_queries: int = 1000,
@@ -133,25 +129,27 @@ def report(
     CatalogueError
         If the options require other spectra than the catalogue has.
     """
-    with opened(catalogue) as store:
+    with Catalogue.opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
         # As the measures: with a whitening fitted to labels, the queries that they call bad would look good.
-        chosen = without_labels(chosen) if matrix is None else chosen.changed(retrieval={"rerank": "none"})
-        other = None if versus is None else result_scores(versus)[0]
-        records = {record.id: record for record in store.records()}
-        ranking = _ranking(store, chosen, matrix)
-        sizes = Counter(label for one in ranking.ids if (label := records[one].label) is not None)
-        scores = measured = None
+        chosen = chosen.without_labels if matrix is None else chosen.changed(retrieval={"rerank": "none"})
+        ranking = store.index(chosen) if matrix is None else matrix
+        records = {record.id: record for record in store.several(ranking.ids)}
+        if unknown := set(ranking.ids) - records.keys():
+            raise store.unknown(min(unknown))
+        sizes = Counter(record.label for record in records.values() if record.label is not None)
+        measured, comparison, precision = None, None, {}
         if any(size > 1 for size in sizes.values()):
             evaluated = evaluate(store, options=chosen, matrix=matrix)
-            scores, measured = query_scores(evaluated.ranked.rankings), _measured(evaluated)
-        elif other is not None:
+            measured, scores = _measured(evaluated), evaluated.scores
+            comparison = None if versus is None else _compared(compare(versus, evaluated))
+            precision = dict(zip(scores.ids, scores.ap.tolist(), strict=True))
+        elif versus is not None:
             raise InputError(f"no class in {store.location} has two shapes: there are no measures to compare")
-        precision = {} if scores is None else dict(zip(scores.ids, scores.ap.tolist(), strict=True))
         # The worst first, then those that have no average precision.
         queries = sorted(ranking.ids, key=lambda shape_id: precision.get(shape_id, 2.0))
         facts = {"shapes": str(len(ranking.ids)), "classes": str(len(sizes))}
-        facts |= _facts(store, Question(chosen, matrix=matrix), measured)
+        facts |= _facts(store, chosen, matrix, measured)
         if len(queries) > n_queries:
             facts["queries"] = f"the {n_queries} with the lowest average precision of {len(queries)}"
         thumbnails = Thumbnails(up, PIXELS)
@@ -173,34 +171,27 @@ def report(
             anchors={panel.query.record.id: f"q{number}" for number, panel in enumerate(panels)},
             pictures={picture: number for number, picture in enumerate(shown)},
             measured=measured,
-            comparison=None if other is None or scores is None else _compared(other, scores),
+            comparison=comparison,
             compared_with=versus.location if isinstance(versus, Catalogue) else str(versus),
             drawing=_map(ranking, records),
-            failures=[record for record in records.values() if record.status == "failed"],
+            failures=[record for records in store.pages(status="failed") for record in records],
         )
 
 
-def _ranking(
-    catalogue: Catalogue, options: PipelineOptions, matrix: DistanceMatrix | None
-) -> SignatureIndex | DistanceMatrix:
-    if matrix is not None:
-        check_known(matrix, catalogue)
-        return matrix
-    table = catalogue.signatures(options)
-    if not len(table):
-        raise InputError(f"{catalogue.location} holds no shapes: ingest some first")
-    return SignatureIndex(table, options.retrieval, whitening=catalogue.whitening(options))
-
-
-def _facts(catalogue: Catalogue, question: Question, measured: dict[str, Any] | None) -> dict[str, str]:
+def _facts(
+    catalogue: Catalogue,
+    options: PipelineOptions,
+    matrix: DistanceMatrix | None,
+    measured: dict[str, Any] | None,
+) -> dict[str, str]:
     """How shapes are compared."""
-    facts = settings_in_words(catalogue, question)
+    facts = settings_in_words(catalogue, options, matrix)
     for left_out in ("searched", "score"):
         facts.pop(left_out, None)
-    if question.matrix is None:
-        facts["scale"] = question.options.compared.scale
+    if matrix is None:
+        facts["scale"] = options.compared.scale
     else:
-        facts["distance"] = f"that of a matrix of {len(question.matrix)} shapes"
+        facts["distance"] = f"that of a matrix of {len(matrix)} shapes"
     if measured is not None and measured["whitening"]:
         # One that is fitted without labels is the same for the measures.
         is_same = measured["whitening"].startswith(facts["whitening"])
@@ -210,7 +201,7 @@ def _facts(catalogue: Catalogue, question: Question, measured: dict[str, Any] | 
 
 def _measured(found: Evaluation) -> dict[str, Any]:
     """The measures as the template shows them."""
-    curve = precision_recall(found.ranked.rankings)
+    curve = found.precision_recall
     means = (found.nn, found.ft, found.st, found.e, found.dcg, found.map)
     return {
         "counts": found,
@@ -223,13 +214,14 @@ def _measured(found: Evaluation) -> dict[str, Any]:
         "curve": line_of(curve.recall, 1 - curve.precision),
         "precision": curve.precision.tolist(),
         "classes": sorted(found.classes, key=lambda one: (one.means[-1], one.label)),
-        "confusion": _confusion(confusion(found.ranked.rankings)),
+        "confusion": _confusion(found),
         "whitening": found.ranked.whitening,
     }
 
 
-def _confusion(matrix: Confusion) -> dict[str, Any]:
+def _confusion(found: Evaluation) -> dict[str, Any]:
     """A confusion matrix whose cells have side 1."""
+    matrix = found.confusion
     counts = matrix.counts
     n_columns = len(matrix.nearest) - (not counts[:, -1].any())
     nearest = ["no class" if label is None else label for label in matrix.nearest[:n_columns]]
@@ -250,9 +242,8 @@ def _short(label: str) -> str:
     return label if len(label) <= MOST_LETTERS else label[: MOST_LETTERS - 1] + "…"
 
 
-def _compared(other: QueryScores, scores: QueryScores) -> dict[str, Any]:
+def _compared(found: Comparison) -> dict[str, Any]:
     """The measures of another result and of this one, and this minus the other with its interval."""
-    found = compare_scores(other, scores)
     columns = (found.first, found.second, found.difference, *found.interval)
     rows = []
     for short, numbers in zip(MEASURES, np.transpose(columns).tolist(), strict=True):
@@ -267,7 +258,7 @@ def _map(ranking: SignatureIndex | DistanceMatrix, records: Mapping[str, Record]
     if not isinstance(ranking, SignatureIndex) or len(ranking) > MOST_MAPPED:
         return None
     labels = [records[shape_id].label for shape_id in ranking.ids]
-    return map_drawing(ranking.ids, labels, plane_map(ranking))
+    return map_drawing(ranking.ids, labels, ranking.places())
 
 
 def _near(

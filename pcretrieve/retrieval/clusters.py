@@ -53,14 +53,12 @@ def cluster_numbers(index: SignatureIndex, *, min_size: int = 3) -> NDArray[np.i
     return numbers[found]
 
 
-def plane_map(index: SignatureIndex, rows: NDArray[np.intp] | None = None) -> FloatArray:
-    """Places in the plane at which shapes with near whitened signatures are near (t-SNE).
+def plane_map(points: FloatArray) -> FloatArray:
+    """Places in the plane at which shapes with near whitened signatures (N, L) are near (t-SNE).
 
-    rows: (n,) intp, optional, rows of the index: only these shapes are placed.
     Returns (N, 2) float64: the places, within [0, 1]²; only which are near each other has a meaning.
     """
-    points = index.points
-    places = _embedding(points if rows is None else points[rows])
+    places = _embedding(points)
     # The direction of the largest extent is across, as on screens.
     places = places @ np.linalg.svd(places - places.mean(axis=0), full_matrices=False)[2].T
     return _framed(_apart(_framed(places), min(GAP, SHARE / np.sqrt(len(places)))))

@@ -34,6 +34,16 @@ def write_file(path: Path, data: bytes) -> None:
         ) from error
 
 
+def check_target(path: Path, sources: Sequence[Path] = ()) -> None:
+    """Check, before a long computation, that its result can be written and replaces no file that is read."""
+    if not path.parent.is_dir():
+        raise InputError(f"there is no folder {path.parent} to put {path.name} into: make it first")
+    if path.is_dir():
+        raise InputError(f"{path} is a folder: name a file")
+    if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
+        raise InputError(f"{path} is one of the files to be read: name another file")
+
+
 def _replace(target: Path, data: bytes) -> None:
     # A short name, because a name longer than that of the file might be too long.
     temporary = target.with_name(f".{secrets.token_hex(8)}.part")

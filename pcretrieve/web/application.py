@@ -24,7 +24,6 @@ from starlette.staticfiles import StaticFiles
 
 from pcretrieve import Answer, Catalogue, PipelineOptions, Record
 from pcretrieve.errors import CatalogueError, InputError, PcretrieveError
-from pcretrieve.formats import mesh_bytes
 from pcretrieve.pages.html import page_of
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.web.comparison import Maps, compared, mesh_of, scene_document
@@ -41,13 +40,13 @@ from pcretrieve.web.documents import (
 )
 from pcretrieve.web.jobs import Job, Jobs
 from pcretrieve.web.requests import (
+    ONE_FILE,
     Listing,
     NotFound,
     Similar,
     TooLarge,
     checked_suffix,
     received,
-    upload_suffixes,
 )
 
 logger = logging.getLogger(__name__)
@@ -196,7 +195,7 @@ def _collection(asked: _Asked) -> Response:
         listing=listing,
         found=listing_document(asked.catalogue, listing),
         classes=class_names(asked.catalogue),
-        suffixes=() if asked.site.given_jobs is None else upload_suffixes(),
+        suffixes=() if asked.site.given_jobs is None else ONE_FILE,
         most_bytes=asked.site.most_bytes,
         keeps_scans=asked.site.keeps_scans,
     )
@@ -264,7 +263,7 @@ def _thumbnail(asked: _Asked) -> Response:
 
 def _glb(asked: _Asked) -> Response:
     """The surface of a shape as a binary glTF file, in the unit of the scan."""
-    content = mesh_bytes(mesh_of(asked.catalogue, asked.name), "glb")
+    content = mesh_of(asked.catalogue, asked.name).to_trimesh().export(file_type="glb")
     return _download(content, "shape.glb", "model/gltf-binary")
 
 

@@ -16,7 +16,6 @@ from pcretrieve.pages.html import Curves, curves
 from pcretrieve.pages.map_page import map_drawing
 from pcretrieve.pages.scene import surface_scene
 from pcretrieve.pages.thumbnails import Thumbnails
-from pcretrieve.retrieval.clusters import plane_map
 from pcretrieve.values import FloatArray
 from pcretrieve.web.documents import record_of, shape_document, without_folders
 from pcretrieve.web.requests import NotFound
@@ -54,12 +53,11 @@ def compared(catalogue: Catalogue, a: str, b: str, options: PipelineOptions) -> 
 
 def scene_document(catalogue: Catalogue, shape_id: str, thumbnails: Thumbnails) -> dict[str, Any]:
     """The surface of a shape for the viewer of a browser, simplified if it has too many faces."""
-    from pcretrieve.surface.simplify import decimated
-
     mesh = mesh_of(catalogue, shape_id)
     up = thumbnails.up(catalogue, mesh)
     if len(mesh.faces) > MOST_FACES:
-        mesh = decimated(mesh, MOST_FACES)
+        coarse = mesh.to_open3d().simplify_quadric_decimation(MOST_FACES)
+        mesh = TriangleMesh(np.array(coarse.vertices), np.array(coarse.triangles, dtype=np.int32))
     return surface_scene(mesh, up)
 
 
@@ -137,7 +135,7 @@ class Maps:
         key = tuple(index.ids), index.whitening.mean.tobytes()
         with self._lock:
             if self._places is None or key != self._key:
-                self._key, self._places = key, self._thread.submit(plane_map, index, rows)
+                self._key, self._places = key, self._thread.submit(index.places, rows)
             places = self._places
         try:
             return places.result(PATIENCE)

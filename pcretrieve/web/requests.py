@@ -13,7 +13,6 @@ from pydantic import ConfigDict, Field
 from typing_extensions import Self
 
 from pcretrieve.errors import InputError
-from pcretrieve.formats import missing_extra, suffixes
 from pcretrieve.options import Options
 
 if TYPE_CHECKING:
@@ -88,18 +87,12 @@ class Similar(_Fields):
     min_score: Annotated[float, Field(ge=0, le=1)] | None = None
 
 
-def upload_suffixes() -> tuple[str, ...]:
-    """The suffixes of files that can be uploaded, and that this installation can read."""
-    known = suffixes()
-    return tuple(suffix for suffix in ONE_FILE if suffix in known and not missing_extra(suffix))
-
-
 def checked_suffix(name: str) -> str:
     """The suffix of an uploaded file."""
     suffix = PurePosixPath(name).suffix.lower()
-    if suffix not in upload_suffixes() or len(name) > LONGEST_NAME:
+    if suffix not in ONE_FILE or len(name) > LONGEST_NAME:
         raise InputError(
-            f"a scan must be a file with one of the suffixes {' '.join(upload_suffixes())} and a name of at "
+            f"a scan must be a file with one of the suffixes {' '.join(ONE_FILE)} and a name of at "
             f"most {LONGEST_NAME} characters, got {name[-50:]!r}"
         )
     return suffix

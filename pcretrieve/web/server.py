@@ -6,7 +6,6 @@ import re
 import secrets
 import socket
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +13,6 @@ from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.draw import upward
 from pcretrieve.errors import InputError
 from pcretrieve.options import OptionsLike
-from pcretrieve.retrieval.index import N_INTERPRETED
 
 if TYPE_CHECKING:
     from pcretrieve.web.guard import Guard
@@ -115,7 +113,7 @@ def serve(
     try:
         with _listening(port) as listener:
             address = f"http://{ADDRESS}:{listener.getsockname()[1]}/?token={key}"
-            searching.prepare(partial(_warmed, chosen))
+            searching.prepare(lambda catalogue: catalogue.index(chosen).load())
             _run(Guard(application(site), key), listener, lambda: on_start(address))
     finally:
         if jobs is not None:
@@ -123,13 +121,6 @@ def serve(
         site.maps.close()
         searching.close()
         drawing.close()
-
-
-def _warmed(options: PipelineOptions, catalogue: Catalogue) -> None:
-    """Ask an index as often as it takes to load its compiled code, so that no user waits for that."""
-    index = catalogue.index(options)
-    for _ in range(N_INTERPRETED + 1):
-        index.nearest(index.ids[0], 1)
 
 
 def _listening(port: int) -> socket.socket:

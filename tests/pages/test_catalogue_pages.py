@@ -18,7 +18,6 @@ from search_server import NASTY
 
 from pcretrieve import (
     Answer,
-    Catalogue,
     PipelineOptions,
     draw_map,
     ingest,
@@ -31,8 +30,6 @@ from pcretrieve import (
 from pcretrieve.cli.main import cli
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation import evaluate
-from pcretrieve.pages import write_query_page
-from pcretrieve.query import Question
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -201,21 +198,21 @@ def test_the_page_of_one_scan_says_what_the_search_found(many: Path, folder: Pat
     assert "Overview" not in words and "failed" not in words
 
 
-def test_doubt_about_an_answer_is_said(many: Path, folder: Path) -> None:
+def test_doubt_about_an_answer_is_said(many: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     egg(0.4, folder / "flat.off", width=3.0)
     page = query_page(many, folder / "flat.off", folder / "none.html", min_score=0.99)
     assert "No match : no shape has a score of 0.99 or more" in words_of(page)
     assert "least score 0.99" in words_of(page) and '<ol class="results">' not in page.read_text("utf-8")
-    answer, question = answer_of(many, folder / "new.off", 4), Question(OPTIONS)
+    answer = answer_of(many, folder / "new.off", 4)
     swapped = replace(answer, rank_ranges=np.array([[1, 1], [2, 3], [2, 4], [3, 4]]))
     far = replace(answer, neighbors=replace(answer.neighbors, scores=np.full(4, 0.25)))
     for given, said in (
         (swapped, "Within the error bar of the query, these ranks could swap: 2 to 4."),
         (far, "Probably no match : the best score is 0.25. Nearest is kind1 , by "),
     ):
-        with Catalogue(many) as store:
-            page = write_query_page(folder / "doubt.html", store, [("new.off", given)], question)
-        assert said in words_of(page)
+        found = [("new.off", given)]
+        monkeypatch.setattr("pcretrieve.pages.queries_page.search_many", lambda *_, found=found, **__: found)
+        assert said in words_of(query_page(many, [], folder / "doubt.html"))
 
 
 def test_the_command_prints_what_it_prints_and_writes_the_page(many: Path, folder: Path) -> None:

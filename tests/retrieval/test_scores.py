@@ -12,7 +12,7 @@ from sklearn.isotonic import IsotonicRegression
 from pcretrieve.errors import InputError
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import SignatureIndex, Whitening, fit_whitening, pairwise, scores
-from pcretrieve.retrieval.clusters import GAP, near_pairs, plane_map
+from pcretrieve.retrieval.clusters import GAP, near_pairs
 from pcretrieve.retrieval.scores import MatchScores, fit_scores
 from pcretrieve.retrieval.votes import Vote, class_vote, rank_ranges
 from pcretrieve.values import FloatArray, Signature, SignatureTable
@@ -142,10 +142,10 @@ def test_near_pairs_are_those_of_all_pairs(n: int) -> None:
 def test_a_map_keeps_neighbours_and_hides_none() -> None:
     labels = np.repeat(np.arange(8), 10)
     index = index_of(classes(8, 10, seed=0, spread=0.02)[0])
-    places = plane_map(index)
+    places = index.places()
     assert places.min() >= 0 and places.max() <= 1
     np.testing.assert_allclose(np.ptp(places, axis=0).max(), 1)
     apart = cdist(places, places) + 9 * np.eye(80)
     assert (labels[apart.argmin(axis=1)] == labels).all()
     assert apart.min() > 0.5 * GAP
-    np.testing.assert_array_equal(plane_map(index), places)
+    np.testing.assert_array_equal(index.places(), places)
