@@ -17,7 +17,7 @@ import shapes
 from processes import wait_for
 from stored import Everything, everything
 
-from pcretrieve import Catalogue, ingest, merge_catalogues
+from pcretrieve import Catalogue, Record, ingest, merge_catalogues
 from pcretrieve.formats import write_mesh
 from pcretrieve.simulation import write_ply
 
@@ -31,8 +31,8 @@ def egg(path: Path, length: float) -> bytes:
     return path.read_bytes()
 
 
-def ids(records: list[object]) -> list[str]:
-    return sorted(record.id for record in records)  # type: ignore[attr-defined]
+def ids(records: list[Record]) -> list[str]:
+    return sorted(record.id for record in records)
 
 
 @pytest.fixture
@@ -63,10 +63,10 @@ def filled(folder: Path, catalogue: Catalogue) -> Catalogue:
 def test_one_content_is_processed_once(folder: Path, catalogue: Catalogue) -> None:
     seen: list[str] = []
     first = ingest(folder, catalogue, on_shape=lambda record: seen.append(record.id))
-    assert ids([*first.done]) == ["a", "b"]
+    assert ids(first.done) == ["a", "b"]
     assert [(Path(path).name, original.id) for path, original in first.duplicates] == [("copy.off", "a")]
     second = ingest(folder, catalogue)
-    assert (ids([*second.held]), second.done, len(second.duplicates)) == (["a", "b"], [], 1)
+    assert (ids(second.held), second.done, len(second.duplicates)) == (["a", "b"], [], 1)
     assert sorted(seen) == ["a", "a", "b"]  # once for each file
 
 
@@ -75,7 +75,7 @@ def test_a_file_that_changed_is_processed_again(folder: Path, filled: Catalogue)
     before = filled.signatures()
     egg(folder / "a.off", 3)
     summary = ingest(folder, filled)
-    assert (ids([*summary.done]), ids([*summary.held]), summary.duplicates) == (["a", "copy"], ["b"], [])
+    assert (ids(summary.done), ids(summary.held), summary.duplicates) == (["a", "copy"], ["b"], [])
     after = filled.signatures()
     assert after.ids == ("a", "b", "copy")
     np.testing.assert_array_equal(after.values[2], before.values[0])
@@ -87,7 +87,7 @@ def test_a_folder_that_moves_takes_its_shapes_along(folder: Path, filled: Catalo
     before = filled.record("b")
     moved = folder.rename(folder.parent / "nest")
     summary = ingest(moved, filled)
-    assert (summary.done, ids([*summary.held])) == ([], ["a", "b"])
+    assert (summary.done, ids(summary.held)) == ([], ["a", "b"])
     after = filled.record("b")
     assert after.path == str(moved / "b.off")
     assert (after.added, after.label) == (before.added, "long")
@@ -106,12 +106,12 @@ def test_labels_reach_shapes_that_are_held_already(folder: Path, filled: Catalog
 
 def test_a_failure_is_stored_until_it_is_retried(folder: Path, filled: Catalogue) -> None:
     (folder / "flat.xyz").write_text("1 2 3\n" * 200)
-    assert ids([*ingest(folder, filled).failed]) == ["flat"]
+    assert ids(ingest(folder, filled).failed) == ["flat"]
     remembered = ingest(folder, filled)
-    assert (remembered.failed, "flat" in ids([*remembered.held])) == ([], True)
-    assert ids([*ingest(folder, filled, retry_failed=True).failed]) == ["flat"]
+    assert (remembered.failed, "flat" in ids(remembered.held)) == ([], True)
+    assert ids(ingest(folder, filled, retry_failed=True).failed) == ["flat"]
     (folder / "flat.xyz").unlink()
-    assert ids([*ingest(folder, filled).held]) == ["a", "b"]
+    assert ids(ingest(folder, filled).held) == ["a", "b"]
 
 
 def test_a_file_out_of_reach_keeps_what_was_made_of_it(folder: Path, filled: Catalogue) -> None:
@@ -122,7 +122,7 @@ def test_a_file_out_of_reach_keeps_what_was_made_of_it(folder: Path, filled: Cat
     (folder / "a.off").symlink_to("away")
     (folder / "b.off").write_bytes((folder / "b.off").read_bytes()[:1000])  # half copied
     summary = ingest(folder, filled)
-    assert ids([*summary.failed]) == ["a", "b"]
+    assert ids(summary.failed) == ["a", "b"]
     for record in summary.failed:
         assert "; the catalogue keeps what was made of this file on" in str(record.message)
     assert [Path(path).name for path, _ in summary.duplicates] == ["copy.off"]
@@ -130,7 +130,7 @@ def test_a_file_out_of_reach_keeps_what_was_made_of_it(folder: Path, filled: Cat
     np.testing.assert_array_equal(filled.signatures().values, signatures)
     (folder / "a.off").unlink()
     (folder / "a.off").write_bytes(content)
-    assert ids([*ingest(folder, filled).held]) == ["a"]
+    assert ids(ingest(folder, filled).held) == ["a"]
 
 
 # --- shards ---------------------------------------------------------------------------------------------

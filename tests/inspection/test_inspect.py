@@ -51,9 +51,8 @@ def test_a_hole_in_the_scan_is_filled_where_it_is() -> None:
     areas, middles = seen.mesh.face_areas, seen.mesh.vertices[seen.mesh.faces].mean(axis=1)
     here = np.linalg.norm(middles - middle, axis=1) < 1.2 * radius
     assert areas[seen.filled & here].sum() > 0.9 * areas[seen.filled].sum()
-    assert areas[seen.filled].sum() == pytest.approx(
-        np.pi * radius**2, rel=0.3
-    )  # less what is next to the rim
+    # Less what is next to the rim.
+    assert areas[seen.filled].sum() == pytest.approx(np.pi * radius**2, rel=0.3)
     # The body can stand on the cap of the hole.
     filled, base = check(seen, "Filled in").value, check(seen, "Closed base").value
     assert filled is not None and base is not None
@@ -86,8 +85,6 @@ def test_what_fails_is_shown_as_far_as_it_came(tmp_path: Path) -> None:
         assert f"the {seen.failure.stage} stage failed" in seen.summary
         assert seen.checks[0].verdict == "failed"
 
-
-def test_points_that_are_no_body() -> None:
     line = np.linspace([0, 0, 0], [1, 2, 3], 500)
     for points in (np.zeros((0, 3)), np.zeros((1, 3)), np.ones((500, 3)), line):
         seen = inspect_scan(points)
