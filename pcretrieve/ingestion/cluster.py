@@ -107,18 +107,21 @@ class DaskExecutor:
             ingest = uuid4().hex
             call = partial(_outcome_of, function, timeout, memory, versions(), ingest)
             completed = as_completed([], loop=client.loop)
+
+            def submit(item: Item, is_alone: bool) -> None:
+                with _connection():
+                    future = client.submit(call, item, pure=False)
+                running[future] = item, is_alone
+                completed.add(future)
+
             try:
                 while True:
                     # The number of workers of a cluster on this computer is its limit.
                     most = _window(client) if self.local or workers is None else workers
-                    tasks = [(item, False) for item in islice(rest, max(0, most - len(running)))]
-                    if not (tasks or running) and given_up:
-                        tasks = [(given_up.popleft(), True)]
-                    for task in tasks:
-                        with _connection():
-                            future = client.submit(call, task[0], pure=False)
-                        running[future] = task
-                        completed.add(future)
+                    for item in islice(rest, max(0, most - len(running))):
+                        submit(item, False)
+                    if not running and given_up:
+                        submit(given_up.popleft(), True)
                     if not running:
                         return
                     future = next(completed)
