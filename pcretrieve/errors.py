@@ -5,9 +5,7 @@
     │  ├─ OptionError
     │  └─ BenchmarkError
     ├─ ShapeError                   one shape cannot be processed: a batch records it and goes on
-    │  ├─ ScanReadError  ReconstructionError  RemeshError  DegenerateMeshError
-    │  ├─ SpectrumError
-    │  │  └─ ExtraZeroModes  NegativeEigenvalues  NonFiniteSpectrum  SpectrumNotConverged
+    │  ├─ ScanReadError  ReconstructionError  RemeshError  DegenerateMeshError  SpectrumError
     │  └─ StageTimeout  WorkerDied  MemoryExceeded  UnexpectedError
     └─ CatalogueError               other options, newer schema, locked, corrupt
 
@@ -119,22 +117,6 @@ class SpectrumError(ShapeError):
     """The eigenvalue problem has no usable solution."""
 
     default_stage = Stage.SPECTRUM
-
-
-class ExtraZeroModes(SpectrumError):
-    """The operator has more than the one zero eigenvalue of a connected surface."""
-
-
-class NegativeEigenvalues(SpectrumError):
-    """The operator is not positive semi-definite."""
-
-
-class NonFiniteSpectrum(SpectrumError):
-    """The eigenvalue solver returned NaN or infinite numbers."""
-
-
-class SpectrumNotConverged(SpectrumError):
-    """The eigenvalue solver stopped before its residuals were below the tolerance."""
 
 
 class StageTimeout(ShapeError):

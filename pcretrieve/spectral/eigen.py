@@ -9,14 +9,7 @@ from scipy.linalg import LinAlgError, eigh
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh, splu
 
-from pcretrieve.errors import (
-    ExtraZeroModes,
-    NegativeEigenvalues,
-    NonFiniteSpectrum,
-    OptionError,
-    SpectrumError,
-    SpectrumNotConverged,
-)
+from pcretrieve.errors import OptionError, SpectrumError
 from pcretrieve.spectral.krylov import BLOCK, basis_size, block_krylov
 from pcretrieve.values import Eigenpairs, FloatArray, LaplaceBeltrami
 
@@ -74,17 +67,10 @@ def eigenpairs(
     ------
     OptionError
         If `n_pairs` is less than 2, the tolerance is out of range, or the solver does not exist.
-    ExtraZeroModes
-        If the surface is not connected.
-    NegativeEigenvalues
-        If the stiffness matrix is not positive semi-definite.
-    SpectrumNotConverged
-        If the residuals do not decrease below the tolerance.
-    NonFiniteSpectrum
-        If a number overflows.
     SpectrumError
-        If the operator has at most `n_pairs` rows, a row has no mass, the solver fails for another reason, or
-        its results are not eigenpairs.
+        If the operator has at most `n_pairs` rows, or a row has no mass; the surface is not connected; the
+        stiffness matrix is not positive semi-definite; a number overflows; or the solver fails, its residuals
+        do not decrease below the tolerance, or its results are not eigenpairs.
 
     References
     ----------
@@ -103,7 +89,7 @@ def eigenpairs(
             else:
                 found = _arpack(operator, n_pairs, shift) if used == "arpack" else _dense(operator, n_pairs)
     except ArpackNoConvergence as error:
-        raise SpectrumNotConverged(f"ARPACK must converge to rounding, did not: {error}") from error
+        raise SpectrumError(f"ARPACK must converge to rounding, did not: {error}") from error
     # SuperLU raises RuntimeError for a singular matrix; ArpackError is a RuntimeError too.
     except (LinAlgError, RuntimeError) as error:
         raise SpectrumError(f"the eigenvalue solver failed: {error}") from error
@@ -137,7 +123,7 @@ def _check_question(operator: LaplaceBeltrami, n_pairs: int, tolerance: float) -
             "use a finer surface or fewer pairs"
         )
     if operator.n_components > 1:
-        raise ExtraZeroModes(
+        raise SpectrumError(
             f"the surface must be connected, got {operator.n_components} components: each has a zero "
             "eigenvalue of its own; keep the largest one"
         )
@@ -191,15 +177,15 @@ def _check_answer(operator: LaplaceBeltrami, eigenvalues: FloatArray, vectors: F
     """The largest relative residual of the pairs with λ > 0."""
     scaled = eigenvalues * operator.area  # dimensionless
     if not (np.isfinite(scaled).all() and np.isfinite(vectors).all()):
-        raise NonFiniteSpectrum("eigenpairs must be finite, got NaN or infinite numbers")
+        raise SpectrumError("eigenpairs must be finite, got NaN or infinite numbers")
     if scaled[0] < -SMALLEST_GAP:
-        raise NegativeEigenvalues(
+        raise SpectrumError(
             f"λ·area must not be negative, got {scaled[0]:.1e}: the stiffness matrix is not positive "
             "semi-definite"
         )
     n_zero = operator.n_components
     if scaled[n_zero] < SMALLEST_GAP:
-        raise ExtraZeroModes(
+        raise SpectrumError(
             f"λ·area must be at least {SMALLEST_GAP:g} after {n_zero} zero modes, got {scaled[n_zero]:.1e}: "
             "the surface is not connected, or only by a very thin bridge"
         )

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, eigh
 from scipy.sparse import csr_array
 
-from pcretrieve.errors import NegativeEigenvalues, NonFiniteSpectrum, SpectrumNotConverged
+from pcretrieve.errors import SpectrumError
 from pcretrieve.values import FloatArray, LaplaceBeltrami
 
 # Number of vectors in a block. An iteration finds at most as many copies of a multiple eigenvalue as the
@@ -137,7 +137,7 @@ def block_krylov(
             known = (outside * theta)[:, :width].T
             drift = turn.T @ drift
         look_at = width + BLOCK * math.ceil(np.log(worst / tolerance) / np.log(FALL_PER_BLOCK))
-    raise SpectrumNotConverged(
+    raise SpectrumError(
         f"residuals must fall below {tolerance:g}, got {worst:.1e} after {n_blocks} blocks: "
         "allow a larger tolerance, or try solver='arpack'"
     )
@@ -187,7 +187,7 @@ def _orthonormal(
             drift = np.zeros_like(drift)
         gram = block.T @ mapped  # (BLOCK, BLOCK)
         if not np.isfinite(gram).all():
-            raise NonFiniteSpectrum("the operator must be of a size to compute with, got overflow or NaN")
+            raise SpectrumError("the operator must be of a size to compute with, got overflow or NaN")
         lower = np.linalg.cholesky(gram)
         inverse = np.linalg.inv(lower).T
         lost = drift @ inverse  # (width, BLOCK)
@@ -213,7 +213,7 @@ def _cholesky(matrix: csr_array) -> Callable[[FloatArray], FloatArray]:
         kind = cholespy.MatrixType.CSR
         solver = cholespy.CholeskySolverD(matrix.shape[0], rows, columns, matrix.data, kind)
     except ValueError as error:
-        raise NegativeEigenvalues(
+        raise SpectrumError(
             f"S − σM must be positive definite for a σ below 0, got one that is not: {error}"
         ) from error
 

@@ -13,14 +13,7 @@ from scipy.linalg import eigh
 from scipy.sparse import block_diag, csc_array, diags_array
 from scipy.sparse.linalg import eigsh
 
-from pcretrieve.errors import (
-    ExtraZeroModes,
-    NegativeEigenvalues,
-    NonFiniteSpectrum,
-    OptionError,
-    SpectrumError,
-    SpectrumNotConverged,
-)
+from pcretrieve.errors import OptionError, SpectrumError
 from pcretrieve.spectral import eigen, eigenpairs, krylov, laplace_beltrami
 from pcretrieve.values import FloatArray, LaplaceBeltrami
 
@@ -178,7 +171,7 @@ def test_too_few_vertices() -> None:
 def test_two_components_that_say_they_are_one(level: int, solver: Solver) -> None:
     two = laplace_beltrami(shapes.joined(shapes.icosphere(level), shapes.icosphere(level)))
     message = r"at least 1e-06 after 1 zero modes, got .*: the surface is not"
-    with pytest.raises(ExtraZeroModes, match=message):
+    with pytest.raises(SpectrumError, match=message):
         eigenpairs(replace(two, n_components=1), 100, solver=solver)
 
 
@@ -200,12 +193,12 @@ def test_a_mass_that_is_not_definite(n: int, solver: Solver) -> None:
 @pytest.mark.parametrize("amount", [1.0, 0.5 / dense_eigenvalues(BODY)[-1] / BODY.area], ids=["far", "near"])
 def test_a_stiffness_of_the_wrong_sign(n: int, amount: float, solver: Solver) -> None:
     # The near ones are above the shift, so that there is a Cholesky factor.
-    with pytest.raises(NegativeEigenvalues, match=r"(must not be negative, got -|must be positive definite)"):
+    with pytest.raises(SpectrumError, match=r"(must not be negative, got -|must be positive definite)"):
         eigenpairs(LaplaceBeltrami(-amount * BODY.stiffness, BODY.mass), n, solver=solver)
 
 
 def test_overflow() -> None:
-    with pytest.raises(NonFiniteSpectrum, match="got overflow or NaN"):
+    with pytest.raises(SpectrumError, match="got overflow or NaN"):
         eigenpairs(LaplaceBeltrami(BODY.stiffness, csc_array(BODY.mass * 1e200)), 12)
 
 
@@ -218,11 +211,11 @@ def test_a_stiffness_that_is_not_symmetric(solver: Solver) -> None:
 
 def test_a_tolerance_beyond_arithmetic() -> None:
     message = r"residuals must fall below 1e-25, got .* after 82 blocks"
-    with pytest.raises(SpectrumNotConverged, match=message):
+    with pytest.raises(SpectrumError, match=message):
         eigenpairs(BODY, 12, tolerance=1e-25)
 
 
 def test_arpack_that_runs_out_of_iterations(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(eigen, "eigsh", partial(eigsh, maxiter=1, ncv=72))
-    with pytest.raises(SpectrumNotConverged, match=r"ARPACK .*No convergence"):
+    with pytest.raises(SpectrumError, match=r"ARPACK .*No convergence"):
         eigenpairs(BODY, 61, solver="arpack")
