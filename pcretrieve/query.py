@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcretrieve.catalogue import Catalogue, CatalogueLike, Record, opened
 from pcretrieve.errors import (
@@ -27,8 +26,8 @@ from pcretrieve.retrieval import SignatureIndex
 from pcretrieve.retrieval.clusters import NearPair, cluster_numbers, near_pairs
 from pcretrieve.retrieval.covariances import LEAST_SHAPES
 from pcretrieve.retrieval.distances import checked_k, nearest_of, position_of
-from pcretrieve.retrieval.votes import Vote, class_vote, rank_ranges, swapping_ranks
-from pcretrieve.values import FloatArray, Neighbors, Signature, Verdict
+from pcretrieve.retrieval.votes import Vote, class_vote
+from pcretrieve.values import Neighbors, Signature, Verdict
 from pcretrieve.values.base import Value
 
 if TYPE_CHECKING:
@@ -37,9 +36,6 @@ if TYPE_CHECKING:
 
 # Pairs with a smaller score are of two classes more often than of one (a convention).
 LIKELY_SCORE = 0.5
-
-# Least number of shapes that could come before the results within the error bar of a query.
-N_CANDIDATES = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,9 +97,6 @@ class Answer(Value):
         The record of each neighbour.
     vote : Vote, optional
         The class that the neighbours but the query itself vote for, weighted by their scores.
-    rank_ranges : (k, 2) intp, optional
-        The lowest and the highest rank that each neighbour has within the error bar of the query, if this is
-        known; not for ranks of a distance matrix or of re-ranked lists.
     query : str or Described, optional
         The query: its id in the catalogue, or its signature.
     """
@@ -111,7 +104,6 @@ class Answer(Value):
     neighbors: Neighbors
     records: tuple[Record, ...]
     vote: Vote | None = None
-    rank_ranges: NDArray[np.intp] | None = None
     query: str | Described | None = None
 
     @property
@@ -130,13 +122,8 @@ class Answer(Value):
         """Whether classes are known, and each neighbour is probably of another class than the query."""
         return self.vote is not None and self.best_score is not None and self.best_score < LIKELY_SCORE
 
-    @property
-    def swaps(self) -> list[tuple[int, int]]:
-        """First and last of each run of ranks that could swap within the error bar of the query."""
-        return [] if self.rank_ranges is None else swapping_ranks(self.rank_ranges)
-
     def __str__(self) -> str:
-        """The verdict, in one line: the class, how sure it is, and which ranks could swap."""
+        """The verdict, in one line: the class, and how sure it is."""
         if not self.records:
             return "no match"
         parts = [f"probably no match: the best score is {self.best_score:.2f}"] if self.is_unlikely else []
@@ -146,14 +133,11 @@ class Answer(Value):
                 f"{nearest} {self.vote.label} by {self.vote.share:.0%} of {self.vote.n_voters} votes, "
                 f"margin {self.vote.margin:.0%}"
             )
-        if self.rank_ranges is not None:
-            runs = ", ".join(f"{first} to {last}" for first, last in self.swaps)
-            parts.append(f"ranks {runs} could swap" if runs else "no ranks could swap")
         return "; ".join(parts) or f"nearest {self.records[0].id}"
 
     def rows(self) -> list[dict[str, Any]]:
         """The results, with the names that commands and the search page give their columns."""
-        known, ranges = self.neighbors.scores, self.rank_ranges
+        known = self.neighbors.scores
         return [
             {
                 "rank": row + 1,
@@ -162,7 +146,6 @@ class Answer(Value):
                 "label": record.label,
                 "distance": float(self.neighbors.distances[row]),
                 "score": None if known is None else float(known[row]),
-                "rank_range": None if ranges is None else ranges[row].tolist(),
                 "verdict": None if record.verdict is None else asdict(record.verdict),
             }
             for row, record in enumerate(self.records)
@@ -229,7 +212,7 @@ def search(
         asked = _query_of(store, query, question) if isinstance(query, (str, Path, Signature)) else query
         if not isinstance(asked, (str, Described)):
             asked = described_scan(question.scan_options(store), False, None, asked)
-        return _cut(_ranked(store, asked, question, question.k), question)
+        return _cut(_ranked(store, asked, question), question)
 
 
 def search_many(
@@ -310,20 +293,11 @@ def _answers(
 
 def answer_to(catalogue: Catalogue, query: str | Described, question: Question) -> Answer:
     """Answer one query that is known already. No file is read, whatever the query is called."""
-    has_ranges = question.matrix is None and question.options.retrieval.rerank == "none"
-    k = max(2 * question.k, N_CANDIDATES) if has_ranges else question.k
-    wide = _ranked(catalogue, query, question, k)
-    found = _cut(wide, question)
+    found = _cut(_ranked(catalogue, query, question), question)
     records = tuple(catalogue.record(shape_id) for shape_id in found.ids)
     weights = np.ones(len(records)) if found.scores is None else found.scores
     voters = [None if record.id == query else record.label for record in records]
-    ranges = None
-    if has_ranges:
-        index = catalogue.index(question.options)
-        deviation = _deviation(catalogue, query, len(index.whitening.mean))
-        if deviation is not None:
-            ranges = rank_ranges(index, _compared(query), deviation, wide.ids)[: len(found)]
-    return Answer(found, records, class_vote(voters, weights), ranges, query)
+    return Answer(found, records, class_vote(voters, weights), query)
 
 
 def duplicates(
@@ -505,25 +479,22 @@ def _stored(catalogue: Catalogue, shape_id: str) -> str:
     return shape_id
 
 
-def _compared(query: str | Described) -> str | Signature:
-    return query if isinstance(query, str) else query.signature
-
-
-def _ranked(catalogue: Catalogue, query: str | Described, question: Question, k: int) -> Neighbors:
-    """The `k` first results, without the query if it is to be left out."""
+def _ranked(catalogue: Catalogue, query: str | Described, question: Question) -> Neighbors:
+    """The first results, without the query if it is to be left out."""
     among = None if question.labels is None else _labelled(catalogue, question.labels)
     # A query that is left out of its results is one of them before.
-    most = k + question.exclude_self
+    most = question.k + question.exclude_self
     matrix = question.matrix
     if matrix is not None and isinstance(query, str):
         row = matrix.values[position_of(matrix.ids, query)]
         chosen = [number for number, name in enumerate(matrix.ids) if among is None or name in among]
         found = nearest_of([matrix.ids[number] for number in chosen], row[chosen], most)
     else:
+        compared = query if isinstance(query, str) else query.signature
         index = catalogue.index(question.options)
-        found = index.ranked(_compared(query), most, among=among, rerank=question.options.retrieval.rerank)
+        found = index.ranked(compared, most, among=among, rerank=question.options.retrieval.rerank)
     left_out = query if question.exclude_self else None
-    return _some(found, [row for row, name in enumerate(found.ids) if name != left_out][:k])
+    return _some(found, [row for row, name in enumerate(found.ids) if name != left_out][: question.k])
 
 
 def _labelled(catalogue: Catalogue, labels: Collection[str]) -> set[str]:
@@ -541,15 +512,14 @@ def _labelled(catalogue: Catalogue, labels: Collection[str]) -> set[str]:
 
 def _cut(found: Neighbors, question: Question) -> Neighbors:
     """The first results, as far as their scores are large enough."""
-    rows = range(min(question.k, len(found)))
     if question.min_score is None:
-        return _some(found, rows)
+        return found
     if found.scores is None:
         raise InputError(
             "a least score needs calibrated scores, which are estimated from distances of signatures, of "
             f"labelled shapes or of {LEAST_SHAPES} or more: label shapes, or leave out the least score"
         )
-    return _some(found, [row for row in rows if found.scores[row] >= question.min_score])
+    return _some(found, np.flatnonzero(found.scores >= question.min_score).tolist())
 
 
 def _some(found: Neighbors, rows: Sequence[int]) -> Neighbors:
@@ -557,14 +527,3 @@ def _some(found: Neighbors, rows: Sequence[int]) -> Neighbors:
     chosen = list(rows)
     scores = None if found.scores is None else found.scores[chosen]
     return Neighbors(tuple(found.ids[row] for row in chosen), found.distances[chosen], scores)
-
-
-def _deviation(catalogue: Catalogue, query: str | Described, n_values: int) -> FloatArray | None:
-    """(L,) error bar over the surfaces of a scan, or its uncertainty in equal parts; None if unknown."""
-    if isinstance(query, str):
-        verdict = catalogue.record(query).verdict
-    else:
-        verdict = query.verdict
-        if query.signature.metric == "logarithms" and query.signature.deviation is not None:
-            return query.signature.deviation
-    return None if verdict is None else np.full(n_values, verdict.uncertainty / np.sqrt(n_values))

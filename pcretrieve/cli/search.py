@@ -74,8 +74,8 @@ def query_command(
     """Find the shapes most similar to a scan, nearest first.
 
     A query is a scan, a folder of scans, or the id of a stored shape. The score tells how often two shapes so
-    near are of one class. The last line is the verdict: the class that the results vote for, the margin, and
-    which ranks could swap within the error bar of the scan.
+    near are of one class. The last line is the verdict: the class that the results vote for, and its margin
+    over the next class.
 
     \b
     pcretrieve query --catalogue bodies.sqlite scan.ply -k 5

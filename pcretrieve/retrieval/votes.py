@@ -1,25 +1,11 @@
-"""What the neighbours of a query say: the class that they vote for, and how certain their ranks are.
-
-The error bar of a query is carried into the ranks of its results by random draws (Monte Carlo).
-"""
+"""The class that the neighbours of a query vote for."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-from pcretrieve.retrieval.index import SignatureIndex
-from pcretrieve.values import FloatArray, Signature
-
-# Number of draws of the query, and their seed.
-N_DRAWS = 200
-SEED = 0
-
-# Quantiles of the ranks between which a rank lies in nine draws of ten.
-QUANTILES = (0.05, 0.95)
+from pcretrieve.values import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,34 +32,3 @@ def class_vote(labels: Sequence[str | None], weights: FloatArray) -> Vote | None
     n_voters = sum(label is not None for label in labels)
     label, best = ranked[0]
     return Vote(label, best / everything, (best - next_best) / everything, n_voters)
-
-
-def rank_ranges(
-    index: SignatureIndex, query: str | Signature, deviation: FloatArray, ids: Sequence[str]
-) -> NDArray[np.intp]:
-    """The ranks of the results of a query whose coordinates are normally distributed round the measured ones.
-
-    deviation: (L,) float64, of each coordinate before whitening, such as `Signature.deviation`.
-    Returns (m, 2) intp: the lowest and the highest rank of each shape among `ids` in nine of ten draws.
-    """
-    point = index.point_of(query)
-    drawn = deviation * np.random.default_rng(SEED).normal(size=(N_DRAWS, len(deviation)))
-    # The whitening is affine: a difference is mapped by its matrix alone.
-    moved = point + drawn @ index.whitening.matrix.T
-    order = np.argsort(index.between(ids, moved), axis=1, kind="stable")
-    ranks = np.argsort(order, axis=1) + 1  # (N_DRAWS, m)
-    low = np.quantile(ranks, QUANTILES[0], axis=0, method="lower")
-    high = np.quantile(ranks, QUANTILES[1], axis=0, method="higher")
-    return np.stack([low, high], axis=1).astype(np.intp)
-
-
-def swapping_ranks(ranges: NDArray[np.intp]) -> list[tuple[int, int]]:
-    """First and last of each run of ranks, from 1, that could swap, by the ranges (k, 2) of the results."""
-    runs: list[tuple[int, int]] = []
-    for rank in range(1, len(ranges)):
-        if ranges[:rank, 1].max() >= ranges[rank:, 0].min():  # one before could come behind one after
-            if runs and runs[-1][1] == rank:
-                runs[-1] = runs[-1][0], rank + 1
-            else:
-                runs.append((rank, rank + 1))
-    return runs

@@ -14,8 +14,8 @@ from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import SignatureIndex, Whitening, fit_whitening, pairwise, scores
 from pcretrieve.retrieval.clusters import GAP, near_pairs
 from pcretrieve.retrieval.scores import MatchScores, fit_scores
-from pcretrieve.retrieval.votes import Vote, class_vote, rank_ranges
-from pcretrieve.values import FloatArray, Signature, SignatureTable
+from pcretrieve.retrieval.votes import Vote, class_vote
+from pcretrieve.values import FloatArray, SignatureTable
 
 N_VALUES = 6
 
@@ -100,25 +100,6 @@ def test_votes_are_weighted() -> None:
     assert class_vote([None], np.ones(1)) is None
     assert class_vote(["cat"], np.zeros(1)) is None
     assert class_vote([], np.zeros(0)) is None
-
-
-def test_ranks_swap_where_the_error_bar_covers_the_middle() -> None:
-    """The query is at 0, two shapes beyond the middle of their places are equally near."""
-    index = index_of(np.stack([[1.0, -1.1, 5.0, 5.05], np.zeros(4)], axis=1))
-    query = Signature(np.ones(2), "any")
-    for deviation, expected in (
-        ([0.001, 0.0], [[1, 1], [2, 2], [3, 3], [4, 4]]),
-        ([0.2, 0.0], [[1, 2], [1, 2], [3, 3], [4, 4]]),
-        ([5.0, 0.0], [[1, 3], [1, 4], [1, 3], [1, 4]]),
-        ([0.0, 3.0], [[1, 1], [2, 2], [3, 3], [4, 4]]),  # at right angles to the line
-    ):
-        ranges = rank_ranges(index, query, np.array(deviation), index.ids)
-        np.testing.assert_array_equal(ranges[:, 0] <= np.arange(1, 5), True)
-        np.testing.assert_array_equal(ranges[:, 1] >= np.arange(1, 5), True)
-        if max(deviation) < 1 or deviation[0] == 0:
-            np.testing.assert_array_equal(ranges, expected)
-        else:
-            assert (ranges[:, 1] - ranges[:, 0] >= 2).all()
 
 
 @pytest.mark.parametrize("n", [1, 2, 50, 1200])
