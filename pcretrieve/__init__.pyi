@@ -1,163 +1,105 @@
 # What `import pcretrieve` offers. Type checkers read this file, and `__init__.py` imports each name from the
 # module named here when it is first used.
 
-from .catalogue import Catalogue, Record, backup, export_vectors, merge_catalogues
-from .checks import Inspection
-from .descriptors import Descriptor, describe, r_bihdm, shape_dna
+from .catalogue import (
+    Catalogue as Catalogue,
+    Record as Record,
+    backup as backup,
+    merge_catalogues as merge_catalogues,
+)
+from .checks import Inspection as Inspection
+from .descriptors import (
+    Descriptor as Descriptor,
+    describe as describe,
+    r_bihdm as r_bihdm,
+    shape_dna as shape_dna,
+)
 from .errors import (
-    BenchmarkError,
-    CatalogueError,
-    DegenerateMeshError,
-    InputError,
-    MemoryExceeded,
-    OptionError,
-    PcretrieveError,
-    ReconstructionError,
-    RemeshError,
-    ScanReadError,
-    ShapeError,
-    SpectrumError,
-    StageTimeout,
-    UnexpectedError,
-    WorkerDied,
+    BenchmarkError as BenchmarkError,
+    CatalogueError as CatalogueError,
+    DegenerateMeshError as DegenerateMeshError,
+    InputError as InputError,
+    MemoryExceeded as MemoryExceeded,
+    OptionError as OptionError,
+    PcretrieveError as PcretrieveError,
+    ReconstructionError as ReconstructionError,
+    RemeshError as RemeshError,
+    ScanReadError as ScanReadError,
+    ShapeError as ShapeError,
+    SpectrumError as SpectrumError,
+    StageTimeout as StageTimeout,
+    UnexpectedError as UnexpectedError,
+    WorkerDied as WorkerDied,
 )
 from .estimators import (
-    NeighbourWhitening,
-    PCAWhitening,
-    ResolutionWhitening,
-    SignatureNeighbors,
-    SignatureTransformer,
-    WithinClassWhitening,
+    NeighbourWhitening as NeighbourWhitening,
+    PCAWhitening as PCAWhitening,
+    ResolutionWhitening as ResolutionWhitening,
+    SignatureNeighbors as SignatureNeighbors,
+    SignatureTransformer as SignatureTransformer,
+    WithinClassWhitening as WithinClassWhitening,
 )
-from .evaluation import Comparison, Evaluation, RetrievalMeasures, calibrate, compare, evaluate, matrix
-from .formats import read_scan, write_cloud, write_mesh, write_signatures
+from .evaluation import (
+    Comparison as Comparison,
+    Evaluation as Evaluation,
+    RetrievalMeasures as RetrievalMeasures,
+    calibrate as calibrate,
+    compare as compare,
+    evaluate as evaluate,
+    matrix as matrix,
+)
+from .formats import (
+    read_scan as read_scan,
+    write_cloud as write_cloud,
+    write_mesh as write_mesh,
+    write_signatures as write_signatures,
+)
 from .ingestion import (
-    BatchStatus,
-    Check,
-    DaskExecutor,
-    Summary,
-    check,
-    ingest,
-    map_scans,
-    report_problem,
-    retry,
-    status,
-    watch,
+    BatchStatus as BatchStatus,
+    Check as Check,
+    DaskExecutor as DaskExecutor,
+    Summary as Summary,
+    check as check,
+    ingest as ingest,
+    map_scans as map_scans,
+    report_problem as report_problem,
+    retry as retry,
+    status as status,
+    watch as watch,
 )
-from .ingestion.views import merge_views
-from .matching import DistanceMatrix, read_matrix, write_matrix
-from .options import MergeOptions, PipelineOptions
-from .pages import draw_map, inspect, query_page, report
-from .pipeline.process import process, reconstruct, signature
-from .query import Answer, cluster, duplicates, search, search_many
-from .retrieval import SignatureIndex, Whitening
-from .spectral import eigenpairs, laplace_beltrami
+from .ingestion.views import merge_views as merge_views
+from .matching import (
+    DistanceMatrix as DistanceMatrix,
+    read_matrix as read_matrix,
+    write_matrix as write_matrix,
+)
+from .options import MergeOptions as MergeOptions, PipelineOptions as PipelineOptions
+from .pages import draw_map as draw_map, inspect as inspect, query_page as query_page, report as report
+from .pipeline.process import process as process, reconstruct as reconstruct, signature as signature
+from .query import (
+    Answer as Answer,
+    cluster as cluster,
+    duplicates as duplicates,
+    search as search,
+    search_many as search_many,
+)
+from .retrieval import SignatureIndex as SignatureIndex, Whitening as Whitening
+from .spectral import eigenpairs as eigenpairs, laplace_beltrami as laplace_beltrami
 from .values import (
-    Eigenpairs,
-    LaplaceBeltrami,
-    ModalSpectrum,
-    Neighbors,
-    PointCloud,
-    Shape,
-    Signature,
-    SignatureTable,
-    Step,
-    Surface,
-    TriangleMesh,
-    Verdict,
+    Eigenpairs as Eigenpairs,
+    LaplaceBeltrami as LaplaceBeltrami,
+    ModalSpectrum as ModalSpectrum,
+    Neighbors as Neighbors,
+    PointCloud as PointCloud,
+    Shape as Shape,
+    Signature as Signature,
+    SignatureTable as SignatureTable,
+    Step as Step,
+    Surface as Surface,
+    TriangleMesh as TriangleMesh,
+    Verdict as Verdict,
 )
-from .web import serve
+from .web import serve as serve
 
+__all__: list[str]
 __version__: str
-
-__all__ = [
-    "Answer",
-    "BatchStatus",
-    "BenchmarkError",
-    "Catalogue",
-    "CatalogueError",
-    "Check",
-    "Comparison",
-    "DaskExecutor",
-    "DegenerateMeshError",
-    "Descriptor",
-    "DistanceMatrix",
-    "Eigenpairs",
-    "Evaluation",
-    "InputError",
-    "Inspection",
-    "LaplaceBeltrami",
-    "MemoryExceeded",
-    "MergeOptions",
-    "ModalSpectrum",
-    "Neighbors",
-    "NeighbourWhitening",
-    "OptionError",
-    "PCAWhitening",
-    "PcretrieveError",
-    "PipelineOptions",
-    "PointCloud",
-    "ReconstructionError",
-    "Record",
-    "RemeshError",
-    "ResolutionWhitening",
-    "RetrievalMeasures",
-    "ScanReadError",
-    "Shape",
-    "ShapeError",
-    "Signature",
-    "SignatureIndex",
-    "SignatureNeighbors",
-    "SignatureTable",
-    "SignatureTransformer",
-    "SpectrumError",
-    "StageTimeout",
-    "Step",
-    "Summary",
-    "Surface",
-    "TriangleMesh",
-    "UnexpectedError",
-    "Verdict",
-    "Whitening",
-    "WithinClassWhitening",
-    "WorkerDied",
-    "__version__",
-    "backup",
-    "calibrate",
-    "check",
-    "cluster",
-    "compare",
-    "describe",
-    "draw_map",
-    "duplicates",
-    "eigenpairs",
-    "evaluate",
-    "export_vectors",
-    "ingest",
-    "inspect",
-    "laplace_beltrami",
-    "map_scans",
-    "matrix",
-    "merge_catalogues",
-    "merge_views",
-    "process",
-    "query_page",
-    "r_bihdm",
-    "read_matrix",
-    "read_scan",
-    "reconstruct",
-    "report",
-    "report_problem",
-    "retry",
-    "search",
-    "search_many",
-    "serve",
-    "shape_dna",
-    "signature",
-    "status",
-    "watch",
-    "write_cloud",
-    "write_matrix",
-    "write_mesh",
-    "write_signatures",
-]

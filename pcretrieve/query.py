@@ -26,8 +26,7 @@ from pcretrieve.retrieval import SignatureIndex
 from pcretrieve.retrieval.clusters import NearPair, cluster_numbers, near_pairs
 from pcretrieve.retrieval.covariances import LEAST_SHAPES
 from pcretrieve.retrieval.distances import checked_k, nearest_of, position_of
-from pcretrieve.retrieval.votes import Vote, class_vote
-from pcretrieve.values import Neighbors, Signature, Verdict
+from pcretrieve.values import FloatArray, Neighbors, Signature, Verdict
 from pcretrieve.values.base import Value
 
 if TYPE_CHECKING:
@@ -42,13 +41,7 @@ LIKELY_SCORE = 0.5
 class Question:
     """What a search asks of a catalogue, whatever its queries are.
 
-    options: signature, distance, whitening and re-ranking.
-    k: number of results; all shapes if there are fewer.
-    labels: the classes whose shapes are searched, None for all shapes.
-    exclude_self: whether a query that is a shape of the catalogue is left out of its own results.
-    min_score: least score of a result, between 0 and 1.
-    unit: unit of the files of the queries, None for that of the options of the catalogue.
-    matrix: distances that replace those of signatures, for queries that the catalogue has.
+    options, k, labels, exclude_self, min_score, unit, matrix: as in `search`.
     timeout, memory: limits of the process of a scan, seconds and GiB; without a timeout, it is this process.
     has_picture, up: as for `described_scan`.
     """
@@ -83,6 +76,16 @@ class Described:
     signature: Signature
     verdict: Verdict | None = None
     picture: bytes | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Vote:
+    """The class with the largest share of the weight of all voters, and its lead over the next class."""
+
+    label: str
+    share: float
+    margin: float
+    n_voters: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -300,6 +303,22 @@ def answer_to(catalogue: Catalogue, query: str | Described, question: Question) 
     return Answer(found, records, class_vote(voters, weights), query)
 
 
+def class_vote(labels: Sequence[str | None], weights: FloatArray) -> Vote | None:
+    """The class that the neighbours of a query vote for, with weights (k,) such as their scores."""
+    total: dict[str, float] = {}
+    for label, weight in zip(labels, weights.tolist(), strict=True):
+        if label is not None:
+            total[label] = total.get(label, 0.0) + weight
+    everything = sum(total.values())
+    if not everything:
+        return None
+    ranked = sorted(total.items(), key=lambda item: (-item[1], item[0]))
+    next_best = ranked[1][1] if len(ranked) > 1 else 0.0
+    n_voters = sum(label is not None for label in labels)
+    label, best = ranked[0]
+    return Vote(label, best / everything, (best - next_best) / everything, n_voters)
+
+
 def duplicates(
     catalogue: CatalogueLike, *, options: OptionsLike = None, threshold: float | None = None
 ) -> list[NearPair]:
@@ -396,7 +415,8 @@ def described_scan(options: PipelineOptions, has_picture: bool, up: str | None, 
     signature = signature_of(shape, options, scan)
     mesh, picture = shape.surfaces[0].mesh, None
     if has_picture and mesh is not None:
-        from pcretrieve.draw import thumbnail, upward
+        from pcretrieve.draw.axes import upward
+        from pcretrieve.draw.thumbnail import thumbnail
 
         with suppress(DegenerateMeshError):
             picture = thumbnail(mesh.vertices, mesh.faces, up=mesh.up if up is None else upward(up))

@@ -32,13 +32,6 @@ def programs() -> Path:
     pytest.skip("no PostgreSQL server is installed (Debian: postgresql), which scripts/test installs as root")
 
 
-def has_pgvector(tools: Path) -> bool:
-    """Whether a server has the extension pgvector."""
-    command: list[str | Path] = [tools / "pg_config", "--sharedir"]
-    shared = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    return (Path(shared) / "extension" / "vector.control").exists()
-
-
 @contextmanager
 def running_server() -> Iterator[str]:
     """The URL of the database of a server that runs until the context ends."""

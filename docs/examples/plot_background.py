@@ -11,8 +11,7 @@ import numpy as np
 from sample import person
 
 import pcretrieve as pr
-from pcretrieve.simulation import RigOptions
-from pcretrieve.simulation import scan as simulated_scan
+from pcretrieve.simulation import RigOptions, scan as simulated_scan
 
 rng = np.random.default_rng(0)
 body = simulated_scan(person(1, "stand"), RigOptions(n_points=9000), rng).points

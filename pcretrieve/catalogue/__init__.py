@@ -5,7 +5,7 @@ In come records and processed shapes; out come records, shapes, tables of signat
 
 from pcretrieve.catalogue.catalogue import Catalogue, CatalogueLike, opened
 from pcretrieve.catalogue.check import Defect, find_defects, set_to_be_ingested_again
-from pcretrieve.catalogue.copies import Merged, backup, export_vectors, merge_catalogues
+from pcretrieve.catalogue.copies import Merged, backup, merge_catalogues
 from pcretrieve.catalogue.records import Content, Origin, Record, numbered_id
 
 __all__ = [
@@ -17,7 +17,6 @@ __all__ = [
     "Origin",
     "Record",
     "backup",
-    "export_vectors",
     "find_defects",
     "merge_catalogues",
     "numbered_id",

@@ -13,8 +13,7 @@ from typing import Any, NoReturn
 import click
 
 import pcretrieve as pr
-from pcretrieve.cli import options as opt
-from pcretrieve.cli import output as out
+from pcretrieve.cli import options as opt, output as out
 from pcretrieve.cli.messages import (
     Progress,
     bar,

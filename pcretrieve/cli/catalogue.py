@@ -11,8 +11,7 @@ from typing import Any
 import click
 
 import pcretrieve as pr
-from pcretrieve.cli import options as opt
-from pcretrieve.cli import output as out
+from pcretrieve.cli import options as opt, output as out
 from pcretrieve.cli.messages import Progress, say, shown_path, without_password
 from pcretrieve.errors import InputError
 
@@ -233,50 +232,38 @@ def backup_command(catalogue: str, file: Path) -> out.Result:
     "Write a mesh of one shape (.ply .obj .off .stl .glb), a folder of meshes, or a file of "
     "signatures (.npz .parquet .csv).",
     opt.PATH,
+    required=True,
 )
 @opt.option("--signatures", "Write signatures, ids and classes, not meshes.")
-@opt.option(
-    "--to URL",
-    "Write whitened signatures to the table pcretrieve_signatures of a PostgreSQL database with pgvector.",
-)
 @opt.comparison_options
 def export_command(
     shape_ids: tuple[str, ...],
     catalogue: str,
-    output: Path | None,
+    output: Path,
     signatures: bool,
-    to: str | None,
     **comparison: Any,
 ) -> out.Result:
-    """Write meshes or signatures of a catalogue to files or to a database.
+    """Write meshes or signatures of a catalogue to files.
 
     \b
     pcretrieve export cat0 --catalogue bodies.sqlite -o cat0.obj
     pcretrieve export --catalogue bodies.sqlite -o meshes/
     pcretrieve export --signatures --catalogue bodies.sqlite -o bodies.parquet
-    pcretrieve export --catalogue bodies.sqlite --to postgresql://localhost/bodies
     """
-    if (output is None) == (to is None) or (to and signatures):
-        raise click.UsageError("give either --output, or --to for signatures in a database")
-    if of_meshes := not signatures and to is None:
-        reason = "meshes have no such options, which are for --signatures and --to"
-        opt.refuse(reason, *opt.COMPARISON)
-    store = opt.opened(catalogue, any_numbers=of_meshes)
+    if not signatures:
+        opt.refuse("meshes have no such options, which are for --signatures", *opt.COMPARISON)
+    store = opt.opened(catalogue, any_numbers=not signatures)
     options = opt.compared(store, comparison)
-    files: list[Path] = []
-    if to is not None:
-        n_written = pr.export_vectors(store, to, options, shape_ids=shape_ids)
-        say(f"wrote {n_written} signatures to the table pcretrieve_signatures")
-    elif signatures and output is not None:
+    if signatures:
         table = store.signatures(options)
         pr.write_signatures(table.select(shape_ids) if shape_ids else table, output)
         files = [output]
-    elif output is not None:
+    else:
         files = _export_meshes(store, shape_ids, output)
-    if of_meshes and output is not None and output.is_dir():
-        say(f"wrote {len(files)} meshes to {output}")
+        if output.is_dir():
+            say(f"wrote {len(files)} meshes to {output}")
     show = partial(out.write_lines, *map(str, files))
-    return out.Result({"files": files}, None if of_meshes else options, show)
+    return out.Result({"files": files}, options if signatures else None, show)
 
 
 def _export_meshes(store: pr.Catalogue, shape_ids: tuple[str, ...], output: Path) -> list[Path]:

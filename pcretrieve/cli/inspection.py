@@ -9,8 +9,7 @@ from typing import Any
 import click
 
 import pcretrieve as pr
-from pcretrieve.cli import options as opt
-from pcretrieve.cli import output as out
+from pcretrieve.cli import options as opt, output as out
 from pcretrieve.cli.messages import say, shown_path
 from pcretrieve.cli.scans import each_scan
 

@@ -13,8 +13,7 @@ from typing import Any
 import click
 
 import pcretrieve as pr
-from pcretrieve.cli import options as opt
-from pcretrieve.cli import output as out
+from pcretrieve.cli import options as opt, output as out
 from pcretrieve.cli.messages import Progress, failure_line, say, shown_path
 from pcretrieve.errors import ShapeError, Stage, in_stage
 

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import pcretrieve as pr
-from pcretrieve.cli import options as opt
-from pcretrieve.cli import output as out
+from pcretrieve.cli import options as opt, output as out
 from pcretrieve.cli.messages import failure_line, say, shown_path
 from pcretrieve.errors import ShapeError
 
@@ -105,7 +104,6 @@ def query_command(
                 _write_table(answer, None if is_alone else name)
         if asked["matrix"] is None:
             index = store.index(options)
-            say(f"nearest: {'all shapes of the classes compared' if asked['labels'] else index.search}")
             say(f"whitening: {store.whitening(options).reason}")
             score = index.scores.reason if index.scores else "none, because labels and shapes are too few"
             say(f"score: {score}")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pcretrieve.catalogue import Content, Record
-from pcretrieve.draw import thumbnail
+from pcretrieve.draw.thumbnail import thumbnail
 from pcretrieve.errors import (
     DegenerateMeshError,
     InputError,

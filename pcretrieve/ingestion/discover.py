@@ -16,18 +16,10 @@ from contextlib import suppress
 from pathlib import Path
 
 from pcretrieve.errors import InputError, OptionError, ScanReadError
-from pcretrieve.formats import (
-    Part,
-    is_scan,
-    members_of,
-    missing_extra,
-    parts_of,
-    remote_files,
-    split_member,
-    suffixes,
-    url_of,
-)
-from pcretrieve.formats.registry import INSTEAD
+from pcretrieve.formats import Part, is_scan, members_of, missing_extra, parts_of, split_member
+from pcretrieve.formats.format import url_of
+from pcretrieve.formats.registry import INSTEAD, suffixes
+from pcretrieve.formats.remote import remote_files
 
 logger = logging.getLogger(__name__)
 

@@ -18,7 +18,8 @@ from threading import Condition, Thread
 from pcretrieve import __version__
 from pcretrieve.catalogue import Catalogue, Record
 from pcretrieve.errors import PcretrieveError, ShapeError, Stage, StageTimeout
-from pcretrieve.formats import split_member, url_of
+from pcretrieve.formats import split_member
+from pcretrieve.formats.format import url_of
 from pcretrieve.formats.identity import file_hash, printable, scan_hash, stamp_of
 from pcretrieve.ingestion.discover import shape_ids
 from pcretrieve.ingestion.labels import match_labels

@@ -11,8 +11,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 from pcretrieve.errors import PcretrieveError
-from pcretrieve.formats import check_output, parts_of, split_member
+from pcretrieve.formats import parts_of, split_member
 from pcretrieve.formats.identity import content_hash
+from pcretrieve.formats.write import check_output
 from pcretrieve.ingestion.plan import versions
 from pcretrieve.ingestion.pool import alone
 from pcretrieve.options import OptionsLike, PipelineOptions, describe_options

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
 from pcretrieve.errors import InputError, PcretrieveError, ShapeError, Stage
-from pcretrieve.formats import check_output, split_member
+from pcretrieve.formats import split_member
 from pcretrieve.formats.identity import printable
+from pcretrieve.formats.write import check_output
 from pcretrieve.ingestion.discover import discover, shape_ids
 from pcretrieve.ingestion.pool import in_processes
 

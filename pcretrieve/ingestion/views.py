@@ -11,23 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.formats import (
-    ScanLike,
-    as_scan,
-    check_output,
-    image_poses,
-    parts_of,
-    read_scan,
-    split_member,
-    trajectory_file,
-    write_cloud,
-)
+from pcretrieve.formats import ScanLike, as_scan, parts_of, read_scan, split_member, write_cloud
+from pcretrieve.formats.conf import image_poses, trajectory_file
 from pcretrieve.formats.identity import printable
+from pcretrieve.formats.write import check_output
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.pool import alone
 from pcretrieve.options import MergeOptions, PipelineOptions
-from pcretrieve.points.register import Merged
-from pcretrieve.points.register import merge_views as merge_clouds
+from pcretrieve.points.register import Merged, merge_views as merge_clouds
 from pcretrieve.values import FloatArray, PointCloud
 from pcretrieve.values.conversion import as_cloud
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 from urllib.parse import quote
 
-import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from pcretrieve.draw import rgb
+from pcretrieve.draw.pictures import rgb
 from pcretrieve.values import FloatArray
 from pcretrieve.values.files import write_file
 
@@ -60,24 +57,6 @@ def _three_digits(value: float) -> str:
 def encoded(content: bytes) -> str:
     """Bytes as base64."""
     return b64encode(content).decode("ascii")
-
-
-class Curves(NamedTuple):
-    """Curves with common axes in the unit square of an SVG, whose y axis points down."""
-
-    lines: list[str]
-    lowest: float
-    highest: float
-    n: int
-
-
-def curves(rows: Sequence[FloatArray]) -> Curves:
-    """Draw at least one row of finite numbers as curves with common axes; lengths may differ."""
-    every = np.concatenate(rows)
-    lowest, highest = float(every.min()), float(every.max())
-    n, height = max(len(row) for row in rows), (highest - lowest) or 1.0
-    lines = [line_of((np.arange(len(row)) + 0.5) / n, (highest - row) / height) for row in rows]
-    return Curves(lines, lowest, highest, n)
 
 
 def line_of(across: FloatArray, down: FloatArray) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from pcretrieve import Catalogue, Inspection, PointCloud
-from pcretrieve.draw import CLAY, Colour, rgb
+from pcretrieve.draw.pictures import CLAY, Colour, rgb
 from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import encoded, line_of, page_of, write_page
 from pcretrieve.pages.inspection_pictures import (

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from pcretrieve import Inspection, PointCloud, TriangleMesh
-from pcretrieve.draw import (
+from pcretrieve.draw.pictures import (
     CLAY,
     DARKEST,
     Camera,

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve import TriangleMesh
-from pcretrieve.draw import CLAY, Colour, body_axes
+from pcretrieve.draw.axes import body_axes
+from pcretrieve.draw.pictures import CLAY, Colour
 from pcretrieve.pages.html import encoded
 from pcretrieve.values import FloatArray
 

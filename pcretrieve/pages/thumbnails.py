@@ -8,16 +8,8 @@ from threading import Lock
 import numpy as np
 
 from pcretrieve import Catalogue, Record, TriangleMesh
-from pcretrieve.draw import (
-    FEWEST_BODIES,
-    NEAR_AXIS,
-    THUMBNAIL_PIXELS,
-    common_axis,
-    direction_upwards,
-    resized,
-    thumbnail,
-    upward,
-)
+from pcretrieve.draw.axes import FEWEST_BODIES, NEAR_AXIS, common_axis, upward
+from pcretrieve.draw.thumbnail import THUMBNAIL_PIXELS, direction_upwards, resized, thumbnail
 from pcretrieve.errors import ShapeError
 from pcretrieve.values import FloatArray
 

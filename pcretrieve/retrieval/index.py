@@ -205,19 +205,11 @@ class SignatureIndex:
         """The name of the distance."""
         return self._distance.name
 
-    @property
-    def search(self) -> str:
-        """How the nearest are found, in words."""
-        if self._bounds is None:
-            return "all shapes compared"
-        n_blocks, n_axes, size = self._bounds.codes.shape
-        return f"{n_blocks} blocks of up to {size} shapes, bounds of {n_axes} directions"
-
     def __repr__(self) -> str:
         n_shapes, n_values = self.points.shape
         return (
             f"SignatureIndex({n_shapes} shapes of {n_values} values, distance {self.distance}, "
-            f"whitening {self.whitening.kind}: {self.search})"
+            f"whitening {self.whitening.kind})"
         )
 
     def __len__(self) -> int:

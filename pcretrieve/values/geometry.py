@@ -120,7 +120,7 @@ class PointCloud(Value):
         return f"PointCloud({', '.join(parts)}; diagonal {self.diagonal:.4g} file units)"
 
     def _repr_html_(self) -> str:
-        from pcretrieve.draw import cloud_thumbnail, picture_html
+        from pcretrieve.draw.thumbnail import cloud_thumbnail, picture_html
 
         return picture_html(cloud_thumbnail(self.points) if len(self.points) else None, repr(self))
 
@@ -235,7 +235,7 @@ class TriangleMesh(Value):
         return f"TriangleMesh({size}; area {self.area:.4g} file units²)"
 
     def _repr_html_(self) -> str:
-        from pcretrieve.draw import picture_html, thumbnail
+        from pcretrieve.draw.thumbnail import picture_html, thumbnail
 
         try:
             picture = thumbnail(self.vertices, self.faces, up=self.up)

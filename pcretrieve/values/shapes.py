@@ -132,7 +132,7 @@ class Shape(Value):
         return f"Shape({surfaces} with {', '.join(held) or 'nothing kept'}; area {self.area:.4g} file units²)"
 
     def _repr_html_(self) -> str:
-        from pcretrieve.draw import picture_html
+        from pcretrieve.draw.thumbnail import picture_html
 
         mesh = self.surfaces[0].mesh
         return picture_html(None, repr(self)) if mesh is None else mesh._repr_html_()

@@ -1,10 +1,8 @@
-"""Two shapes side by side, and what differs: size, spectra, signatures; and shapes as places on a map."""
+"""Two shapes side by side, and what differs; and shapes as places on a map."""
 
 from __future__ import annotations
 
-from concurrent.futures import Future, ThreadPoolExecutor
-from concurrent.futures import TimeoutError as NotYet
-from contextlib import suppress
+from concurrent.futures import Future, ThreadPoolExecutor, TimeoutError as NotYet
 from threading import Lock
 from typing import Any
 
@@ -12,7 +10,6 @@ import numpy as np
 
 from pcretrieve import Catalogue, PipelineOptions, SignatureIndex, TriangleMesh
 from pcretrieve.errors import InputError, ShapeError
-from pcretrieve.pages.html import Curves, curves
 from pcretrieve.pages.map_page import map_drawing
 from pcretrieve.pages.scene import surface_scene
 from pcretrieve.pages.thumbnails import Thumbnails
@@ -47,7 +44,6 @@ def compared(catalogue: Catalogue, a: str, b: str, options: PipelineOptions) -> 
         "measure": options.retrieval.distance,
         "score": score,
         "rows": _rows(first, second),
-        "plots": _plots(catalogue, a, b),
     }
 
 
@@ -81,22 +77,6 @@ def _rows(first: dict[str, Any], second: dict[str, Any]) -> list[tuple[str, str,
         ratio = (second["area"] / first["area"]) ** 0.5
         rows.append(("size, the root of the area", "1", f"{ratio:.3f} times"))
     return rows
-
-
-def _plots(catalogue: Catalogue, a: str, b: str) -> list[tuple[str, Curves]]:
-    """Signatures and spectra of both shapes, as far as they are stored."""
-    signatures = [catalogue.signature(shape_id) for shape_id in (a, b)]
-    kind = "values"
-    if all((values > 0).all() for values in signatures):
-        kind, signatures = "logarithms of the values", [np.log(values) for values in signatures]
-    plots = [(f"Signatures, {kind}", curves(signatures))]
-    plots.append((f"Second signature minus the first, {kind}", curves([signatures[1] - signatures[0]])))
-    with suppress(ShapeError):  # spectra that are not stored
-        shapes = [catalogue.shape(shape_id, needs=("spectrum",)) for shape_id in (a, b)]
-        values = [shape.spectrum.eigenvalues for shape in shapes]
-        logs = [np.log(row[row > 0]) for row in values]
-        plots.append(("Spectra at unit area, logarithms of the eigenvalues", curves(logs)))
-    return plots
 
 
 class Maps:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pcretrieve import Catalogue, PipelineOptions
-from pcretrieve.draw import upward
+from pcretrieve.draw.axes import upward
 from pcretrieve.errors import InputError
 from pcretrieve.options import OptionsLike
 

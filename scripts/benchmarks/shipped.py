@@ -30,8 +30,7 @@ from numpy.typing import NDArray
 from benchmarks.measuring import all_in_workers, argument_parser
 from benchmarks.uniform import UniformOptions, scan_uniformly
 from pcretrieve.descriptors import reduced_matrix
-from pcretrieve.descriptors.bags import SAMPLE as HEAT_SAMPLE
-from pcretrieve.descriptors.bags import heat_features
+from pcretrieve.descriptors.bags import SAMPLE as HEAT_SAMPLE, heat_features
 from pcretrieve.descriptors.dl import (
     ATOMS,
     N_ATOMS,
@@ -42,8 +41,7 @@ from pcretrieve.descriptors.dl import (
     sparse_codes,
     surface_points,
 )
-from pcretrieve.descriptors.ispm import SAMPLE as WAVELET_SAMPLE
-from pcretrieve.descriptors.ispm import wavelet_signatures
+from pcretrieve.descriptors.ispm import SAMPLE as WAVELET_SAMPLE, wavelet_signatures
 from pcretrieve.errors import InputError
 from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import process

@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.measuring import png
 from pcretrieve.catalogue import Catalogue
-from pcretrieve.draw import CLAY, cameras_around, depth_picture, rgb, surface_picture
+from pcretrieve.draw.pictures import CLAY, cameras_around, depth_picture, rgb, surface_picture
 from pcretrieve.formats import read_scan
 from pcretrieve.pipeline.process import reconstruct
 from pcretrieve.query import search

@@ -17,8 +17,7 @@ import pytest
 import shapes
 
 from pcretrieve import Catalogue, PipelineOptions, SignatureIndex
-from pcretrieve.catalogue import Content, Record, sqlite
-from pcretrieve.catalogue import cache as gallery
+from pcretrieve.catalogue import Content, Record, cache as gallery, sqlite
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import CatalogueError, InputError
 from pcretrieve.options import SignatureOptions

@@ -4,31 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-import numpy as np
 import pytest
-from benchmarks.catalogue import OPTIONS
-from benchmarks.synthetic import synthetic_catalogue, synthetic_id
 from click.testing import CliRunner
-from postgresql_server import has_pgvector, programs
 
 from pcretrieve import Catalogue
-from pcretrieve.catalogue import Record, export_vectors
-from pcretrieve.catalogue import postgresql as postgresql_module
-from pcretrieve.catalogue.copies import VECTOR_TABLE, write_vectors
+from pcretrieve.catalogue import Record, postgresql as postgresql_module
 from pcretrieve.catalogue.records import Entry
 from pcretrieve.catalogue.rows import Rows
 from pcretrieve.cli.main import cli
-from pcretrieve.errors import CatalogueError, InputError
+from pcretrieve.errors import CatalogueError
 
 pytestmark = pytest.mark.slow
 
 SETTINGS = {"options": "{}", "numbers_version": "7"}
 FAILURE = Entry(Record("a", "/a", "", status="failed"), {}, {})
-N_SHAPES = 400
 
 
 @pytest.fixture
@@ -115,41 +107,3 @@ def test_a_server_that_is_not_there(url: str, said: str) -> None:
         Catalogue(url, create=True)
     assert "secret" not in str(raised.value)
     assert isinstance(CliRunner().invoke(cli, ["list", "-c", url]).exception, CatalogueError)
-
-
-# --- vectors --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("whitening", ["none", "pca"])
-def test_the_database_gives_the_order_of_the_index(postgresql: str, tmp_path: Path, whitening: str) -> None:
-    if not has_pgvector(programs()):
-        pytest.skip("the PostgreSQL server has no pgvector (Debian 13: postgresql-17-pgvector)")
-    import psycopg
-
-    url, bodies = postgresql, tmp_path / "bodies.sqlite"
-    synthetic_catalogue(bodies, OPTIONS, N_SHAPES, seed=3)
-    options = OPTIONS.changed(retrieval={"whitening": whitening})
-    table = f"by_{whitening}"
-    with Catalogue(bodies) as catalogue, psycopg.connect(url) as connection:
-        assert export_vectors(catalogue, url, options, table=table) == N_SHAPES
-        with pytest.raises(InputError, match="the table must be new, got 'by_"):
-            export_vectors(catalogue, url, options, table=table)
-        index = catalogue.index(options)
-        for number in range(0, N_SHAPES, 37):
-            rows = connection.execute(
-                f"SELECT b.id, b.label, a.signature <-> b.signature FROM {table} a, {table} b "
-                "WHERE a.id = %s ORDER BY a.signature <-> b.signature, b.id LIMIT 10",
-                [synthetic_id(number)],
-            ).fetchall()
-            found = index.nearest(synthetic_id(number), 10)
-            assert tuple(row[0] for row in rows) == found.ids
-            assert rows[0][1] == f"class-{number // 10:06}"
-            np.testing.assert_allclose([row[2] for row in rows], found.distances, rtol=1e-5, atol=1e-6)
-    with pytest.raises(InputError, match=r"cannot write to PostgreSQL: .*duplicate key"):
-        write_vectors(url, f"twice_{whitening}", ["a", "a"], [None, None], np.ones((2, 3)))
-    done = CliRunner().invoke(cli, ["export", "-c", str(bodies), "--to", url, "--whitening", whitening])
-    assert done.exit_code == 0, done.output
-    with psycopg.connect(url, autocommit=True) as connection:
-        assert connection.execute("SELECT to_regclass(%s)", [f"twice_{whitening}"]).fetchone() == (None,)
-        assert connection.execute(f"SELECT count(*) FROM {VECTOR_TABLE}").fetchone() == (N_SHAPES,)
-        connection.execute(f"DROP TABLE {VECTOR_TABLE}")

@@ -10,18 +10,18 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 from shapes import icosphere, joined
 
-from pcretrieve import draw
-from pcretrieve.draw import MARGIN
+from pcretrieve.draw import axes as draw_axes, thumbnail as drawing
+from pcretrieve.draw.pictures import MARGIN
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.values import FloatArray, Step, TriangleMesh
 
 
 def thumbnail(mesh: TriangleMesh, **more: float) -> bytes:
-    return draw.thumbnail(mesh.vertices, mesh.faces, **more)  # type: ignore[arg-type]
+    return drawing.thumbnail(mesh.vertices, mesh.faces, **more)  # type: ignore[arg-type]
 
 
 def body_axes(mesh: TriangleMesh) -> FloatArray:
-    return draw.body_axes(mesh.vertices, mesh.faces)
+    return draw_axes.body_axes(mesh.vertices, mesh.faces)
 
 
 CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float) / 2
@@ -111,22 +111,22 @@ def test_bodies_stand_on_their_legs() -> None:
 def test_what_is_up_can_be_said() -> None:
     rotation = any_turn(2)
     mesh, up = turned(person(), rotation), rotation.apply([1.0, 0.0, 0.0])
-    axes = draw.body_axes(mesh.vertices, mesh.faces, up)
+    axes = draw_axes.body_axes(mesh.vertices, mesh.faces, up)
     np.testing.assert_allclose(axes[1], up)
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(axes) == pytest.approx(1)
     np.testing.assert_allclose(np.abs(axes[2] @ rotation.as_matrix()), [0, 0, 1], atol=1e-3)  # the broad side
-    rows, columns = rows_and_columns(draw.thumbnail(mesh.vertices, mesh.faces, up=up))
+    rows, columns = rows_and_columns(drawing.thumbnail(mesh.vertices, mesh.faces, up=up))
     assert np.ptp(columns) > 1.5 * np.ptp(rows)
 
 
 def test_a_picture_says_how_it_was_drawn() -> None:
     mesh = turned(person(), any_turn(3))
     picture = thumbnail(mesh)
-    direction = draw.direction_upwards(picture)
+    direction = drawing.direction_upwards(picture)
     assert direction is not None
     np.testing.assert_allclose(direction, body_axes(mesh)[1], atol=1e-4)
-    assert draw.direction_upwards(picture.replace(b"drawing 1", b"drawing 0")) is None
+    assert drawing.direction_upwards(picture.replace(b"drawing 1", b"drawing 0")) is None
 
 
 def test_the_axis_along_which_most_bodies_stand() -> None:
@@ -135,11 +135,11 @@ def test_the_axis_along_which_most_bodies_stand() -> None:
     rng = np.random.default_rng(0)
     others = rng.normal(size=(40, 3))
     others /= np.linalg.norm(others, axis=1, keepdims=True)
-    np.testing.assert_array_equal(draw.common_axis(np.stack([*[near_z] * 30, *others])), z)
-    np.testing.assert_array_equal(draw.common_axis(np.stack([-z] * 10)), -z)
+    np.testing.assert_array_equal(draw_axes.common_axis(np.stack([*[near_z] * 30, *others])), z)
+    np.testing.assert_array_equal(draw_axes.common_axis(np.stack([-z] * 10)), -z)
     two, few = np.stack([z] * 20 + [y] * 10), np.stack([z] * 9)
     for directions in (others, two, few, np.empty((0, 3))):
-        assert draw.common_axis(directions) is None
+        assert draw_axes.common_axis(directions) is None
 
 
 def test_a_scan_stands_on_the_ground_that_was_removed() -> None:
@@ -166,6 +166,6 @@ def test_a_cloud_looks_like_its_surface() -> None:
     mesh = pear()
     corners = mesh.vertices[mesh.faces[mesh.face_areas > 0]]
     points = corners.mean(axis=1)
-    seen = pixels(draw.cloud_thumbnail(points))[:, :, 3] > 0
+    seen = pixels(drawing.cloud_thumbnail(points))[:, :, 3] > 0
     assert 0.1 < seen.mean() < 0.8
-    np.testing.assert_array_equal(seen, pixels(draw.cloud_thumbnail(1000 * points + 5))[:, :, 3] > 0)
+    np.testing.assert_array_equal(seen, pixels(drawing.cloud_thumbnail(1000 * points + 5))[:, :, 3] > 0)

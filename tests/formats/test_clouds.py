@@ -246,8 +246,7 @@ def test_line_ends_comments_and_what_stands_behind_the_points(tmp_path: Path) ->
 
 
 def test_pcd_encodings_and_sensors(tmp_path: Path) -> None:
-    from pypcd4.pypcd4 import Encoding
-    from pypcd4.pypcd4 import PointCloud as Pcd
+    from pypcd4.pypcd4 import Encoding, PointCloud as Pcd
 
     fields = ("x", "y", "z", "normal_x", "normal_y", "normal_z")
     rows = np.column_stack([CUBE, np.tile([0, 0, 2.0], (8, 1))]).astype(np.float32)

@@ -12,8 +12,7 @@ import shapes
 import trimesh
 from mutations import mutated, read_damaged
 from PIL import Image
-from pypcd4.pypcd4 import Encoding
-from pypcd4.pypcd4 import PointCloud as Pcd
+from pypcd4.pypcd4 import Encoding, PointCloud as Pcd
 from scan_files import (
     CAN_WRITE,
     collada,

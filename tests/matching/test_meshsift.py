@@ -9,8 +9,7 @@ import pytest
 import shapes
 
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.matching import MATCHERS
-from pcretrieve.matching import meshsift as module
+from pcretrieve.matching import MATCHERS, meshsift as module
 from pcretrieve.matching.meshsift import keypoints, levels, match_distance, mesh_features
 from pcretrieve.values import TriangleMesh
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pcretrieve.checks import Check, Inspection, fit_checks, graded, surface_checks
-from pcretrieve.draw import Colour
+from pcretrieve.draw.pictures import Colour
 from pcretrieve.pages import write_inspection_page, write_inspection_png
 from pcretrieve.pages.inspection_pictures import DROPPED, KEPT, inspection_cameras, rows_of
 from pcretrieve.values import Failure, PointCloud, Signature

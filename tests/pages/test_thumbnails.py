@@ -20,7 +20,7 @@ import pcretrieve as pr
 from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.catalogue import find_defects
 from pcretrieve.cli.main import cli
-from pcretrieve.draw import THUMBNAIL_PIXELS, thumbnail
+from pcretrieve.draw.thumbnail import THUMBNAIL_PIXELS, thumbnail
 from pcretrieve.errors import OptionError
 from pcretrieve.formats import write_mesh
 from pcretrieve.pages import thumbnails

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import ScanOptions
 from pcretrieve.points import crop
-from pcretrieve.simulation import RigOptions
-from pcretrieve.simulation import scan as scanned
+from pcretrieve.simulation import RigOptions, scan as scanned
 from pcretrieve.values import FloatArray, PointCloud
 
 BODY = shapes.body(3)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import pcretrieve
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats import image_poses, trajectory_file
+from pcretrieve.formats.conf import image_poses, trajectory_file
 from pcretrieve.points.register.alignment import moved
 from pcretrieve.simulation.turning import TurningOptions, turning_frames
 from pcretrieve.values import FloatArray

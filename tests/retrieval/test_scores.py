@@ -11,10 +11,10 @@ from sklearn.isotonic import IsotonicRegression
 
 from pcretrieve.errors import InputError
 from pcretrieve.options import RetrievalOptions
+from pcretrieve.query import Vote, class_vote
 from pcretrieve.retrieval import SignatureIndex, Whitening, fit_whitening, pairwise, scores
 from pcretrieve.retrieval.clusters import GAP, near_pairs
 from pcretrieve.retrieval.scores import MatchScores, fit_scores
-from pcretrieve.retrieval.votes import Vote, class_vote
 from pcretrieve.values import FloatArray, SignatureTable
 
 N_VALUES = 6
