@@ -19,38 +19,37 @@ from benchmarks.house import (
 )
 
 # Rooms in the order in which data flows: a room imports rooms above it only. The number is the most lines,
-# with docstrings and templates, that it may have: those of today. A room may shrink to its plan, not grow.
+# with docstrings and templates, that it may have. 30,000 were planned; a room above its plan says why.
 ROOMS = {
-    "errors": 245,
-    "plugins": 190,
-    "arrays": 85,
-    "draw": 880,  # planned: 550
-    "values": 1390,
-    "options": 800,
-    "formats": 3450,  # planned: 2200
-    "points": 3080,  # planned: 2500
-    "surface": 3310,  # planned: 2900
-    "spectral": 1110,  # planned: 1000
-    "descriptors": 1640,
-    "retrieval": 2660,  # planned: 1800
-    "matching": 1340,  # planned: 900
-    "catalogue": 2990,  # planned: 1700
-    "checks": 830,
-    "pipeline": 840,  # planned: 450
-    "ingestion": 3140,  # planned: 1700
-    "query": 660,
-    "evaluation": 1590,  # planned: 1100
-    "estimators": 610,  # planned: 250
-    "pages": 2900,  # planned: 2200
-    "simulation": 2150,  # planned: 1500
-    "web": 1620,  # planned: 1250
-    "cli": 3480,  # planned: 2300
+    "errors": 210,
+    "plugins": 160,
+    "arrays": 70,
+    "draw": 720,  # planned 550: no display is assumed, so pictures are drawn by ray casting
+    "values": 1240,
+    "options": 670,
+    "formats": 3120,  # planned 2200: what a file declares is checked before a library allocates it
+    "points": 2730,  # planned 2500: compiled neighbours, and registration that SciPy and Open3D do not have
+    "surface": 3000,  # planned 2900: two coarse surfaces, simplification that keeps the topology
+    "spectral": 1010,  # planned 1000
+    "descriptors": 1500,
+    "retrieval": 2070,  # planned 1800: an exact compiled scan, which small tables do not wait for
+    "matching": 1080,  # planned 900: three published methods written out
+    "catalogue": 2490,  # planned 1700: two stores, network file systems, locks, checksums, kept indexes
+    "checks": 710,
+    "pipeline": 580,  # planned 450: an inspection survives any stage that fails
+    "ingestion": 2870,  # planned 1700: workers that may be killed, Dask, files that have not changed
+    "query": 550,
+    "evaluation": 1240,  # planned 1100: intervals, grouped folds and the published tables
+    "estimators": 310,  # planned 250: six public classes with their documentation
+    "pages": 2720,  # planned 2200
+    "simulation": 1600,  # planned 1500: the demo has people, an animal and a hand
+    "web": 1520,  # planned 1250: limits on what browsers send
+    "cli": 2830,  # planned 2300: 1,100 lines are help and options of 28 commands
 }
-MOST_LINES, MOST_MODULES, MOST_ARROWS, MOST_OPTIONS = 41_700, 225, 160, 45
+MOST_LINES, MOST_MODULES, MOST_ARROWS, MOST_OPTIONS = 35_000, 180, 117, 45
 
 # Rooms that pages and server use beside the front door.
-PAGES_BEHIND = {"catalogue", "evaluation", "formats", "pipeline", "query", "retrieval"}
-WEB_BEHIND = {"formats", "ingestion", "query", "retrieval", "surface"}
+BEHIND = {"cli": {"simulation"}, "pages": {"pipeline"}, "web": {"ingestion", "query"}}
 
 # Slow to import: each is imported in functions.
 HEAVY = {
@@ -79,10 +78,8 @@ def test_no_room_is_larger_than_its_budget() -> None:
 
 def test_modules_and_functions_can_be_read_at_once() -> None:
     faces = ("__init__.py", "__main__.py")
-    small = [
-        path for path in sources() if path.name not in faces and len(path.read_text("utf-8").split("\n")) < 40
-    ]
-    assert small == []
+    inner = [path for path in sources() if path.name not in faces]
+    assert [path for path in inner if len(path.read_text("utf-8").split("\n")) < 40] == []
     long = [f"{path}:{each.name}" for path in sources() for each in functions(path) if length(each) > 60]
     assert long == []
     for path in sources():
@@ -103,8 +100,7 @@ def test_data_flows_one_way() -> None:
 
 def test_the_command_line_calls_the_front_door() -> None:
     # `demo` writes simulated scans. Pages and server still look behind the door; they may do so no more.
-    behind = {"cli": {"simulation"}, "pages": PAGES_BEHIND, "web": WEB_BEHIND}
-    for face, also in behind.items():
+    for face, also in BEHIND.items():
         seen = {other for one, other in arrows() if one == face}
         assert seen <= {"errors", "values", "options", "plugins", "draw", "pages"} | also, face
 

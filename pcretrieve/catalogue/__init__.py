@@ -5,7 +5,7 @@ In come records and processed shapes; out come records, shapes, tables of signat
 
 from pcretrieve.catalogue.catalogue import Catalogue, CatalogueLike, opened
 from pcretrieve.catalogue.check import Defect, find_defects, set_to_be_ingested_again
-from pcretrieve.catalogue.copies import Merged, backup, merge_catalogues
+from pcretrieve.catalogue.copies import backup, merge_catalogues
 from pcretrieve.catalogue.records import Content, Origin, Record, numbered_id
 
 __all__ = [
@@ -13,7 +13,6 @@ __all__ = [
     "CatalogueLike",
     "Content",
     "Defect",
-    "Merged",
     "Origin",
     "Record",
     "backup",

@@ -30,14 +30,14 @@ PAGES_AT_ONCE = 1 << 18
 
 
 @dataclass(frozen=True, slots=True)
-class Merged:
+class MergedCatalogues:
     """Numbers of shapes that a merge has stored, and of shapes that were there already."""
 
     n_added: int
     n_held: int
 
 
-def merge_catalogues(parts: Sequence[CatalogueLike], output: CatalogueLike) -> Merged:
+def merge_catalogues(parts: Sequence[CatalogueLike], output: CatalogueLike) -> MergedCatalogues:
     """Store the shapes of several catalogues in one, such as those of ``ingest(shard=...)``.
 
     Of a path that several catalogues have, the first finished shape is kept, or the first failure if none is
@@ -53,7 +53,7 @@ def merge_catalogues(parts: Sequence[CatalogueLike], output: CatalogueLike) -> M
 
     Returns
     -------
-    Merged
+    MergedCatalogues
         Numbers of shapes that were stored, and of shapes that the catalogue had already.
 
     Raises
@@ -146,7 +146,7 @@ def _copy_rows(rows: Rows, target: Path) -> None:
         _merge([copy, rows])
 
 
-def _merge(stores: Sequence[Rows]) -> Merged:
+def _merge(stores: Sequence[Rows]) -> MergedCatalogues:
     """Store in the first catalogue the shapes of the others."""
     chosen, labels = _chosen(stores)
     target, n_stored = stores[0], 0
@@ -164,7 +164,7 @@ def _merge(stores: Sequence[Rows]) -> Merged:
             logger.info("stored: %d of %d shapes", n_stored, n_added)
     held = {path: origin.label or "" for path, (place, origin) in chosen.items() if place == 0}
     target.revise(labels={path: labels[path] for path, label in held.items() if labels[path] != label})
-    return Merged(n_added, len(held))
+    return MergedCatalogues(n_added, len(held))
 
 
 def _chosen(stores: Sequence[Rows]) -> tuple[dict[str, tuple[int, Origin]], dict[str, str]]:

@@ -8,7 +8,6 @@ checked; an inspection adds rescans, and shows the findings.
 from pcretrieve.checks.findings import findings_of
 from pcretrieve.checks.grading import NEXT_BODY, OUTCOMES, Check, graded, verdict_of
 from pcretrieve.checks.inspection import Inspection, NextBody
-from pcretrieve.checks.stages import fit_checks, surface_checks
 
 __all__ = [
     "NEXT_BODY",
@@ -17,8 +16,6 @@ __all__ = [
     "Inspection",
     "NextBody",
     "findings_of",
-    "fit_checks",
     "graded",
-    "surface_checks",
     "verdict_of",
 ]

@@ -9,15 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from pcretrieve.checks import (
-    NEXT_BODY,
-    OUTCOMES,
-    Check,
-    Inspection,
-    NextBody,
-    findings_of,
-    graded,
-)
+from pcretrieve.checks import NEXT_BODY, OUTCOMES, Check, Inspection, NextBody, findings_of, graded
 from pcretrieve.errors import InputError, OptionError, ShapeError
 from pcretrieve.formats import ScanLike
 from pcretrieve.formats.identity import content_hash, printable

@@ -99,8 +99,6 @@ def reconstruct(scan: ScanLike, options: OptionsLike = None) -> TriangleMesh:
 
     Raises
     ------
-    OptionError
-        If the stages do not include the stage ``surface``.
     ShapeError
         If the scan cannot be read or has no usable surface.
     """

@@ -6,23 +6,12 @@ virtual scans as point clouds and files.
 
 from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.simulation.samples import write_ply
-from pcretrieve.simulation.scanner import (
-    RigOptions,
-    camera_pose,
-    scan,
-    scan_views,
-)
-from pcretrieve.simulation.skeleton import Bone, Contact, Pose, RoundCone, Subject
+from pcretrieve.simulation.scanner import RigOptions, camera_pose, scan, scan_views
 from pcretrieve.simulation.turning import TurningOptions, turning_frames, write_frames
 
 __all__ = [
     "POSES",
-    "Bone",
-    "Contact",
-    "Pose",
     "RigOptions",
-    "RoundCone",
-    "Subject",
     "TurningOptions",
     "body",
     "camera_pose",

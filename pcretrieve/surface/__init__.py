@@ -2,7 +2,6 @@
 
 from pcretrieve.surface.body import SurfaceMarks, body_surfaces
 from pcretrieve.surface.reconstruct import sampled, sound_mesh, surfaces
-from pcretrieve.surface.repair import repaired
 from pcretrieve.surface.simplify import reduced
 from pcretrieve.surface.tetwild import remesh
 from pcretrieve.surface.topology import Defects, defects
@@ -14,7 +13,6 @@ __all__ = [
     "defects",
     "reduced",
     "remesh",
-    "repaired",
     "sampled",
     "sound_mesh",
     "surfaces",

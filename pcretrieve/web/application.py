@@ -39,15 +39,7 @@ from pcretrieve.web.documents import (
     without_folders,
 )
 from pcretrieve.web.jobs import Job, Jobs
-from pcretrieve.web.requests import (
-    ONE_FILE,
-    Listing,
-    NotFound,
-    Similar,
-    TooLarge,
-    checked_suffix,
-    received,
-)
+from pcretrieve.web.requests import ONE_FILE, Listing, Refused, Similar, checked_suffix, received
 
 logger = logging.getLogger(__name__)
 
@@ -118,7 +110,7 @@ class Site:
     def jobs(self) -> Jobs:
         """The uploaded scans."""
         if self.given_jobs is None:
-            raise NotFound("this server takes no scans: it was started with --read-only")
+            raise Refused("this server takes no scans: it was started with --read-only")
         return self.given_jobs
 
     @property
@@ -234,7 +226,7 @@ def _scan(asked: _Asked) -> Response:
 def _inspection(asked: _Asked) -> Response:
     job = asked.job
     if job.page is None:
-        raise NotFound(
+        raise Refused(
             "the inspection of this scan is not ready: try again in a few seconds"
             if job.inspection == "waiting"
             else "the inspection of this scan failed, or is too long ago: use `pcretrieve inspect`"
@@ -257,7 +249,7 @@ def _table(name: str, answer: Answer) -> Response:
 def _thumbnail(asked: _Asked) -> Response:
     picture = asked.site.thumbnails.of(asked.catalogue, asked.record)
     if picture is None:
-        raise NotFound(f"the shape {asked.name!r} has no picture, because its mesh is not stored")
+        raise Refused(f"the shape {asked.name!r} has no picture, because its mesh is not stored")
     return Response(picture, headers=KEPT, media_type="image/png")
 
 
@@ -270,7 +262,7 @@ def _glb(asked: _Asked) -> Response:
 def _scan_thumbnail(asked: _Asked) -> Response:
     described = asked.job.described
     if described is None or described.picture is None:
-        raise NotFound("the scan has no picture, because it has no surface")
+        raise Refused("the scan has no picture, because it has no surface")
     return Response(described.picture, headers=FRESH, media_type="image/png")
 
 
@@ -306,7 +298,7 @@ async def _keep_scan_by_form(request: Request) -> Response:
     async for chunk in request.stream():
         body += chunk
         if len(body) > LONGEST_FORM:
-            raise TooLarge(f"the form may have at most {LONGEST_FORM} bytes")
+            raise Refused(f"the form may have at most {LONGEST_FORM} bytes", 413)
     record = await _kept(request, dict(parse_qsl(body.decode("utf-8", "replace"))))
     return RedirectResponse(f"/shape/{quote(record.id, safe='')}", 303, headers=FRESH)
 

@@ -15,7 +15,7 @@ from pcretrieve.pages.scene import surface_scene
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.values import FloatArray
 from pcretrieve.web.documents import record_of, shape_document, without_folders
-from pcretrieve.web.requests import NotFound
+from pcretrieve.web.requests import Refused
 
 # Largest number of faces that are sent to the viewer of a browser.
 MOST_FACES = 20_000
@@ -63,7 +63,7 @@ def mesh_of(catalogue: Catalogue, shape_id: str) -> TriangleMesh:
     try:
         return catalogue.mesh(shape_id)
     except (ShapeError, InputError):
-        raise NotFound(f"the surface of the shape {shape_id!r} is not stored") from None
+        raise Refused(f"the surface of the shape {shape_id!r} is not stored") from None
 
 
 def _rows(first: dict[str, Any], second: dict[str, Any]) -> list[tuple[str, str, str]]:

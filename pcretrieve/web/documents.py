@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from pcretrieve import Answer, Catalogue, PipelineOptions, Record, __version__
 from pcretrieve.query import Described, Question, answer_to
 from pcretrieve.values.files import csv_text
-from pcretrieve.web.requests import Listing, NotFound, Similar
+from pcretrieve.web.requests import Listing, Refused, Similar
 
 if TYPE_CHECKING:
     from pcretrieve.web.jobs import Job
@@ -43,7 +43,7 @@ def record_of(catalogue: Catalogue, shape_id: str) -> Record:
     """The record of a shape."""
     record = catalogue.get(shape_id)
     if record is None:
-        raise NotFound(f"there is no shape {shape_id!r}")
+        raise Refused(f"there is no shape {shape_id!r}")
     return record
 
 

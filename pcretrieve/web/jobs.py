@@ -19,7 +19,7 @@ from pcretrieve.errors import MemoryExceeded, PcretrieveError, StageTimeout, Wor
 from pcretrieve.ingestion import TemporaryFolder, in_processes
 from pcretrieve.query import Described
 from pcretrieve.web.keeping import Collection, described, inspection_page, stages_of
-from pcretrieve.web.requests import Busy, NotFound
+from pcretrieve.web.requests import Refused
 
 logger = logging.getLogger(__name__)
 
@@ -99,7 +99,7 @@ class Jobs:
         """Make room for a scan before it is received."""
         with self._lock:
             if len(self._open) >= MOST_WAITING:
-                raise Busy(f"{MOST_WAITING} scans are waiting already: try again in a minute")
+                raise Refused(f"{MOST_WAITING} scans are waiting already: try again in a minute", 503)
             folder = Path(tempfile.mkdtemp(prefix="upload-", dir=self._folder.path))
             job = Job(secrets.token_urlsafe(12), name, folder)
             self._open.add(job.id)
@@ -121,11 +121,11 @@ class Jobs:
         self._thread.submit(self._process, job, scan)
 
     def job(self, job_id: str) -> Job:
-        """The job of a name, with the stages that have ended until now; NotFound if there is none."""
+        """The job of a name, with the stages that have ended until now; Refused if there is none."""
         with self._lock:
             job = self._jobs.get(job_id)
         if job is None:
-            raise NotFound("there is no such scan: it was uploaded to an earlier server, or is too long ago")
+            raise Refused("there is no such scan: it was uploaded to an earlier server, or is too long ago")
         if job.state == "running":
             job.stages = stages_of(job.folder)
         return job
@@ -195,11 +195,11 @@ class Jobs:
 
     def _keep(self, job: Job, shape_id: str, label: str | None) -> Record:
         if self.collection is None:
-            raise NotFound("this server keeps no scans: start it with --keep FOLDER")
+            raise Refused("this server keeps no scans: start it with --keep FOLDER")
         if job.kept_as is not None:
-            raise NotFound(f"the scan is kept already, as {job.kept_as!r}")
+            raise Refused(f"the scan is kept already, as {job.kept_as!r}")
         if job.scan is None:
-            raise NotFound("the scan is gone, because it failed or is too long ago: upload it again")
+            raise Refused("the scan is gone, because it failed or is too long ago: upload it again")
         record = self.collection.add(job.scan, shape_id, label)
         job.kept_as = record.id
         job.remove()

@@ -28,28 +28,12 @@ LONGEST_NAME = 200
 RECEIVING_TIMEOUT = 600.0
 
 
-class NotFound(InputError):
-    """There is nothing of this name."""
+class Refused(InputError):
+    """A request that is refused, with a status of HTTP: 404 if there is nothing of this name."""
 
-    status = 404
-
-
-class TooLarge(InputError):
-    """The body of a request has too many bytes."""
-
-    status = 413
-
-
-class TooSlow(InputError):
-    """The body of a request has not arrived in time."""
-
-    status = 408
-
-
-class Busy(InputError):
-    """Too many requests of this kind wait."""
-
-    status = 503
+    def __init__(self, message: str, status: int = 404) -> None:
+        super().__init__(message)
+        self.status = status
 
 
 class _Fields(Options):
@@ -103,15 +87,16 @@ async def received(request: Request, path: Path, *, most_bytes: int) -> None:
     message = f"a scan may have at most {most_bytes} bytes: reduce it, or use `pcretrieve query`"
     announced = request.headers.get("content-length", "")
     if announced.isdecimal() and int(announced[:20]) > most_bytes:
-        raise TooLarge(message)
+        raise Refused(message, 413)
     try:
         size = await asyncio.wait_for(_stored(request.stream(), path, most_bytes), RECEIVING_TIMEOUT)
     except asyncio.TimeoutError as error:
-        raise TooSlow(
-            f"the scan has not arrived within {RECEIVING_TIMEOUT:g} s: reduce it, or use `pcretrieve query`"
+        raise Refused(
+            f"the scan has not arrived within {RECEIVING_TIMEOUT:g} s: reduce it, or use `pcretrieve query`",
+            408,
         ) from error
     if size > most_bytes:
-        raise TooLarge(message)
+        raise Refused(message, 413)
     if not size:
         raise InputError("the file is empty: scan or export it again")
 

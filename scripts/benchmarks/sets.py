@@ -23,14 +23,7 @@ from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import LAYOUTS, read_labels
 from pcretrieve.ingestion.run import Summary
 from pcretrieve.options import PipelineOptions, SignatureOptions
-from pcretrieve.simulation import (
-    POSES,
-    RigOptions,
-    body,
-    make_subject,
-    scan,
-    write_ply,
-)
+from pcretrieve.simulation import POSES, RigOptions, body, make_subject, scan, write_ply
 from pcretrieve.values import FloatArray, IntArray, Metric, SignatureTable, TriangleMesh
 
 N_SUBJECTS = 10

@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pcretrieve.catalogue.arrays import (
-    SHORTEST_COMPRESSED,
-    packed,
-    packed_values,
-    unpacked,
-    unpacked_values,
-)
+from pcretrieve.catalogue.arrays import SHORTEST_COMPRESSED, packed, packed_values, unpacked, unpacked_values
 
 RNG = np.random.default_rng(3)
 

@@ -15,7 +15,8 @@ from processes import in_this_process
 from stored import content, everything
 
 from pcretrieve import Catalogue, PipelineOptions, evaluate, ingest, merge_catalogues
-from pcretrieve.catalogue import Merged, Record
+from pcretrieve.catalogue import Record
+from pcretrieve.catalogue.copies import MergedCatalogues
 from pcretrieve.catalogue.records import OWN, PAYLOADS, Entry, Origin, settings_of
 from pcretrieve.catalogue.rows import Rows
 from pcretrieve.errors import CatalogueError, OptionError
@@ -149,10 +150,10 @@ def test_a_merge_goes_on_after_an_interruption(tmp_path: Path, new_location: str
     entries = [done("a"), failed("b"), done("c"), done("d", label=None)]
     whole = part(tmp_path / "whole.sqlite", *entries)
     merge_catalogues([part(tmp_path / "part.sqlite", *entries[:2])], new_location)
-    assert merge_catalogues([whole], new_location) == Merged(2, 2)
+    assert merge_catalogues([whole], new_location) == MergedCatalogues(2, 2)
     with Catalogue(new_location) as merged:
         revision = merged.revision()
-        assert merge_catalogues([whole, whole], merged) == Merged(0, 4)
+        assert merge_catalogues([whole, whole], merged) == MergedCatalogues(0, 4)
         assert merged.revision() == revision
     assert content(new_location) == content(whole)
 

@@ -14,7 +14,8 @@ import shapes
 from numpy.typing import NDArray
 from PIL import Image
 
-from pcretrieve.checks import Check, Inspection, fit_checks, graded, surface_checks
+from pcretrieve.checks import Check, Inspection, graded
+from pcretrieve.checks.stages import fit_checks, surface_checks
 from pcretrieve.draw.pictures import Colour
 from pcretrieve.pages import write_inspection_page, write_inspection_png
 from pcretrieve.pages.inspection_pictures import DROPPED, KEPT, inspection_cameras, rows_of

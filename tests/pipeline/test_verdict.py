@@ -13,7 +13,8 @@ from benchmarks.uniform import UniformOptions, scan_uniformly
 from numpy.typing import NDArray
 
 from pcretrieve import PointCloud, TriangleMesh, process
-from pcretrieve.checks import Check, fit_checks, verdict_of
+from pcretrieve.checks import Check, verdict_of
+from pcretrieve.checks.stages import fit_checks
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SignatureOptions

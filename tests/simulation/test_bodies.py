@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pcretrieve.simulation import POSES, Bone, Pose, RoundCone, Subject, body, make_subject
+from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.simulation.bodies import close_contacts, skin
-from pcretrieve.simulation.skeleton import bone_distance, motions
+from pcretrieve.simulation.skeleton import Bone, Pose, RoundCone, Subject, bone_distance, motions
 from pcretrieve.values import FloatArray
 
 FAMILIES = sorted(POSES)

@@ -10,17 +10,8 @@ import numpy as np
 import pytest
 from benchmarks.uniform import UniformOptions, scan_uniformly
 
-from pcretrieve.simulation import (
-    Bone,
-    Pose,
-    RigOptions,
-    RoundCone,
-    Subject,
-    body,
-    camera_pose,
-    scan,
-    scan_views,
-)
+from pcretrieve.simulation import RigOptions, body, camera_pose, scan, scan_views
+from pcretrieve.simulation.skeleton import Bone, Pose, RoundCone, Subject
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 # The ball is made of flat faces whose middles lie at most this much below it.

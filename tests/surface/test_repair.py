@@ -7,8 +7,8 @@ import pytest
 import shapes
 
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError
-from pcretrieve.surface import defects, repaired
-from pcretrieve.surface.repair import largest_component
+from pcretrieve.surface import defects
+from pcretrieve.surface.repair import largest_component, repaired
 from pcretrieve.values import IntArray, TriangleMesh
 
 BALL = shapes.icosphere(2)  # 162 vertices, 320 faces
