@@ -1,10 +1,13 @@
-"""Grouped folds separate classes, an evaluation uses them, and re-ranking looks at no labels."""
+"""Grouped folds separate classes, an evaluation uses them, re-ranking looks at no labels, and "no match"."""
 
+import math
 from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from benchmarks.retrieval import no_match_measures
 
+from pcretrieve.errors import BenchmarkError
 from pcretrieve.evaluation import evaluate_table, rank_gallery, rank_table, rerank_table
 from pcretrieve.evaluation.folds import grouped_folds, within_class_folds, within_class_subsets
 from pcretrieve.evaluation.rankings import Subset, rank_subsets
@@ -169,3 +172,29 @@ def test_ranks_are_those_of_the_re_ranked_lists_and_then_of_the_distances() -> N
         ranked = [labels[other] == labels[query] for other in order + rest]
         expected = np.flatnonzero(ranked)[1:]
         np.testing.assert_array_equal(found["local"].hit_rank[found["local"].hit_query == number], expected)
+
+
+# --- classes that are not in the gallery ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("labelled", [True, False])
+def test_of_distinct_classes_all_answers_are_right(labelled: bool) -> None:
+    found = no_match_measures(round_classes(1e-3), labelled=labelled)
+    assert (found.precision, found.recall, found.matched, found.right) == (1, 1, 1, 1)
+    assert found.n_queries == 10 * 20 * 2
+    assert ("within-class" in found.whitening) == labelled
+
+
+def test_of_classes_without_differences_there_is_no_match() -> None:
+    """The least score is then never reached, and half of the queries are of classes in the gallery."""
+    found = no_match_measures(round_classes(50.0), PLAIN)
+    assert (found.matched, found.recall) == (0, 1)
+    assert found.precision == pytest.approx(0.5)
+    assert math.isnan(found.right)
+    lax = no_match_measures(round_classes(50.0), PLAIN, min_score=0)
+    assert (lax.matched, lax.recall) == (1, 0)
+    assert math.isnan(lax.precision)
+    assert lax.right < 0.5
+    alone = replace(round_classes(), labels=("one",) * 6 + (None,) * 114)
+    with pytest.raises(BenchmarkError, match="two classes of 3 shapes or more, got 1"):
+        no_match_measures(alone)

@@ -1,14 +1,24 @@
-"""Rankings and measures, worked by hand."""
+"""Rankings and measures, worked by hand; their files, and comparisons of two results."""
 
-from collections.abc import Iterator
+import csv
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from math import log2
+from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import bootstrap
 
+from pcretrieve.errors import InputError
+from pcretrieve.evaluation.comparison import compare_scores, read_scores, write_evaluation
 from pcretrieve.evaluation.measures import (
     MEASURES,
+    QueryScores,
     RetrievalMeasures,
+    bootstrap_interval,
+    class_measures,
+    confusion,
     evaluate_rankings,
     precision_recall,
     query_scores,
@@ -17,26 +27,13 @@ from pcretrieve.evaluation.rankings import Rankings, rank_gallery
 from pcretrieve.retrieval import DistanceBlock
 from pcretrieve.values import FloatArray
 
-# Two classes, X = abc and Y = de, and the order in which each shape finds the others.
-LABELS = {"a": "X", "b": "X", "c": "X", "d": "Y", "e": "Y"}
-ORDERS = {"a": "bdce", "b": "deac", "c": "abde", "d": "eabc", "e": "adbc"}
 
-
-def distances_of(orders: dict[str, str]) -> FloatArray:
-    """(N, N) distances that rank the shapes, in order of the keys, as told."""
-    return np.array(
-        [[0 if j == i else 1 + order.index(j) for j in orders] for i, order in orders.items()], float
-    )
-
-
-def ranked(orders: dict[str, str], labels: dict[str, str | None], failed: str = "") -> Rankings:
-    block = DistanceBlock(np.arange(len(orders)), distances_of(orders))
+def ranked(orders: dict[str, str], labels: Mapping[str, str], failed: str = "") -> Rankings:
+    """Shapes that find each other in these orders; and failed ones of some classes."""
+    distances = [[0 if j == i else 1 + order.index(j) for j in orders] for i, order in orders.items()]
+    block = DistanceBlock(np.arange(len(orders)), np.array(distances, dtype=np.float64))
     lost = {f"failed {number}": label for number, label in enumerate(failed)}
     return rank_gallery([block], list(orders), [labels.get(i) for i in orders], failed=lost)
-
-
-def measured(orders: dict[str, str], labels: dict[str, str | None], failed: str = "") -> RetrievalMeasures:
-    return evaluate_rankings(ranked(orders, labels, failed))
 
 
 def by_rows(distances: FloatArray) -> Iterator[DistanceBlock]:
@@ -46,9 +43,10 @@ def by_rows(distances: FloatArray) -> Iterator[DistanceBlock]:
 
 
 def test_hand_worked_scores() -> None:
-    scores = query_scores(ranked(ORDERS, {**LABELS}))
-    assert scores.ids == tuple("abcde")
-    assert scores.labels == tuple("XXXYY")
+    orders = {"a": "bdce", "b": "deac", "c": "abde", "d": "eabc", "e": "adbc"}
+    result = ranked(orders, dict(zip("abcde", "XXXYY", strict=True)))
+    scores = query_scores(result)
+    assert (scores.ids, scores.labels) == (tuple("abcde"), tuple("XXXYY"))
     third = 1 / log2(3)
     np.testing.assert_allclose(scores.nn, [1, 0, 1, 1, 0])
     np.testing.assert_allclose(scores.ft, [1 / 2, 0, 1, 1, 0])
@@ -58,19 +56,22 @@ def test_hand_worked_scores() -> None:
     # Ranks 1 and 2 gain 1 each, rank 3 gains 1 / log₂ 3 and rank 4 a half.
     np.testing.assert_allclose(scores.dcg, [(1 + third) / 2, (third + 1 / 2) / 2, 1, 1, 1])
     np.testing.assert_allclose(scores.ap, [(1 + 2 / 3) / 2, (1 / 3 + 2 / 4) / 2, 1, 1, 1 / 2])
-    means = measured(ORDERS, {**LABELS})
+    means = evaluate_rankings(result)
     values = [getattr(means, name) for name in MEASURES]
     assert values == pytest.approx(scores.columns.mean(axis=0).tolist())
-    assert means.map == pytest.approx(3 / 4)
+    assert means.nn == pytest.approx(3 / 5)
+    macro = evaluate_rankings(result, average="macro")  # in which the classes have one weight
+    assert macro.nn == pytest.approx((2 / 3 + 1 / 2) / 2)
     assert (means.n_queries, means.n_failed, means.n_single) == (5, 0, 0)
 
 
 def test_shapes_that_are_no_queries_stand_in_the_way() -> None:
     """A class of one, and shapes without a label, which have no class in common."""
-    alone = measured({"a": "xb", "b": "xa", "x": "ab"}, {"a": "A", "b": "A", "x": "alone"})
+    labels = {"a": "A", "b": "A"}
+    alone = evaluate_rankings(ranked({"a": "xb", "b": "xa", "x": "ab"}, {**labels, "x": "alone"}))
     assert (alone.n_queries, alone.n_single) == (2, 1)
     assert (alone.nn, alone.st, alone.map) == (0, 1, 1 / 2)
-    strangers = measured({"a": "xyb", "b": "ayx", "x": "yab", "y": "xab"}, {"a": "A", "b": "A"})
+    strangers = evaluate_rankings(ranked({"a": "xyb", "b": "ayx", "x": "yab", "y": "xab"}, labels))
     assert (strangers.n_queries, strangers.n_single) == (2, 0)
     # The second tier of a class of two has two places, and b is third on a's list.
     assert (strangers.nn, strangers.st, strangers.map) == (1 / 2, 1 / 2, (1 / 3 + 1) / 2)
@@ -81,13 +82,9 @@ def test_a_failed_shape_is_a_query_without_score_and_a_miss_for_its_class() -> N
     scores = query_scores(result)
     assert scores.ids == ("a", "b", "failed 0")
     assert scores.labels == ("A", "A", "A")
-    # R = 2, one of them found at rank 1 of 2.
-    np.testing.assert_allclose(scores.nn, [1, 1, 0])
-    np.testing.assert_allclose(scores.ft, [1 / 2, 1 / 2, 0])
-    np.testing.assert_allclose(scores.st, [1 / 2, 1 / 2, 0])
-    np.testing.assert_allclose(scores.e, [2 / (2 + 2), 2 / (2 + 2), 0])
-    np.testing.assert_allclose(scores.dcg, [1 / 2, 1 / 2, 0])
-    np.testing.assert_allclose(scores.ap, [1 / 2, 1 / 2, 0])
+    # R = 2, one of them found at rank 1 of 2; so that E is 2 / (2 + 2).
+    expected = dict.fromkeys(MEASURES, 1 / 2) | {"nn": 1}
+    np.testing.assert_allclose(scores.columns, [[*expected.values()]] * 2 + [[0] * 6])
     means = evaluate_rankings(result)
     assert (means.n_queries, means.n_failed) == (3, 1)
     assert means.nn == pytest.approx(2 / 3)
@@ -110,7 +107,7 @@ def test_classes_larger_than_the_list_of_e_and_than_the_second_tier() -> None:
 
 
 def test_ranks_are_those_of_sorting_by_distance_and_id() -> None:
-    """Whatever the blocks. The average precision is that of scikit-learn, and 1 for a perfect ranking."""
+    """Whatever the blocks. The average precision is that of scikit-learn."""
     from sklearn.metrics import average_precision_score
 
     rng = np.random.default_rng(0)
@@ -127,9 +124,6 @@ def test_ranks_are_those_of_sorting_by_distance_and_id() -> None:
         others.sort(key=lambda i: (round(distances[query, i], 1), ids[i]))
         expected = [rank for rank, i in enumerate(others, start=1) if labels[i] == labels[query]]
         assert result.hit_rank[result.hit_query == query].tolist() == expected
-    perfect = rank_gallery(by_rows((names[:, np.newaxis] != names).astype(float)), ids, labels)
-    means = evaluate_rankings(perfect)
-    assert (means.nn, means.ft, means.st, means.dcg, means.map) == pytest.approx((1, 1, 1, 1, 1))
 
 
 def test_precision_recall_hand_worked() -> None:
@@ -138,3 +132,114 @@ def test_precision_recall_hand_worked() -> None:
     curve = precision_recall(result, n_points=5)
     assert curve.recall.tolist() == [0, 0.25, 0.5, 0.75, 1]
     np.testing.assert_allclose(curve.precision, [1, 1, 1, (2 / 3 + 1 + 1) / 3, (2 / 3 + 1 + 1) / 3])
+
+
+# --- classes and files ----------------------------------------------------------------------------------
+
+
+def test_measures_confusions_and_files_of_classes(tmp_path: Path) -> None:
+    """X = abc, Y = de and a failed shape; and z has no class."""
+    orders = {"a": "bczde", "b": "dacez", "c": "zabde", "d": "eabcz", "e": "abcdz", "z": "abcde"}
+    result = ranked(orders, dict(zip("abcde", "XXXYY", strict=True)), failed="Y")
+    scores = query_scores(result)
+    x, y = class_measures(result)
+    assert (x.label, x.n_queries, x.confused) == ("X", 3, ((None, 1), ("Y", 1)))
+    assert (y.label, y.n_queries, y.confused) == ("Y", 3, (("X", 1),))
+    np.testing.assert_allclose(x.means, scores.columns[:3].mean(axis=0))
+    found = confusion(result)
+    assert (found.labels, found.nearest) == (("X", "Y"), ("X", "Y", None))
+    assert found.counts.tolist() == [[1, 1, 1], [1, 1, 0]]
+    written = write_evaluation(result, tmp_path / "new" / "folder")
+    tables = {path.stem: list(csv.reader(path.read_text(encoding="utf-8").splitlines())) for path in written}
+    assert tables["confusion"] == [["label", "X", "Y", ""], ["X", "1", "1", "1"], ["Y", "1", "1", "0"]]
+    assert [row[:2] for row in tables["classes"]] == [["label", "n_queries"], ["X", "3"], ["Y", "3"]]
+    assert float(tables["classes"][1][7]) == x.means[5]
+    assert (tables["queries"][3][0], *tables["queries"][3][-2:]) == ("c", "z", "")
+    assert tables["queries"][6][0] == "failed 0"
+    assert [row[0] for row in tables["precision_recall"]][:2] == ["recall", "0.0"]
+    assert len(tables["precision_recall"]) == 12
+    assert read_scores(written[0]) == scores
+
+
+def test_files_that_hold_no_measures(tmp_path: Path) -> None:
+    head = "id,label,nn,ft,st,e,dcg"
+    for text, message in (
+        (f"{head}\na,X,1,1,1,1,1\n", "must have the columns id, label, nn, ft, st, e, dcg, ap"),
+        (f"{head},ap\na,X,1,1,1,1,1,one\n", "must have the columns"),
+        (f"{head},ap\na,X,1,1,1,1\n", "must have the columns"),
+        (f"{head},ap\n", "must have each query once, got 0 rows of 0 queries"),
+        (f"{head},ap\na,X,1,1,1,1,1,1\na,X,1,1,1,1,1,1\n", "got 2 rows of 1 queries"),
+        (f"{head},ap\na,X,1,1,1,1,1,1.5\n", "must lie between 0 and 1"),
+        (f"{head},ap\na,X,1,1,1,1,1,nan\n", "must lie between 0 and 1"),
+    ):
+        (tmp_path / "queries.csv").write_text(text)
+        with pytest.raises(InputError, match=message):
+            read_scores(tmp_path / "queries.csv")
+
+
+# --- comparisons ----------------------------------------------------------------------------------------
+
+EASE = np.random.default_rng(0).random(100)
+
+
+def equal_scores(ap: FloatArray, *, start: int = 0) -> QueryScores:
+    """Measures that are all equal, of queries with consecutive names."""
+    ids = tuple(f"{start + number:03}" for number in range(len(ap)))
+    return QueryScores(ids, ("X",) * len(ap), *(ap,) * 6)
+
+
+def test_small_differences_show_beside_large_ones_between_queries() -> None:
+    """The measures of a result vary by .3 from query to query, their differences by .005."""
+    gains = 0.005 + 0.005 * np.random.default_rng(1).normal(size=100)
+    first, second = equal_scores(0.9 * EASE), equal_scores(0.9 * EASE + np.abs(gains))
+    found = compare_scores(first, second)
+    np.testing.assert_allclose(found.difference, np.abs(gains).mean())
+    assert (found.interval[0] > 0).all()
+    low, high = bootstrap_interval(first.columns)
+    assert (high - low > 10 * (found.interval[1] - found.interval[0])).all()
+    reverse = compare_scores(second, first)
+    np.testing.assert_allclose(reverse.interval, -found.interval[::-1])
+    np.testing.assert_allclose(reverse.difference, -found.difference)
+
+
+def test_queries_are_matched_by_their_ids() -> None:
+    """The largest changes come first; queries that one result lacks are left out and named."""
+    order = np.random.default_rng(2).permutation(100)
+    changed = EASE / 2 + 0.25
+    shuffled = replace(equal_scores(changed[order]), ids=tuple(f"{row:03}" for row in order))
+    found = compare_scores(equal_scores(EASE), shuffled)
+    np.testing.assert_allclose(found.difference, (changed - EASE).mean())
+    steps = [abs(one.second - one.first) for one in found.changes]
+    assert steps == sorted(steps, reverse=True)
+    assert len(steps) == 100
+    row = int(np.argmax(np.abs(changed - EASE)))
+    assert found.changes[0] == (f"{row:03}", "X", EASE[row], changed[row])
+    some = compare_scores(equal_scores(EASE[:60]), equal_scores(EASE[10:], start=10))
+    assert some.only_first == tuple(f"{number:03}" for number in range(10))
+    assert some.only_second == tuple(f"{number:03}" for number in range(60, 100))
+    np.testing.assert_allclose([some.first, some.second], EASE[10:60].mean())
+
+
+def test_results_of_other_shapes_or_classes() -> None:
+    with pytest.raises(InputError, match="must have queries in common, got none of 100 and 100"):
+        compare_scores(equal_scores(EASE), equal_scores(EASE, start=500))
+    other = replace(equal_scores(EASE), labels=("X",) * 98 + ("Y", "Z"))
+    with pytest.raises(InputError, match="the same class in both results, 2 have another, such as 098, 099"):
+        compare_scores(equal_scores(EASE), other)
+
+
+def test_the_interval_agrees_with_that_of_scipy() -> None:
+    values = np.random.default_rng(0).beta(5, 1, size=(200, 2))
+    low, high = bootstrap_interval(values, level=0.9)
+    expected = bootstrap((values,), np.mean, confidence_level=0.9, method="percentile", rng=1)
+    ends = expected.confidence_interval
+    assert (np.abs([low - ends.low, high - ends.high]) < 0.1 * (ends.high - ends.low)).all()
+
+
+def test_columns_of_a_row_are_drawn_together() -> None:
+    """The interval of a difference of two columns that differ by a constant is a point."""
+    easy = np.random.default_rng(3).random(50)
+    low, high = bootstrap_interval(np.column_stack([easy, easy + 0.1, np.full(50, 0.1)]))
+    np.testing.assert_allclose(low[1] - low[0], 0.1)
+    np.testing.assert_allclose([low[2], high[2]], 0.1)
+    assert high[0] - low[0] > 0.1
