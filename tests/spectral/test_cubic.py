@@ -18,9 +18,7 @@ from pcretrieve.spectral.elements import (
     cubic_nodes,
     sides_of,
 )
-from pcretrieve.values import FloatArray, TriangleMesh
-
-# --- the same matrices, from the basis functions ------------------------------------------------------
+from pcretrieve.values import FloatArray
 
 # Polynomials in barycentric coordinates: their powers, and the coefficient.
 Polynomial = dict[tuple[int, int, int], Fraction]
@@ -33,9 +31,6 @@ CUBIC_NODES = [
     *((2, 1, 0), (1, 2, 0), (0, 2, 1), (0, 1, 2), (1, 0, 2), (2, 0, 1)),
     (1, 1, 1),
 ]
-ELEMENTS = [(LINEAR_REFERENCE, LINEAR_NODES), (CUBIC_REFERENCE, CUBIC_NODES)]
-
-elements = pytest.mark.parametrize(("element", "nodes"), ELEMENTS, ids=["linear", "cubic"])
 
 
 def product(p: Polynomial, q: Polynomial) -> Polynomial:
@@ -83,56 +78,32 @@ def gram(functions: list[Polynomial]) -> list[list[Fraction]]:
     return [[mean(product(p, q)) for q in functions] for p in functions]
 
 
-def derived(nodes: Nodes) -> tuple[list[list[list[Fraction]]], list[list[Fraction]]]:
-    """C_0, C_1, C_2 and the mass matrix."""
-    functions = [basis(node, sum(node)) for node in nodes]
-    return [gram([along(p, k) for p in functions]) for k in range(3)], gram(functions)
-
-
 def rational(matrix: FloatArray) -> list[list[Fraction]]:
     """The rationals that these floats are nearest to, with denominators as the elements have them."""
     return [[Fraction(x).limit_denominator(6720) for x in row] for row in matrix]
 
 
-@elements
+@pytest.mark.parametrize(
+    ("element", "nodes"), [(LINEAR_REFERENCE, LINEAR_NODES), (CUBIC_REFERENCE, CUBIC_NODES)]
+)
 def test_matrices_are_those_of_the_basis_functions(element: ReferenceElement, nodes: Nodes) -> None:
-    stiffness, mass = derived(nodes)
-    assert rational(element.along) == stiffness[0]
-    assert rational(element.mass) == mass
-    turn = element.turn
-    assert [
-        [stiffness[1][turn[i]][turn[j]] for j in range(len(nodes))] for i in range(len(nodes))
-    ] == stiffness[0]
-    assert [[stiffness[2][j][i] for j in turn[turn]] for i in turn[turn]] == stiffness[0]
-
-
-def test_the_same_derivation_gives_table_6() -> None:
-    """Ye and Yu, Appendix C: L = (1/a) Σ l_k² J_k, side k opposite corner k; J_k = (C_i + C_j − C_k) / 8."""
-    sides, mass = derived(LINEAR_NODES)
-    c = np.array([sides[1], sides[2], sides[0]])  # side k runs from corner k: opposite corner 0 is side 1
-    j1, j2, j3 = (c.sum(axis=0) - 2 * c[k] for k in range(3))
-    assert j1.tolist() == [[2, -1, -1], [-1, 0, 1], [-1, 1, 0]]  # all over 8
-    assert j2.tolist() == [[0, -1, 1], [-1, 2, -1], [1, -1, 0]]
-    assert j3.tolist() == [[0, 1, -1], [1, 0, -1], [-1, -1, 2]]
-    assert (12 * np.array(mass)).tolist() == [[2, 1, 1], [1, 2, 1], [1, 1, 2]]
-
-
-# --- what they are exact for --------------------------------------------------------------------------
-
-
-def positions(mesh: TriangleMesh) -> FloatArray:
-    """(N, 3) positions of the nodes; of a shared node, by the last of its faces."""
-    nodes = cubic_nodes(mesh, sides_of(mesh))
-    places = np.empty((nodes.max() + 1, 3))
-    places[nodes] = np.einsum("qk,mkx->mqx", np.array(CUBIC_NODES) / 3, mesh.vertices[mesh.faces])
-    return places
+    functions = [basis(node, sum(node)) for node in nodes]
+    assert rational(element.mass) == gram(functions)
+    numbers = list(range(len(nodes)))
+    for k in range(3):
+        stiffness = gram([along(p, k) for p in functions])
+        assert [[stiffness[i][j] for j in numbers] for i in numbers] == rational(element.along)
+        numbers = element.turn[numbers].tolist()
 
 
 def test_energy_and_norm_of_a_cubic_function_are_exact() -> None:
     for seed in range(3):
         mesh = shapes.renumbered(shapes.square(3), seed)
         operator = laplace_beltrami(mesh, "cubic")
-        x, y, _ = positions(mesh).T
+        nodes = cubic_nodes(mesh, sides_of(mesh))
+        places = np.empty((nodes.max() + 1, 3))
+        places[nodes] = np.einsum("qk,mkx->mqx", np.array(CUBIC_NODES) / 3, mesh.vertices[mesh.faces])
+        x, y, _ = places.T
         u = x**3 + 2 * x * y**2
         # ∫ (3x² + 2y²)² + (4xy)², and ∫ u²
         assert u @ operator.stiffness @ u == pytest.approx(9 / 5 + 12 / 9 + 4 / 5 + 16 / 9, rel=1e-13)
@@ -140,9 +111,6 @@ def test_energy_and_norm_of_a_cubic_function_are_exact() -> None:
 
 
 def test_lumped_mass_costs_two_orders() -> None:
-    errors = [
-        eigenpairs(laplace_beltrami(shapes.square(n), "cubic", mass="lumped"), 4).eigenvalues[1] / np.pi**2
-        - 1
-        for n in (6, 12)
-    ]
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.2)
+    operators = (laplace_beltrami(shapes.square(n), "cubic", mass="lumped") for n in (6, 12))
+    coarse, fine = (eigenpairs(operator, 4).eigenvalues[1] / np.pi**2 - 1 for operator in operators)
+    assert np.log2(coarse / fine) == pytest.approx(4, abs=0.2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -18,27 +19,30 @@ BOUNDED = {"square": shapes.square(5), "Möbius strip": shapes.mobius_strip(16, 
 BOUNDARY_EDGES = {"square": 20, "Möbius strip": 32}
 SURFACES = {"body": shapes.body(1), **BOUNDED}
 
-elements = pytest.mark.parametrize(
-    "element", [name for name, element in ELEMENTS.items() if element.needs == "mesh"]
-)
-surfaces = pytest.mark.parametrize("mesh", SURFACES.values(), ids=SURFACES)
+# On the grid, four adjacent points are cocircular.
+CLOUDS = [
+    *(shapes.points_on(mesh, 600) for mesh in (shapes.icosphere(6), shapes.body(5))),
+    shapes.square(11).vertices,
+]
+DIRICHLET = {"boundary": "dirichlet"}
+ON_MESHES = [name for name, element in ELEMENTS.items() if element.needs == "mesh"]
+
+elements = pytest.mark.parametrize("element", ON_MESHES)
+
+
+def surface(vertices: FloatArray, faces: list[list[int]]) -> TriangleMesh:
+    return TriangleMesh(vertices, np.array(faces, dtype=np.int32).reshape(-1, 3))
 
 
 def book(n: int, pages: int = 3) -> TriangleMesh:
     """Unit squares that share one side, a non-manifold edge with one face for each square."""
     page = shapes.square(n)
-    spine = page.vertices[:, 0] == 0  # (v,)
-    numbers = np.arange(len(spine))
-    free = numbers[~spine]
-    vertices, faces = [page.vertices], [page.faces]
-    for k in range(1, pages):
-        angle = 2 * np.pi * k / pages
-        turned = page.vertices[free] * [np.cos(angle), 1, 0] + page.vertices[free, :1] * [0, 0, np.sin(angle)]
-        own = numbers.copy()
-        own[free] = len(spine) + (k - 1) * len(free) + np.arange(len(free))
-        vertices.append(turned)
-        faces.append(own[page.faces])
-    return TriangleMesh(np.concatenate(vertices), np.concatenate(faces))
+    x, y, _ = page.vertices.T
+    angles = 2 * np.pi * np.arange(pages) / pages
+    turned = (np.column_stack([x * np.cos(angle), y, x * np.sin(angle)]) for angle in angles)
+    mesh = shapes.joined(*(TriangleMesh(vertices, page.faces) for vertices in turned))
+    _, first, numbers = np.unique(mesh.vertices.round(9), axis=0, return_index=True, return_inverse=True)
+    return TriangleMesh(mesh.vertices[first], numbers.astype(np.int32).reshape(-1)[mesh.faces])
 
 
 def spectrum(operator: LaplaceBeltrami, n: int) -> FloatArray:
@@ -52,30 +56,26 @@ def spectrum(operator: LaplaceBeltrami, n: int) -> FloatArray:
 # --- matrices -----------------------------------------------------------------------------------------
 
 
-@elements
-@surfaces
-def test_stiffness_is_symmetric_semi_definite_and_kills_constants(mesh: TriangleMesh, element: Any) -> None:
-    stiffness = laplace_beltrami(mesh, element).stiffness
-    assert abs(stiffness - stiffness.T).max() == 0
-    assert np.abs(stiffness.sum(axis=1)).max() < 1e-12
-    eigenvalues = np.linalg.eigvalsh(stiffness.toarray())
-    assert eigenvalues[0] > -1e-12
-    assert eigenvalues[1] > 1e-6  # connected: the null space is spanned by the constants
-
-
-@elements
-@surfaces
-def test_mass_is_symmetric_definite_and_adds_up_to_the_area(mesh: TriangleMesh, element: Any) -> None:
-    for mass in ELEMENTS[element].masses:
-        operator = laplace_beltrami(mesh, element, mass=mass)
-        assert abs(operator.mass - operator.mass.T).max() == 0
-        assert np.linalg.eigvalsh(operator.mass.toarray())[0] > 0
-        assert operator.area == pytest.approx(mesh.area, rel=1e-13)
-    lumped, whole = (
-        laplace_beltrami(mesh, element, mass=m).mass for m in ("lumped", ELEMENTS[element].masses[0])
-    )
-    assert lumped.nnz == lumped.shape[0]
-    np.testing.assert_allclose(lumped.diagonal(), whole.sum(axis=1), rtol=1e-12)
+@pytest.mark.parametrize(
+    ("element", "surface"), [*product(ON_MESHES, SURFACES.values()), *product(["points"], CLOUDS)]
+)
+def test_the_laws_of_the_matrices(element: Any, surface: Any) -> None:
+    masses = ("lumped", "consistent" if "consistent" in ELEMENTS[element].masses else "lumped")
+    lumped, whole = (laplace_beltrami(surface, element, mass=mass) for mass in masses)  # type: ignore[arg-type]
+    assert lumped.mass.nnz == lumped.mass.shape[0]
+    np.testing.assert_allclose(lumped.mass.diagonal(), whole.mass.sum(axis=1), rtol=1e-12)
+    for operator in (lumped, whole):
+        stiffness, mass = operator.stiffness, operator.mass
+        assert operator.n_components == 1
+        assert abs(stiffness - stiffness.T).max() == 0
+        assert np.abs(stiffness.sum(axis=1)).max() < 1e-11
+        eigenvalues = np.linalg.eigvalsh(stiffness.toarray())
+        assert eigenvalues[0] > -1e-12
+        assert eigenvalues[1] > 1e-6  # connected: the null space is spanned by the constants
+        assert abs(mass - mass.T).max() == 0
+        assert np.linalg.eigvalsh(mass.toarray())[0] > 0
+        if element != "points":
+            assert operator.area == pytest.approx(surface.area, rel=1e-13)
 
 
 @elements
@@ -98,10 +98,7 @@ def test_eigenvalues_do_not_depend_on_numbers(element: Any) -> None:
 
 
 def test_stiffness_of_one_triangle_is_half_its_cotangents() -> None:
-    triangle = TriangleMesh(
-        np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]], dtype=np.int32)
-    )
-    operator = laplace_beltrami(triangle)
+    operator = laplace_beltrami(surface(np.eye(3, 3, -1), [[0, 1, 2]]))
     # Angles 90°, 45° and 45°: cotangents 0, 1 and 1.
     np.testing.assert_allclose(
         operator.stiffness.toarray(), [[1, -0.5, -0.5], [-0.5, 0.5, 0], [-0.5, 0, 0.5]]
@@ -189,69 +186,68 @@ def test_nodes_on_the_boundary_have_no_rows(name: str, element: Any) -> None:
     assert abs(held.mass - free.mass[nodes][:, nodes]).max() == 0
 
 
-@elements
-def test_a_closed_surface_has_no_boundary_to_hold(element: Any) -> None:
-    message = r"needs a boundary on every component, got 1 of 1 that are closed: use 'neumann'"
-    with pytest.raises(DegenerateMeshError, match=message):
-        laplace_beltrami(shapes.icosphere(1), element, boundary="dirichlet")
-    half_closed = shapes.joined(shapes.icosphere(1), shapes.square(3))
-    with pytest.raises(DegenerateMeshError, match="got 1 of 2 that are closed"):
-        laplace_beltrami(half_closed, element, boundary="dirichlet")
-    two = laplace_beltrami(shapes.joined(shapes.square(3), shapes.square(3)), element, boundary="dirichlet")
+def test_components_and_nodes_inside() -> None:
+    two = laplace_beltrami(shapes.joined(shapes.square(3), shapes.square(3)), boundary="dirichlet")
     assert two.n_components == 0
-
-
-# --- refusals -----------------------------------------------------------------------------------------
-
-
-def test_options_that_do_not_exist() -> None:
-    names = "'linear', 'cubic', 'intrinsic-delaunay' or 'points'"
-    delaunay: Any = {"element": "intrinsic-delaunay", "mass": "consistent"}
-    cloud: Any = {"element": "points", "boundary": "dirichlet"}
-    refused: list[tuple[Any, str]] = [
-        ({"element": "quintic"}, f"element must be {names}, got 'quintic'"),
-        ({"mass": "barycentric"}, "mass must be 'consistent' or 'lumped', got 'barycentric'"),
-        ({"boundary": "robin"}, "boundary must be 'neumann' or 'dirichlet', got 'robin'"),
-        (delaunay, "element 'intrinsic-delaunay' has lumped mass only, got mass='consistent'"),
-        (cloud, "element 'points' has boundary='neumann' only"),
-    ]
-    for options, message in refused:
-        with pytest.raises(OptionError, match=message):
-            laplace_beltrami(shapes.tetrahedron(), **options)
-
-
-def test_an_element_of_a_surface_takes_no_cloud() -> None:
-    cloud = PointCloud(shapes.icosphere(2).vertices)
-    with pytest.raises(InputError, match="element 'cubic' needs a TriangleMesh, got PointCloud"):
-        laplace_beltrami(cloud, "cubic")
-
-
-@elements
-def test_what_is_no_surface(element: Any) -> None:
-    empty, one = np.zeros((0, 3), dtype=np.int32), np.array([[0, 1, 2]], dtype=np.int32)
-    folded = np.array([[0, 1, 2], [0, 1, 1]], dtype=np.int32)
-    refused = [
-        (np.eye(5, 3), empty, "a surface must have faces, got none"),
-        (np.eye(5, 3), one, "every vertex must be in a face, got 2 that are in none"),
-    ]
-    if element != "intrinsic-delaunay":  # on a face without area there is no gradient
-        refused += [
-            (np.outer(range(3), [1.0, 2, 3]), one, "every face must have an area, got 1 of 1 without"),
-            (np.eye(3), folded, "every face must have an area, got 1 of 2 without"),
-        ]
-    for vertices, faces, message in refused:
-        with pytest.raises(DegenerateMeshError, match=message):
-            laplace_beltrami(TriangleMesh(vertices, faces), element)
-
-
-def test_a_surface_that_is_all_boundary() -> None:
-    with pytest.raises(DegenerateMeshError, match="needs nodes inside, got all on the boundary: refine it"):
-        laplace_beltrami(shapes.square(1), boundary="dirichlet")
-    # Its cubic elements have nodes inside: four on the diagonal and in the middles of its two faces.
+    # Two faces with all vertices on the boundary; of cubic elements, four nodes are inside.
     assert laplace_beltrami(shapes.square(1), "cubic", boundary="dirichlet").mass.shape == (4, 4)
 
 
-# --- elements of one's own ----------------------------------------------------------------------------
+# --- the intrinsic Delaunay triangulation -------------------------------------------------------------
+
+
+def delaunay(mesh: TriangleMesh) -> LaplaceBeltrami:
+    return laplace_beltrami(mesh, "intrinsic-delaunay")
+
+
+def assert_same(one: LaplaceBeltrami, other: LaplaceBeltrami) -> None:
+    assert abs(one.stiffness - other.stiffness).max() < 1e-12
+    assert abs(one.mass - other.mass).max() < 1e-12
+
+
+@pytest.mark.parametrize("mesh", [shapes.icosphere(3), shapes.square(6)], ids=["sphere", "square"])
+def test_on_a_delaunay_surface_it_is_the_linear_one(mesh: TriangleMesh) -> None:
+    assert_same(delaunay(mesh), laplace_beltrami(mesh, mass="lumped"))
+
+
+def test_it_flips_the_edges_that_should_be() -> None:
+    # After the shear the diagonal of every cell is its longer one; with the shorter one it is Delaunay.
+    square = shapes.square(5)
+    sheared = square.vertices + square.vertices[:, 1:2] * [1, 0, 0]
+    lower, upper = square.faces[: len(square.faces) // 2], square.faces[len(square.faces) // 2 :]
+    (a, b, c), d = lower.T, upper[:, 2]
+    flipped = TriangleMesh(sheared, np.concatenate([np.column_stack([a, b, d]), np.column_stack([b, c, d])]))
+    long = TriangleMesh(sheared, square.faces)
+    assert abs(laplace_beltrami(long).stiffness - laplace_beltrami(flipped).stiffness).max() > 0.4
+    assert_same(delaunay(long), laplace_beltrami(flipped, mass="lumped"))
+
+
+@pytest.mark.parametrize("shared", ["edge", "vertex"])
+def test_non_manifold_places(shared: str) -> None:
+    mesh = shapes.two_tetrahedra(shared)  # type: ignore[arg-type]
+    operator = delaunay(mesh)
+    assert operator.n_components == 1
+    assert operator.area == pytest.approx(mesh.area)
+    assert np.linalg.eigvalsh(operator.stiffness.toarray())[1] > 0.1
+
+
+def test_a_face_without_area_is_stood() -> None:
+    # A vertex in the middle of a side of one face only: a degenerate face closes the slit.
+    mesh = shapes.square(8)
+    (a, b, third), middle = mesh.faces[30], len(mesh.vertices)
+    vertices = np.concatenate([mesh.vertices, mesh.vertices[[a, b]].mean(axis=0, keepdims=True)])
+    around = [[a, middle, third], [middle, b, third], [a, b, middle]]
+    slit = surface(vertices, [*np.delete(mesh.faces, 30, axis=0).tolist(), *around])
+    assert slit.flat_faces.sum() == 1
+    with pytest.raises(DegenerateMeshError, match="every face must have an area"):
+        laplace_beltrami(slit)
+    operator = delaunay(slit)
+    assert operator.area == pytest.approx(1, rel=1e-3)
+    found, expected = (eigenpairs(each, 20).eigenvalues[1:] for each in (operator, delaunay(mesh)))
+    np.testing.assert_allclose(found, expected, rtol=0.02)
+
+
+# --- elements of one's own, and refusals --------------------------------------------------------------
 
 linear = ELEMENTS["linear"].assemble
 SOFT = Element("soft", lambda mesh: linear(mesh)._replace(stiffness=(linear(mesh).stiffness * 0.5).tocsc()))
@@ -260,29 +256,62 @@ WEIGHTLESS = Element("weightless", lambda mesh: linear(mesh)._replace(mass=linea
 
 
 def test_an_element_is_passed_as_an_object() -> None:
-    mesh = shapes.body(3)
+    mesh, points = shapes.body(3), shapes.points_on(shapes.body(), 3000)
     soft, own = (laplace_beltrami(mesh, element) for element in (SOFT, "linear"))
     assert abs(2 * soft.stiffness - own.stiffness).max() < 1e-12
-
-
-def test_an_element_has_what_it_declares_only() -> None:
-    points = shapes.points_on(shapes.body(), 3000)
-    lumped = laplace_beltrami(points, "points")
-    np.testing.assert_allclose(laplace_beltrami(points, CLOUD).mass.sum(), lumped.mass.sum())
-    with pytest.raises(OptionError, match="element 'cloud' has boundary='neumann' only"):
-        laplace_beltrami(points, CLOUD, boundary="dirichlet")
-    with pytest.raises(OptionError, match="element 'cloud' has consistent mass only, got mass='lumped'"):
-        laplace_beltrami(points, CLOUD, mass="lumped")
-    with pytest.raises(InputError, match=r"element 'cloud' needs a PointCloud or an \(n, 3\) array, got"):
-        laplace_beltrami(shapes.icosphere(2), CLOUD)
-    with pytest.raises(OptionError, match=r"element must be 'linear', .* or 'points', got 'cloud'"):
-        laplace_beltrami(points, "cloud")
-
-
-def test_matrices_that_are_not_finite_fail_the_shape() -> None:
+    consistent, lumped = (laplace_beltrami(points, element) for element in (CLOUD, "points"))
+    np.testing.assert_allclose(consistent.mass.sum(), lumped.mass.sum())
     with pytest.raises(ShapeError, match="stiffness and mass must be finite, got NaN or") as raised:
-        laplace_beltrami(shapes.tetrahedron(), WEIGHTLESS)
+        laplace_beltrami(mesh, WEIGHTLESS)
     assert raised.value.stage == Stage.SPECTRUM
+
+
+BALL = shapes.icosphere(1)
+POINTS = PointCloud(shapes.points_on(BALL, 500))
+ELEMENT_NAMES = "element must be 'linear', 'cubic', 'intrinsic-delaunay' or 'points', got"
+
+
+@pytest.mark.parametrize(
+    ("geometry", "options", "error", "message"),
+    [
+        (BALL, {"element": "quintic"}, OptionError, f"{ELEMENT_NAMES} 'quintic'"),
+        (POINTS, {"element": "cloud"}, OptionError, f"{ELEMENT_NAMES} 'cloud'"),
+        (BALL, {"mass": "barycentric"}, OptionError, "must be 'consistent' or 'lumped', got 'barycentric'"),
+        (POINTS, {"element": CLOUD, "mass": "lumped"}, OptionError, "'cloud' has consistent mass only, got"),
+        (BALL, {"boundary": "robin"}, OptionError, "must be 'neumann' or 'dirichlet', got 'robin'"),
+        (POINTS, {"element": CLOUD} | DIRICHLET, OptionError, "'cloud' has boundary='neumann' only"),
+        (POINTS, {"element": "cubic"}, InputError, "element 'cubic' needs a TriangleMesh, got PointCloud"),
+        (BALL, {"element": CLOUD}, InputError, r"'cloud' needs a PointCloud or an \(n, 3\) array, got a Tri"),
+        (BALL, DIRICHLET, DegenerateMeshError, "boundary on every component, got 1 of 1 that are closed"),
+        (shapes.joined(BALL, shapes.square(3)), DIRICHLET, DegenerateMeshError, "got 1 of 2 that are closed"),
+        (shapes.square(1), DIRICHLET, DegenerateMeshError, "needs nodes inside, got all on the boundary"),
+    ],
+)
+def test_questions_without_an_answer(geometry: Any, options: Any, error: Any, message: str) -> None:
+    with pytest.raises(error, match=message):
+        laplace_beltrami(geometry, **options)
+
+
+FLAT = surface(np.outer(range(3), [1.0, 2, 3]), [[0, 1, 2]])
+FOLDED = surface(np.eye(3), [[0, 1, 2], [0, 1, 1]])
+NO_AREA = "every face must have an area, got 1 of"
+REFUSED = [
+    *((name, surface(np.eye(5, 3), []), "a surface must have faces, got none") for name in ON_MESHES),
+    *((name, surface(np.eye(5, 3), [[0, 1, 2]]), "in a face, got 2 that are in none") for name in ON_MESHES),
+    # On a face without area there is no gradient.
+    *((name, flat, NO_AREA) for name in ("linear", "cubic") for flat in (FLAT, FOLDED)),
+    ("intrinsic-delaunay", FLAT, "must have an area, got only faces without"),
+    ("intrinsic-delaunay", FOLDED, "every face must have three corners, got 1 that name one twice"),
+    ("points", POINTS.points[:30], "a cloud must have at least 31 points, got 30"),
+    ("points", POINTS.points[np.r_[0:500, 0:3]], "must be distinct, got 6 that are there more than once"),
+    ("points", np.outer(range(100), [1.0, 0, 0]), "got 100 that do not: points on a line are no surface"),
+]
+
+
+@pytest.mark.parametrize(("element", "degenerate", "message"), REFUSED)
+def test_what_is_no_surface(element: Any, degenerate: Any, message: str) -> None:
+    with pytest.raises(DegenerateMeshError, match=message):
+        laplace_beltrami(degenerate, element)
 
 
 def test_records_that_declare_what_does_not_exist() -> None:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.spectral.points import stars
 from pcretrieve.values import FloatArray, LaplaceBeltrami, PointCloud
@@ -19,29 +18,6 @@ BODY = shapes.points_on(shapes.body(5), 4000)
 
 def on_points(points: FloatArray, **options: Any) -> LaplaceBeltrami:
     return laplace_beltrami(points, "points", **options)
-
-
-def grid(n: int) -> FloatArray:
-    """(n², 3) points of a grid in the unit square, in which four adjacent points are cocircular."""
-    return shapes.square(n - 1).vertices
-
-
-# --- matrices -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("mass", ["consistent", "lumped"])
-@pytest.mark.parametrize("points", [SPHERE[:500], BODY[:800], grid(12)], ids=["sphere", "body", "grid"])
-def test_the_laws_of_the_matrices(points: FloatArray, mass: Any) -> None:
-    operator = on_points(points, mass=mass)
-    stiffness = operator.stiffness
-    assert operator.n_components == 1
-    assert abs(stiffness - stiffness.T).max() == 0
-    assert np.abs(stiffness.sum(axis=1)).max() < 1e-10
-    eigenvalues = np.linalg.eigvalsh(stiffness.toarray())
-    assert eigenvalues[0] > -1e-12
-    assert eigenvalues[1] > 1e-4
-    assert abs(operator.mass - operator.mass.T).max() == 0
-    assert np.linalg.eigvalsh(operator.mass.toarray())[0] > 0
 
 
 @pytest.mark.parametrize(("scale", "shift"), [(1e-3, 0.0), (1.0, 10.0), (1e3, -1e4)])
@@ -57,9 +33,6 @@ def test_the_order_of_the_points_does_not_matter() -> None:
     order = np.random.default_rng(0).permutation(len(BODY))
     here, there = eigenpairs(on_points(BODY), 30), eigenpairs(on_points(BODY[order]), 30)
     np.testing.assert_allclose(there.eigenvalues[1:], here.eigenvalues[1:], rtol=2e-4)
-
-
-# --- triangles ----------------------------------------------------------------------------------------
 
 
 def test_no_neighbour_lies_in_the_circle_of_a_triangle() -> None:
@@ -80,9 +53,6 @@ def test_no_neighbour_lies_in_the_circle_of_a_triangle() -> None:
 @pytest.mark.parametrize(("points", "area"), [(SPHERE, 4 * np.pi), (BODY, shapes.body(5).area)])
 def test_the_mass_is_the_area_of_the_surface_that_was_sampled(points: FloatArray, area: float) -> None:
     assert on_points(points).area == pytest.approx(area, rel=0.01)
-
-
-# --- what they converge to ----------------------------------------------------------------------------
 
 
 def test_eigenvalues_of_the_sphere_converge_at_order_two() -> None:
@@ -112,22 +82,3 @@ def test_normals_keep_the_sides_of_a_thin_limb_apart() -> None:
     assert on_points(points).n_components == 1
     assert apart.n_components == 2
     assert apart.area == pytest.approx(2, rel=0.2)  # half of the neighbours that there could be
-
-
-# --- refusals -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("points", "message"),
-    [
-        (SPHERE[:30], "a cloud must have at least 31 points, got 30"),
-        (SPHERE[np.r_[0:500, 0:3]], "points must be distinct, got 6 that are there more than once"),
-        (
-            np.eye(100, 3)[:1] * np.arange(100)[:, None],
-            "got 100 that do not: points on a line are no surface",
-        ),
-    ],
-)
-def test_refuses(points: FloatArray, message: str) -> None:
-    with pytest.raises(DegenerateMeshError, match=message):
-        on_points(points)
