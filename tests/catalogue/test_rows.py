@@ -1,4 +1,4 @@
-"""What is stored comes back, from a file as from a database; several catalogues are merged into one."""
+"""What is stored comes back, from a file as from a database of several users; merges of catalogues."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from typing import Any
 import pytest
 import shapes
 from benchmarks.catalogue import OPTIONS
+from commands import run
 from numpy.random import default_rng
 from processes import in_this_process
 from stored import content, everything
 
 from pcretrieve import Catalogue, PipelineOptions, evaluate, ingest, merge_catalogues
-from pcretrieve.catalogue import Record
+from pcretrieve.catalogue import Record, postgresql as postgresql_module
 from pcretrieve.catalogue.copies import MergedCatalogues
 from pcretrieve.catalogue.records import OWN, PAYLOADS, Entry, Origin, settings_of
 from pcretrieve.catalogue.rows import Rows
@@ -95,7 +96,9 @@ def test_signatures_are_listed_in_the_order_of_ids(rows: Rows) -> None:
 def test_a_path_keeps_its_id_and_an_id_that_is_taken_gets_a_number(rows: Rows) -> None:
     again = rows.store(done("f", path="/a.ply", content_hash="new"))
     assert (again.id, again.content_hash) == ("a", "new")
+    before = rows.revision()
     others = [rows.store(done("a", path=f"/{place}/a.ply")).id for place in range(20)]
+    assert rows.revision() != before
     assert others == [f"a-{number}" for number in range(2, 22)]
     assert rows.store(failed("b")) == done("b").record, "a failure replaces a failure only"
     assert rows.store(failed("e", message="again")).message == "again"
@@ -134,6 +137,76 @@ def test_locations(tmp_path: Path) -> None:
         Catalogue("mysql://host/shapes", create=True)
     with pytest.raises(CatalogueError, match="there is no catalogue"):
         Catalogue(Path("sqlite://rows"))
+
+
+# --- PostgreSQL -----------------------------------------------------------------------------------------
+
+SCHEMA = 'Some "people"'
+QUOTED = '"Some ""people"""'
+
+
+def opened(url: str, schema: str = SCHEMA, *, create: bool = False) -> Rows:
+    return Rows(f"{url}?schema={schema}", SETTINGS, create=create)
+
+
+@pytest.mark.slow
+def test_schemas_are_catalogues_of_which_a_user_may_read_some(postgresql: str) -> None:
+    import psycopg
+
+    names = ["people", "people; DROP SCHEMA people", SCHEMA]
+    for number, name in enumerate(names):
+        with opened(postgresql, name, create=True) as rows:
+            rows.add([failed(one) for one in "abc"[: number + 1]])
+    for number, name in enumerate(names):
+        with opened(postgresql, name) as rows:
+            assert ids(rows.records()) == [*"abc"[: number + 1]]
+    with psycopg.connect(postgresql, autocommit=True) as server:
+        server.execute("CREATE ROLE reader LOGIN")
+        url = postgresql.replace("tester", "reader")
+        with pytest.raises(CatalogueError, match="there is no catalogue"):
+            opened(url)
+        with pytest.raises(CatalogueError, match=r"cannot be used by this user .*: grant the privileges"):
+            opened(url, "new", create=True)
+        server.execute(f"GRANT USAGE ON SCHEMA {QUOTED} TO reader")
+        server.execute(f"GRANT SELECT ON ALL TABLES IN SCHEMA {QUOTED} TO reader")
+    with opened(url) as rows:
+        assert ids(rows.records()) == [*"abc"]
+        assert not rows.database.is_writable
+        with pytest.raises(CatalogueError, match="cannot be used by this user"):
+            rows.remove("a")
+
+
+@pytest.mark.slow
+def test_a_writer_waits_for_another_and_says_so(postgresql: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    import psycopg
+
+    monkeypatch.setattr(postgresql_module, "LOCK_TIMEOUT", 0.05)
+    with opened(postgresql, "waiting", create=True) as rows, psycopg.connect(postgresql) as other:
+        other.execute("SELECT value FROM waiting.meta WHERE key = 'revision' FOR UPDATE")
+        assert rows.records() == []
+        with pytest.raises(CatalogueError, match="is locked by another process: wait until"):
+            rows.store(failed("a"))
+        other.rollback()
+        rows.store(failed("a"))
+        assert rows.records() == [failed("a").record]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("url", "said"),
+    [
+        ("postgresql://me:secret@127.0.0.1:1/none", "cannot be used: .*onnection.* refused"),
+        ("postgresql://me:secret@127.0.0.1:port/none", "must be postgresql://user@host:port/database"),
+        ("postgresql://me:sec@ret@127.0.0.1/none", "must be postgresql://user@host:port/database"),
+        ("postgresql://me:secret@127.0.0.1/none?color=red", 'cannot be used: .*"color"'),
+    ],
+)
+def test_a_server_that_is_not_there(url: str, said: str) -> None:
+    pytest.importorskip("psycopg", reason="psycopg is not installed (the extra postgresql)")
+    with pytest.raises(CatalogueError, match=said) as raised:
+        Catalogue(url, create=True)
+    assert "secret" not in str(raised.value)
+    assert isinstance(run("list", "-c", url, code=None).exception, CatalogueError)
 
 
 # --- merges ---------------------------------------------------------------------------------------------
@@ -182,19 +255,18 @@ def test_parts_are_merged_in_any_grouping(tmp_path: Path) -> None:
         assert content(one) == content(two) == content(whole)
 
 
-CONFLICTS: list[tuple[dict[str, str], str]] = [
-    ({"content_hash": "new"}, r"/a.ply has different contents in .*part-0.sqlite and in .*part-1.sqlite"),
-    ({"label": "cat"}, r"/a.ply has the labels 'label' and 'cat' in .*part-0.sqlite and in .*part-1"),
-    ({"path": "/b.ply"}, r"'a' is /a.ply in .*part-0.sqlite and /b.ply in .*part-1.sqlite"),
-]
-
-
 def test_conflicts_are_named_and_nothing_is_stored(tmp_path: Path) -> None:
-    for number, (changes, said) in enumerate(CONFLICTS):
+    for number, (changes, said) in enumerate(
+        (
+            ({"content_hash": "new"}, "/a.ply has different contents in .*/one.sqlite and in .*/two.sqlite"),
+            ({"label": "cat"}, "/a.ply has the labels 'label' and 'cat' in .*/one.sqlite and in .*/two"),
+            ({"path": "/b.ply"}, "'a' is /a.ply in .*/one.sqlite and /b.ply in .*/two.sqlite"),
+        )
+    ):
         folder = tmp_path / f"{number}"
         folder.mkdir()
-        first = part(folder / "part-0.sqlite", done("a"), done("c"))
-        second = part(folder / "part-1.sqlite", done("a", **changes), done("d"))
+        first = part(folder / "one.sqlite", done("a"), done("c"))
+        second = part(folder / "two.sqlite", done("a", **changes), done("d"))
         with pytest.raises(CatalogueError, match=f"with conflicts cannot be merged: {said}"):
             merge_catalogues([first, second], folder / "all.sqlite")
         assert content(folder / "all.sqlite") == []
