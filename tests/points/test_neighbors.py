@@ -1,4 +1,4 @@
-"""Neighbours are those of a k-d tree, their planes those of LAPACK; spacing and noise are those put in."""
+"""Neighbours are those of a k-d tree, their planes those of LAPACK; spacing, noise and density."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ import pytest
 import shapes
 from scipy.spatial import cKDTree
 
+from pcretrieve import PointCloud
+from pcretrieve.points.density import interpolated, local_spacings, sparse_points
 from pcretrieve.points.neighbors import (
+    Neighborhoods,
     guided_planes,
     nearest,
     neighborhoods,
@@ -18,8 +21,15 @@ from pcretrieve.points.neighbors import (
 from pcretrieve.values import FloatArray
 
 RNG = np.random.default_rng(0)
-ON_SPHERE = RNG.normal(size=(4000, 3))
-ON_SPHERE /= np.linalg.norm(ON_SPHERE, axis=1, keepdims=True)
+
+
+def on_sphere(n: int, seed: int = 1) -> FloatArray:
+    """Random points on the unit sphere."""
+    points = np.random.default_rng(seed).normal(size=(n, 3))
+    return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
+
+
+ON_SPHERE = on_sphere(4000)
 CLOUDS = {
     "sphere": ON_SPHERE,
     "far from the origin": ON_SPHERE + 1e6,
@@ -82,7 +92,7 @@ def test_a_neighbourhood_without_a_plane_has_a_unit_normal() -> None:
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
 
 
-# --- spacing and noise --------------------------------------------------------------------------------
+# --- spacing, noise and density -----------------------------------------------------------------------
 
 
 def test_regular_and_random_samplings_have_the_same_spacing() -> None:
@@ -91,7 +101,9 @@ def test_regular_and_random_samplings_have_the_same_spacing() -> None:
     regular = side * np.column_stack([i, j, np.zeros(n * n)])
     scattered = np.random.default_rng(0).random((n * n, 3)) * [side * n, side * n, 0]
     for points in (regular, scattered):
-        assert spacing(neighborhoods(points, 9)) == pytest.approx(side, rel=0.15)
+        neighbors = neighborhoods(points, 9)
+        assert spacing(neighbors) == pytest.approx(side, rel=0.15)
+        assert np.median(local_spacings(neighbors)) == pytest.approx(spacing(neighbors))
 
 
 def test_noise_is_what_was_added_however_many_points_there_are() -> None:
@@ -102,3 +114,42 @@ def test_noise_is_what_was_added_however_many_points_there_are() -> None:
             noisy = points + np.random.default_rng(0).normal(0, deviation, points.shape)
             found = noise(noisy, neighborhoods(noisy, 9, of_some=True))
             assert found == pytest.approx(0.8 * deviation, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("n", "ratio", "error"), [(20_000, 10, 0.003), (20_000, 30, 0.006), (80_000, 100, 0.006)]
+)
+def test_interpolated_points_are_on_the_surface_and_leave_no_gap(n: int, ratio: float, error: float) -> None:
+    """On a sphere of whose upper half one point in `ratio` is left; 20,000 points are .025 apart."""
+    points, cell = on_sphere(n), 0.02
+    points = points[(points[:, 2] < 0) | (np.random.default_rng(2).random(n) < 1 / ratio)]
+    some = neighborhoods(points, 9, of_some=True)
+    dense = interpolated(
+        PointCloud(points, points, viewpoints=2 * points), some, cell=max(cell, spacing(some))
+    )
+    np.testing.assert_array_equal(dense.points[: len(points)], points)
+    added, normals = dense.points[len(points) :], dense.normals
+    assert normals is not None and dense.viewpoints is not None
+    np.testing.assert_allclose(np.linalg.norm(added, axis=1), 1, atol=error)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
+    assert np.einsum("ij,ij->i", normals[len(points) :], added).min() > 0.9
+    # The sensor of each is that of a sparse point nearby.
+    assert np.einsum("ij,ij->i", dense.viewpoints, dense.points).min() > 0
+    # Every place of the sphere has a point as near as at the density of the dense half.
+    gaps, _ = cKDTree(dense.points).query(on_sphere(3000, seed=9))
+    assert np.quantile(gaps, 0.9) < 1.5 * cell
+
+
+def test_sparse_points_are_many_on_a_surface_and_not_isolated() -> None:
+    for n_sparse, spacing_, exponent, expected in (
+        (2, 0.04, 1 / 2, 0),  # too few
+        (100, 0.04, 1 / 2, 100),
+        (100, 0.04, 1 / 3, 0),  # in a volume
+        (100, 0.4, 1 / 2, 0),  # isolated
+    ):
+        spacings = np.where(np.arange(1000) < n_sparse, spacing_, 0.01)
+        # The distance of neighbour k grows like k^exponent.
+        growth = np.concatenate([[0], (np.arange(1, 21) / 6) ** exponent])
+        distance = np.sqrt(6 / np.pi) * spacings[:, None] * growth
+        neighbors = Neighborhoods(distance, np.zeros(distance.shape, dtype=np.intp))
+        assert sparse_points(neighbors, cell=0.01, diagonal=1).sum() == expected
