@@ -149,13 +149,13 @@ def test_associations_have_poses_or_times(tmp_path: Path) -> None:
     with_poses = [f"{10 + k} depth/{k + 1}.png {pose_line(10.015 + k, pose)}" for k, pose in enumerate(poses)]
     associations.write_text("".join(with_poses))
     assert trajectory_file(images) == associations
-    np.testing.assert_allclose(image_poses(images, associations), poses, atol=1e-5)
+    np.testing.assert_allclose(np.array(image_poses(images, associations)), poses, atol=1e-5)
     # associate.py rgb.txt depth.txt, with the poses in a file of their own
     associations.write_text("10.01 rgb/a.png 10.0 depth/1.png\n11.01 rgb/b.png 11.0 depth/2.png\n")
     assert trajectory_file(images) is None
     trajectory.write_text("".join(pose_line(10.01 + k, pose) for k, pose in enumerate(poses)))
     assert trajectory_file(images) == trajectory
-    np.testing.assert_allclose(image_poses(images, trajectory), poses, atol=1e-5)
+    np.testing.assert_allclose(np.array(image_poses(images, trajectory)), poses, atol=1e-5)
     for line, words in (
         (
             "1 2 3 4 0 0 0 x",

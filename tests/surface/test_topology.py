@@ -1,4 +1,4 @@
-"""Defects counted by hand; splits, orientations and collapses that do not change the shape."""
+"""Defects counted by hand; repairs that make one change, leave a note, and do not move the surface."""
 
 from __future__ import annotations
 
@@ -7,21 +7,24 @@ import pytest
 import shapes
 from numpy.typing import NDArray
 
-from pcretrieve.surface.repair import split_non_manifold
+from pcretrieve.errors import DegenerateMeshError, ReconstructionError
+from pcretrieve.surface.repair import largest_component, repaired, split_non_manifold
 from pcretrieve.surface.tetwild import boundary_faces
 from pcretrieve.surface.topology import SOUND, Defects, compact, components, defects, orient_faces
-from pcretrieve.values import TriangleMesh
+from pcretrieve.values import IntArray, TriangleMesh
 
-# The six tetrahedra around the long diagonal of a cube whose corners are numbered x + 2 y + 4 z.
-CUBE = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
+BALL = shapes.icosphere(2)  # 162 vertices, 320 faces
 
 
-def without_faces(mesh: TriangleMesh, *faces: int) -> TriangleMesh:
+def cut(mesh: TriangleMesh, *faces: int) -> TriangleMesh:
+    """Without some faces."""
     return TriangleMesh(mesh.vertices, np.delete(mesh.faces, faces, axis=0))
 
 
-def with_faces(mesh: TriangleMesh, *faces: list[int]) -> TriangleMesh:
-    return TriangleMesh(mesh.vertices, np.concatenate([mesh.faces, np.array(faces, dtype=np.int32)]))
+def with_more(mesh: TriangleMesh, faces: object, vertices: object = ()) -> TriangleMesh:
+    added: IntArray = np.reshape(np.asarray(faces, dtype=np.int32), (-1, 3))
+    points = np.concatenate([mesh.vertices, np.reshape(np.asarray(vertices, dtype=float), (-1, 3))])
+    return TriangleMesh(points, np.concatenate([mesh.faces, added]))
 
 
 def turned(mesh: TriangleMesh, *faces: int) -> TriangleMesh:
@@ -30,10 +33,17 @@ def turned(mesh: TriangleMesh, *faces: int) -> TriangleMesh:
     return TriangleMesh(mesh.vertices, corners)
 
 
-def three_pages() -> TriangleMesh:
-    """Three triangles that share one edge, as the pages of a book do."""
-    vertices = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, -1, 0]])
-    return TriangleMesh(vertices, np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]], dtype=np.int32))
+def with_caps(mesh: TriangleMesh, n: int) -> TriangleMesh:
+    """A ball with n bisected faces, each with a degenerate face that closes the gap at the new vertex."""
+    bisected = np.arange(n) * (len(mesh.faces) // n)
+    a, b, c = mesh.faces[bisected].T
+    middle = len(mesh.vertices) + np.arange(n)
+    halves = np.concatenate([np.column_stack(f) for f in ((a, middle, c), (middle, b, c), (a, b, middle))])
+    return with_more(cut(mesh, *bisected), halves, (mesh.vertices[a] + mesh.vertices[b]) / 2)
+
+
+# The six tetrahedra around the long diagonal of a cube whose corners are numbered x + 2 y + 4 z.
+CUBE = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
 
 
 def boundary(solid: NDArray[np.bool_], bend: float) -> TriangleMesh:
@@ -58,20 +68,19 @@ def boundary(solid: NDArray[np.bool_], bend: float) -> TriangleMesh:
         (shapes.tetrahedron(), SOUND),
         (shapes.icosphere(2), SOUND),
         (shapes.torus(), SOUND),
-        (without_faces(shapes.tetrahedron(), 0), Defects(3, 0, 0, 0, 0, 1)),
-        (without_faces(shapes.tetrahedron(), 0, 1), Defects(4, 0, 0, 0, 0, 1)),
+        (cut(shapes.tetrahedron(), 0), Defects(3, 0, 0, 0, 0, 1)),
+        (cut(shapes.tetrahedron(), 0, 1), Defects(4, 0, 0, 0, 0, 1)),
         (shapes.square(4), Defects(16, 0, 0, 0, 0, 1)),
         (turned(shapes.tetrahedron(), 2), Defects(0, 0, 0, 3, 0, 1)),
         (shapes.two_tetrahedra("edge"), Defects(0, 1, 0, 0, 0, 1)),
         (shapes.two_tetrahedra("vertex"), Defects(0, 0, 1, 0, 0, 1)),
-        (three_pages(), Defects(6, 1, 0, 0, 0, 1)),
         (shapes.joined(shapes.tetrahedron(), shapes.torus()), Defects(0, 0, 0, 0, 0, 2)),
         # A face twice: three faces on each of its edges.
-        (with_faces(shapes.tetrahedron(), [0, 1, 3]), Defects(0, 3, 0, 0, 1, 1)),
+        (with_more(shapes.tetrahedron(), [0, 1, 3]), Defects(0, 3, 0, 0, 1, 1)),
         # Two faces back to back, along two sides of a square.
-        (with_faces(shapes.square(1), [0, 1, 2], [0, 2, 1]), Defects(2, 2, 0, 0, 1, 1)),
+        (with_more(shapes.square(1), [[0, 1, 2], [0, 2, 1]]), Defects(2, 2, 0, 0, 1, 1)),
         # No area: a repeated vertex.
-        (with_faces(shapes.tetrahedron(), [0, 0, 1]), Defects(1, 1, 0, 0, 1, 1)),
+        (with_more(shapes.tetrahedron(), [0, 0, 1]), Defects(1, 1, 0, 0, 1, 1)),
         # A strip of four cells across with a half twist.
         (shapes.mobius_strip(30, 4), Defects(60, 0, 0, 4, 0, 1)),
         (TriangleMesh(np.zeros((3, 3)), np.zeros((0, 3), dtype=np.int32)), Defects(0, 0, 0, 0, 0, 0)),
@@ -136,3 +145,69 @@ def test_components_come_by_area_and_loose_vertices_are_none() -> None:
     mesh = shapes.joined(shapes.icosphere(0, 0.5), shapes.icosphere(1, 2.0), shapes.icosphere(0, 1.0))
     mesh = TriangleMesh(np.concatenate([mesh.vertices, np.ones((3, 3))]), mesh.faces)
     assert components(mesh).tolist() == [2] * 20 + [0] * 80 + [1] * 20
+
+
+# --- repairs ------------------------------------------------------------------------------------------
+
+REPEATED = "faces that repeat others, or lie back to back"
+
+
+@pytest.mark.parametrize(
+    ("broken", "note"),
+    [
+        (with_more(BALL, [], np.ones((3, 3))), "dropped 3 vertices that are in no face"),
+        (with_caps(BALL, 7), "collapsed 14 of 334 faces, flat ones and their neighbours"),
+        (with_more(BALL, [0, 0, 5]), "collapsed 1 of 321 faces, flat ones and their neighbours"),
+        (with_more(BALL, BALL.faces[:4]), f"dropped 4 of 324 {REPEATED}"),
+        (with_more(BALL, [[0, 1, 2], [0, 2, 1]]), f"dropped 2 of 322 {REPEATED}"),
+        (with_more(BALL, BALL.faces[:, ::-1]), f"dropped 320 of 640 {REPEATED}"),
+        (turned(BALL, *range(20)), "turned 20 faces of 320 to agree with their neighbours"),
+        (turned(BALL, *range(320)), "turned the surface inside out"),
+        (
+            shapes.joined(BALL, shapes.icosphere(2, 0.1)),
+            "dropped 1 smaller components with 0.99% of the area",
+        ),
+    ],
+)
+def test_a_ball_with_defects_is_repaired_to_the_ball(broken: TriangleMesh, note: str) -> None:
+    mesh, notes = repaired(broken)
+    assert notes == (note,)
+    assert not defects(mesh)
+    assert len(mesh.vertices) == len(BALL.vertices)
+    assert mesh.area == pytest.approx(BALL.area, rel=1e-14)
+    assert mesh.volume == pytest.approx(BALL.volume, rel=1e-14)
+
+
+def test_two_balls_that_touch_are_split_and_the_larger_stays() -> None:
+    edge, notes = repaired(shapes.two_tetrahedra("edge"))
+    assert notes == (
+        "split 2 vertices where the surface was not manifold",
+        "dropped 1 smaller components with 50.00% of the area",
+    )
+    assert not defects(edge)
+    assert edge.volume == pytest.approx(1 / 6)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "message"),
+    [
+        (TriangleMesh(np.zeros((4, 3)), [[0, 1, 2], [1, 2, 3]]), "no face of 2 bounds anything: they are"),
+        (TriangleMesh(np.outer(np.arange(4.0), [1, 2, 3]), [[0, 1, 2], [1, 2, 3]]), "flat or cancel out"),
+        (TriangleMesh(np.eye(3), np.zeros((0, 3), dtype=np.int32)), "no face of 0 bounds anything"),
+        (shapes.mobius_strip(), "the surface is one-sided, as a Möbius strip is"),
+    ],
+)
+def test_what_bounds_nothing_is_refused(mesh: TriangleMesh, message: str) -> None:
+    with pytest.raises(DegenerateMeshError, match=message):
+        repaired(mesh)
+
+
+def test_a_second_body_is_an_error_where_it_is_too_large_to_drop() -> None:
+    two = shapes.joined(shapes.icosphere(2), shapes.icosphere(2, 0.5))
+    message = (
+        r"the scan holds more than one body: the second has 20% of the area, more than "
+        r"surface.max_discarded = 10%; give each body a file of its own"
+    )
+    with pytest.raises(ReconstructionError, match=message):
+        largest_component(two, 0.1)
+    assert len(largest_component(two, 0.2001)[0].faces) == 320
