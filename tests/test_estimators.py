@@ -11,6 +11,7 @@ from sklearn.base import BaseEstimator, clone
 from sklearn.exceptions import NotFittedError
 from sklearn.pipeline import make_pipeline
 from sklearn.utils.estimator_checks import check_estimator
+from tables import classes_of, posed_logs, table_of
 
 import pcretrieve as pr
 from pcretrieve.errors import InputError, OptionError, ShapeError
@@ -31,7 +32,6 @@ from pcretrieve.retrieval import (
     pairwise,
     resolution_whitening,
 )
-from pcretrieve.values import FloatArray, SignatureTable
 
 WHITENINGS = (NeighbourWhitening(), PCAWhitening(), WithinClassWhitening(), ResolutionWhitening())
 
@@ -41,16 +41,8 @@ def test_checks_of_scikit_learn(estimator: BaseEstimator) -> None:
     check_estimator(estimator, on_skip=None)
 
 
-def some_logs() -> tuple[FloatArray, list[str]]:
-    """(60, 8) log-signatures of classes of six, which differ where poses do not."""
-    rng = np.random.default_rng(0)
-    centres = rng.normal(size=(10, 8)) * np.geomspace(0.3, 0.02, 8)
-    poses = rng.normal(size=(60, 8)) * np.geomspace(0.02, 1.0, 8)
-    return np.repeat(centres, 6, axis=0) + poses - 3, [f"class {row // 6:02}" for row in range(60)]
-
-
 def test_whitenings_are_those_of_the_functions() -> None:
-    logs, labels = some_logs()
+    logs, labels = posed_logs(), classes_of(60, 6)
     relative = SignatureOptions(method="r-bihdm", n_values=8, scale="relative")
     for estimator, whitening in (
         (NeighbourWhitening(0.2), fit_whitening("neighbours", logs, shrinkage=0.2)),
@@ -70,17 +62,16 @@ def test_whitenings_are_those_of_the_functions() -> None:
 
 @pytest.mark.parametrize("distance", DISTANCES)
 def test_neighbours_are_those_of_the_index_without_themselves(distance: str) -> None:
-    logs, _ = some_logs()
+    logs = posed_logs()
     logs[-6:] = logs[:6]  # equally far
-    ids = tuple(f"{row:02}" for row in range(60))
-    plain = RetrievalOptions(distance=distance, whitening="none")
-    index = SignatureIndex(SignatureTable(ids, np.exp(logs), "x"), plain)
+    table = table_of(logs)
+    index = SignatureIndex(table, RetrievalOptions(distance=distance, whitening="none"))
     logs = coordinates(np.exp(logs))
     estimator = SignatureNeighbors(distance=distance).fit(logs)
     distances, rows = estimator.kneighbors(logs[:9] + 0.01, 7)
     for point, own, nearest in zip(logs[:9] + 0.01, distances, rows, strict=True):
         found = index.query(np.exp(point), 7)
-        assert found.ids == tuple(ids[row] for row in nearest)
+        assert found.ids == tuple(table.ids[row] for row in nearest)
         np.testing.assert_allclose(found.distances, own, rtol=1e-9)
     np.testing.assert_array_equal(estimator.kneighbors(logs[:9] + 0.01, 7, return_distance=False), rows)
     own, rows = estimator.kneighbors(n_neighbors=59)
@@ -103,7 +94,7 @@ def test_the_score_is_the_mean_average_precision_of_new_queries() -> None:
 
 
 def test_what_neighbours_cannot_be_asked() -> None:
-    logs, labels = some_logs()
+    logs, labels = posed_logs(), classes_of(60, 6)
     estimator = SignatureNeighbors().fit(logs)
     number: Any
     for number in (0, 61, 2.5, True):
@@ -134,18 +125,17 @@ def test_from_scans_to_neighbours_in_one_pipeline() -> None:
     """Four kinds of eggs, three of each."""
     sizes = [(1 + 0.1 * number, 1, 1.2 + 0.2 * kind) for kind in range(4) for number in range(3)]
     meshes = [shapes.ellipsoid(size, subdivisions=2) for size in sizes]
-    kinds = [f"kind {row // 3}" for row in range(12)]
+    kinds = classes_of(12, 3)
     keep = {"surface": {"mode": "keep"}}
     scans = SignatureTransformer(keep, n_values=9)
     search = make_pipeline(scans, WithinClassWhitening(), SignatureNeighbors(n_neighbors=2))
     search.fit(meshes, kinds)
     new = shapes.ellipsoid((1.05, 1, 1.6), subdivisions=2)
     distances, rows = search[-1].kneighbors(search[:-1].transform([new]))
-    assert {kinds[row] for row in rows[0]} == {"kind 2"}
-    ids = tuple(f"{row:02}" for row in range(12))
-    table = SignatureTable(ids, np.exp(scans.transform(meshes)), "r-bihdm", labels=tuple(kinds))
+    assert {kinds[row] for row in rows[0]} == {"class 002"}
+    table = table_of(scans.transform(meshes), kinds)
     index = SignatureIndex(table, RetrievalOptions(whitening="within-class"))
     options = PipelineOptions().changed(**keep, signature={"n_values": 9})
     found = index.query(pr.signature(new, options).values, 2)
-    assert found.ids == tuple(ids[row] for row in rows[0])
+    assert found.ids == tuple(table.ids[row] for row in rows[0])
     np.testing.assert_allclose(found.distances, distances[0], rtol=1e-9)

@@ -6,6 +6,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 from benchmarks.retrieval import no_match_measures
+from tables import classes_of, posed_logs, table_of
 
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.evaluation import evaluate_table, rank_gallery, rank_table, rerank_table
@@ -14,31 +15,22 @@ from pcretrieve.evaluation.rankings import Subset, rank_subsets
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import DISTANCES, DistanceBlock, coordinates, fit_whitening, pairwise
 from pcretrieve.retrieval.reranking import NeighbourLists, rerank
-from pcretrieve.values import FloatArray, SignatureTable
+from pcretrieve.values import SignatureTable
 
 WITHIN_CLASS = RetrievalOptions(whitening="within-class")
 PLAIN = RetrievalOptions(whitening="none")
 
 
-def table_of(logs: FloatArray, per_class: int) -> SignatureTable:
-    ids = tuple(f"T{row:03}" for row in range(len(logs)))
-    labels = tuple(f"class {row // per_class}" for row in range(len(logs)))
-    return SignatureTable(ids, np.exp(logs), "r-bihdm", "3f2a", labels)
-
-
 def a_table() -> SignatureTable:
-    """Ten classes that differ where poses do not: the spread within classes hides that between them."""
-    rng = np.random.default_rng(0)
-    centres = np.repeat(rng.normal(size=(10, 8)) * np.geomspace(0.3, 0.02, 8), 6, axis=0)
-    return table_of(centres + rng.normal(size=(60, 8)) * np.geomspace(0.02, 1.0, 8) - 3, 6)
+    """Ten classes of six: the spread within classes hides that between them."""
+    return table_of(posed_logs(), classes_of(60, 6))
 
 
 def round_classes(noise: float = 0.35) -> SignatureTable:
-    """Twenty classes with the same spread in all directions."""
+    """Twenty classes of six, with the same spread in all directions."""
     rng = np.random.default_rng(0)
-    return table_of(
-        np.repeat(rng.normal(size=(20, 8)), 6, axis=0) + noise * rng.normal(size=(120, 8)), per_class=6
-    )
+    centres = np.repeat(rng.normal(size=(20, 8)), 6, axis=0)
+    return table_of(centres + noise * rng.normal(size=(120, 8)), classes_of(120, 6))
 
 
 def test_every_class_is_in_one_fold_whatever_the_order_of_shapes() -> None:

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval import DISTANCES, SignatureIndex, coordinates, pairwise
-from pcretrieve.retrieval.distances import Distance
-from pcretrieve.values import FloatArray, Metric, SignatureTable
+from pcretrieve.retrieval import DISTANCES, coordinates, pairwise
+from pcretrieve.values import FloatArray, Metric
 
 
 def some_values(n: int, *, seed: int = 0, n_values: int = 23, spread: float = 1.0) -> FloatArray:
@@ -79,26 +77,3 @@ def test_what_has_no_distance_or_no_coordinates() -> None:
     ):
         with pytest.raises(InputError, match=message):
             coordinates(values, metric)
-
-
-# --- signatures that are not compared by their logarithms -----------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "distance",
-    [
-        Distance("half", lambda x: np.linalg.norm(x, axis=-1) / 2),
-        Distance("twice", lambda x: 2 * np.linalg.norm(x, axis=-1), exceeds_log=True),
-    ],
-    ids=lambda distance: distance.name,
-)
-def test_a_distance_of_ones_own_is_an_object(distance: Distance) -> None:
-    values = np.exp(np.random.default_rng(5).normal(size=(2000, 6)))
-    table = SignatureTable(tuple(f"s{number:04}" for number in range(2000)), values, "x")
-    index = SignatureIndex(table, RetrievalOptions(whitening="none"), distance=distance)
-    exact = pairwise(distance, coordinates(values[:20]), coordinates(values))
-    for row in range(20):
-        nearest = index.query(values[row], 7)
-        order = np.argsort(exact[row], kind="stable")[:7]
-        assert nearest.ids == tuple(table.ids[number] for number in order)
-        np.testing.assert_array_equal(nearest.distances, exact[row, order])

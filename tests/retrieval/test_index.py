@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from tables import table_of
 
 from pcretrieve.errors import InputError, OptionError
+from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import (
     DISTANCES,
@@ -22,9 +25,9 @@ from pcretrieve.retrieval import (
     pairwise,
 )
 from pcretrieve.retrieval.bounds import LowerBounds, Scan
-from pcretrieve.values import FloatArray, Signature, SignatureTable
+from pcretrieve.retrieval.distances import Distance
+from pcretrieve.values import FloatArray, Neighbors, Signature, SignatureTable
 
-WHITENINGS = ("none", "pca")
 SCANS = (bounds.scan, compiled.scan)
 
 
@@ -36,42 +39,57 @@ def a_table(n: int, *, seed: int = 0, n_values: int = 15, copies: int = 0) -> Si
     logs = centres[np.arange(n) // 5] + 0.3 * scale * rng.normal(size=(n, n_values)) - 3
     if copies:
         logs[-copies:] = logs[:copies]
-    ids = tuple(f"T{number}" for number in rng.permutation(n))
-    labels = tuple(f"class {number // 5}" for number in range(n))
-    return SignatureTable(ids, np.exp(logs), "r-bihdm", "3f2a", labels)
+    return replace(table_of(logs), ids=tuple(f"T{number}" for number in rng.permutation(n)))
 
 
-def an_index(table: SignatureTable, distance: str = "log", whitening: str = "none") -> SignatureIndex:
-    options = RetrievalOptions.model_validate({"distance": distance, "whitening": whitening})
-    return SignatureIndex(table, options)
+def an_index(
+    table: SignatureTable, distance: str | Distance = "log", whitening: str = "none"
+) -> SignatureIndex:
+    if isinstance(distance, Distance):
+        return SignatureIndex(table, RetrievalOptions(whitening=whitening), distance=distance)
+    return SignatureIndex(table, RetrievalOptions(distance=distance, whitening=whitening))
 
 
-def by_brute_force(
-    made: SignatureIndex, table: SignatureTable, values: FloatArray, k: int
-) -> tuple[tuple[str, ...], list[float]]:
-    """The first k of all shapes, sorted by (distance, id)."""
+def assert_exact(
+    found: Neighbors, made: SignatureIndex, table: SignatureTable, values: FloatArray, k: int
+) -> None:
+    """Results are the first k of all shapes, sorted by (distance, id)."""
     query, gallery = (made.whitening.apply(coordinates(v)) for v in (values[np.newaxis], table.values))
-    distances = pairwise(made.distance, query, gallery)[0]
+    distances = pairwise(made._distance, query, gallery)[0]
     ranked = sorted(zip(distances.tolist(), table.ids, strict=True))[:k]
-    return tuple(shape for _, shape in ranked), [distance for distance, _ in ranked]
+    assert [*zip(found.distances.tolist(), found.ids, strict=True)] == ranked
 
 
-@pytest.mark.parametrize("whitening", WHITENINGS)
-@pytest.mark.parametrize("distance", DISTANCES)
-def test_agrees_with_brute_force(distance: str, whitening: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before and after compiled code is loaded, also as arrays that are mapped, and as a pickle."""
+OWN = (
+    Distance("half", lambda x: np.linalg.norm(x, axis=-1) / 2),
+    Distance("twice", lambda x: 2 * np.linalg.norm(x, axis=-1), exceeds_log=True),
+)
+
+
+@pytest.mark.parametrize("whitening", ("none", "pca"))
+@pytest.mark.parametrize(
+    "distance", (*DISTANCES, *OWN), ids=lambda distance: getattr(distance, "name", distance)
+)
+def test_agrees_with_brute_force(
+    distance: str | Distance, whitening: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before and after compiled code is loaded; as arrays that are mapped, as a pickle, and as a matrix."""
     monkeypatch.setattr(index, "N_ALL", 0)
     table = a_table(300, copies=60)
     made = an_index(table, distance, whitening)
-    copies = (made, pickle.loads(pickle.dumps(made)), SignatureIndex.from_arrays(made.to_arrays()))
+    copies = [made] * 3
+    if isinstance(distance, str):
+        copies[1:] = pickle.loads(pickle.dumps(made)), SignatureIndex.from_arrays(made.to_arrays())
     rng = np.random.default_rng(100)
     near = table.values[:15] * np.exp(0.1 * rng.normal(size=(15, 15)))
     outside = np.exp(rng.normal(size=(15, 15)) * 8)
     far_outside = np.exp(rng.uniform(-300, 300, size=(5, 15)))
     for number, values in enumerate((*table.values[:15], *near, *outside, *far_outside)):
         for k in (1, 10, 299):
-            found = copies[number % 3].query(values, k)
-            assert (found.ids, found.distances.tolist()) == by_brute_force(made, table, values, k)
+            assert_exact(copies[number % 3].query(values, k), made, table, values, k)
+    matrix = DistanceMatrix(tuple(made.ids), made.between(made.ids))
+    for shape_id in table.ids[::40]:
+        assert matrix.nearest(shape_id, 7) == made.nearest(shape_id, 7)
 
 
 @pytest.mark.parametrize("distance", DISTANCES)
@@ -83,9 +101,8 @@ def test_few_and_equal_shapes(distance: str) -> None:
     for n in (1, 2, 12):
         table = a_table(n)
         made = an_index(table, distance)
-        for values in table.values[:3]:
-            found = made.query(2 * values, 1000)
-            assert (found.ids, found.distances.tolist()) == by_brute_force(made, table, 2 * values, 1000)
+        for values in 2 * table.values[:3]:
+            assert_exact(made.query(values, 1000), made, table, values, 1000)
     values = np.exp([[700.0], [-700.0], [699.0], [-699.0], [-698.0]])
     infinite = an_index(SignatureTable(tuple("dceba"), values, "r-bihdm"), "d2")
     far = infinite.query(np.exp([720.0 - 15]), 4)
@@ -93,8 +110,7 @@ def test_few_and_equal_shapes(distance: str) -> None:
 
 
 def test_what_is_no_index_and_no_query() -> None:
-    table = a_table(5)
-    made = an_index(table)
+    made = an_index(a_table(5))
     other: Any
     for k in (0, -3, 2.5, True):
         with pytest.raises(OptionError, match=f"k must be a whole number of at least 1, got {k}"):
@@ -108,18 +124,16 @@ def test_what_is_no_index_and_no_query() -> None:
     ):
         with pytest.raises(InputError, match=message):
             made.query(other)
-    with pytest.raises(InputError, match="needs at least 2 distinct shapes"):
-        an_index(a_table(1), whitening="pca")
-    with pytest.raises(OptionError, match="'resolution' is not fitted to shapes: see resolution_whitening"):
-        an_index(table, whitening="resolution")
     with pytest.raises(InputError, match="an index needs at least 1 shape, got an empty table"):
-        an_index(SignatureTable((), np.zeros((0, 5)), "r-bihdm"))
-    whitening = fit_whitening("pca", coordinates(a_table(50).values), options_digest="77b1")
-    with pytest.raises(InputError, match=r"same options as the table \('3f2a'\), got '77b1'; fit it again"):
-        SignatureIndex(a_table(50), whitening=whitening)
-    shorter = fit_whitening("pca", coordinates(a_table(50, n_values=9).values), options_digest="3f2a")
-    with pytest.raises(InputError, match=r"must have shape \(N, 9\)"):
-        SignatureIndex(a_table(50), whitening=shorter)
+        an_index(a_table(0))
+    table = a_table(50)
+    for digest, n_values, message in (
+        ("77b1", 15, r"same options as the table \('3f2a'\), got '77b1'; fit it again"),
+        ("3f2a", 9, r"must have shape \(N, 9\)"),
+    ):
+        whitening = fit_whitening("pca", np.log(table.values[:, :n_values]), options_digest=digest)
+        with pytest.raises(InputError, match=message):
+            SignatureIndex(table, whitening=whitening)
 
 
 def test_arrays_are_mapped_and_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

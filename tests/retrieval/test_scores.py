@@ -2,54 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 from sklearn.isotonic import IsotonicRegression
+from tables import classes_of, table_of
 
 from pcretrieve.errors import InputError
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.query import Vote, class_vote
-from pcretrieve.retrieval import SignatureIndex, Whitening, fit_whitening, pairwise, scores
+from pcretrieve.retrieval import SignatureIndex, pairwise, scores, table_whitening
 from pcretrieve.retrieval.clusters import GAP, near_pairs
 from pcretrieve.retrieval.scores import MatchScores, fit_scores
-from pcretrieve.values import FloatArray, SignatureTable
+from pcretrieve.values import SignatureTable
 
-N_VALUES = 6
+PLAIN = RetrievalOptions(whitening="none")
 
 
-def classes(n_classes: int, n_each: int, seed: int, spread: float = 0.5) -> tuple[FloatArray, list[str]]:
+def classes(n_classes: int, n_each: int, seed: int, spread: float = 0.5) -> SignatureTable:
     """Normally distributed classes, which differ most within themselves in the first direction."""
-    rng = np.random.default_rng(seed)
-    noise = spread * rng.normal(size=(n_classes * n_each, N_VALUES)) * np.geomspace(3, 0.5, N_VALUES)
-    centres = np.repeat(rng.normal(size=(n_classes, N_VALUES)), n_each, axis=0)
-    return centres + noise, [f"{row // n_each:03}" for row in range(n_classes * n_each)]
+    rng, n = np.random.default_rng(seed), n_classes * n_each
+    noise = spread * rng.normal(size=(n, 6)) * np.geomspace(3, 0.5, 6)
+    centres = np.repeat(rng.normal(size=(n_classes, 6)), n_each, axis=0)
+    return table_of(centres + noise, classes_of(n, n_each))
 
 
-def table_of(logs: FloatArray, labels: Sequence[str] = ()) -> SignatureTable:
-    return SignatureTable(
-        tuple(f"{row:04}" for row in range(len(logs))), np.exp(logs), "any", labels=tuple(labels)
-    )
-
-
-def index_of(logs: FloatArray) -> SignatureIndex:
-    return SignatureIndex(table_of(logs), RetrievalOptions(whitening="none"))
-
-
-def fitted(logs: FloatArray, labels: list[str], kind: str = "none") -> tuple[MatchScores, Whitening]:
-    whitening = fit_whitening(kind, logs, labels)
-    found = fit_scores(table_of(logs, labels), whitening)
+def scores_of(table: SignatureTable) -> MatchScores:
+    found = fit_scores(table, table_whitening(table, PLAIN))
     assert found is not None
-    return found, whitening
-
-
-def pairs_of(points: FloatArray, labels: list[str]) -> tuple[FloatArray, FloatArray]:
-    """Distances of all pairs, and 1 for those of one class."""
-    first, second = np.triu_indices(len(points), k=1)
-    same = np.array(labels)[first] == np.array(labels)[second]
-    return pairwise("log", points, points)[first, second], same.astype(float)
+    return found
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -67,29 +48,29 @@ def test_pools_are_those_of_isotonic_regression(seed: int) -> None:
 
 
 def test_a_score_is_the_share_among_new_pairs_that_near() -> None:
-    found, _ = fitted(*classes(120, 8, seed=0, spread=0.25))
+    found = scores_of(classes(120, 8, seed=0, spread=0.25))
     assert found.reason == "share of pairs of one class among pairs as near, of 460320 pairs of 120 classes"
-    distances, same = pairs_of(*classes(120, 8, seed=1, spread=0.25))
-    given = found.of(distances)
+    new = classes(120, 8, seed=1, spread=0.25)
+    first, second = np.triu_indices(len(new), k=1)
+    logs, labels = np.log(new.values), np.array(new.labels)
+    given = found.of(pairwise("log", logs, logs)[first, second])
     for low in (0.05, 0.2, 0.4):
         near = (given >= low) & (given < 2 * low)
         assert near.sum() > 100
-        assert same[near].mean() == pytest.approx(given[near].mean(), rel=0.25)
+        same = labels[first[near]] == labels[second[near]]
+        assert same.mean() == pytest.approx(given[near].mean(), rel=0.25)
 
 
 def test_scores_descend_and_are_kept_with_an_index() -> None:
-    logs, labels = classes(10, 5, seed=6)
-    found, _ = fitted(logs, labels)
+    table = classes(10, 5, seed=6)
+    found = scores_of(table)
     assert (np.diff(found.scores) <= 0).all() and (np.diff(found.distances) >= 0).all()
     assert 0 < found.of(np.array([np.inf]))[0] < found.of(np.array([0.0]))[0] < 1
     with pytest.raises(InputError, match="scores must not ascend"):
         MatchScores(np.array([0.0, 1.0]), np.array([0.1, 0.2]), "")
-    table = table_of(logs, labels)
-    plain, index = SignatureIndex(table), SignatureIndex(table, scores=found)
-    assert plain.scores is None
-    again = SignatureIndex.from_arrays(index.to_arrays())
+    again = SignatureIndex.from_arrays(SignatureIndex(table, scores=found).to_arrays())
     assert again.scores == found and again.scores.reason == found.reason
-    assert SignatureIndex.from_arrays(plain.to_arrays()).scores is None
+    assert SignatureIndex.from_arrays(SignatureIndex(table).to_arrays()).scores is None
 
 
 def test_votes_are_weighted() -> None:
@@ -107,13 +88,12 @@ def test_near_pairs_are_those_of_all_pairs(n: int) -> None:
     rng = np.random.default_rng(n)
     logs, errors = rng.normal(size=(n, 3)), rng.exponential(0.05, size=n)
     logs[: n // 10] = logs[0]  # equal ones
-    index = index_of(logs)
+    index = SignatureIndex(table_of(logs), PLAIN)
     found = near_pairs(index, errors)
     distances, limits = pairwise("log", logs, logs), np.hypot(errors[:, None], errors)
     first, second = np.nonzero(np.triu(distances <= limits, k=1))
-    assert {(int(pair.first), int(pair.second)) for pair in found} == set(
-        zip(first.tolist(), second.tolist(), strict=True)
-    )
+    pairs = {(int(pair.first[1:]), int(pair.second[1:])) for pair in found}
+    assert pairs == set(zip(first.tolist(), second.tolist(), strict=True))
     assert len(found) == len(first)
     expected = np.sort(distances[first, second])
     np.testing.assert_allclose([pair.distance for pair in found], expected, rtol=1e-12)
@@ -122,7 +102,7 @@ def test_near_pairs_are_those_of_all_pairs(n: int) -> None:
 
 def test_a_map_keeps_neighbours_and_hides_none() -> None:
     labels = np.repeat(np.arange(8), 10)
-    index = index_of(classes(8, 10, seed=0, spread=0.02)[0])
+    index = SignatureIndex(classes(8, 10, seed=0, spread=0.02), PLAIN)
     places = index.places()
     assert places.min() >= 0 and places.max() <= 1
     np.testing.assert_allclose(np.ptp(places, axis=0).max(), 1)
