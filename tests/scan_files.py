@@ -42,8 +42,10 @@ def needs(suffix: str) -> pytest.MarkDecorator:
     return pytest.mark.skipif(not can, reason=f"needs what reads and writes {suffix} files")
 
 
-# --- PCD ---------------------------------------------------------------------------------------------------
+# --- points ------------------------------------------------------------------------------------------------
 
+# The lines of a PTX header below the size of its grid.
+POSE = "0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
 XYZ = "property float x\nproperty float y\nproperty float z\n"
 PCD = (
     "VERSION 0.7\nFIELDS {fields}\nSIZE {sizes}\nTYPE {types}\nCOUNT {counts}\nWIDTH {n}\nHEIGHT 1\n"
@@ -55,6 +57,10 @@ def pcd_header(*fields: str, n: int, data: str = "ascii", viewpoint: str = "0 0 
     repeat = {"sizes": "4", "types": "F", "counts": "1"}
     columns = {key: " ".join([value] * len(fields)) for key, value in repeat.items()}
     return PCD.format(fields=" ".join(fields), n=n, data=data, viewpoint=viewpoint, **columns)
+
+
+def ply(form: str, elements: str, *rows: bytes) -> bytes:
+    return f"ply\nformat {form} 1.0\n{elements}end_header\n".encode() + b"".join(rows)
 
 
 # --- scenes ------------------------------------------------------------------------------------------------
@@ -97,61 +103,42 @@ def gltf(
 
 
 THREE_MF = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
-TYPES = (
-    '<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">'
-    '<Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/>'
-    "</Types>"
-)
-COLLADA = """<?xml version="1.0" encoding="utf-8"?>
-<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
-<asset><created>2024-01-01T00:00:00Z</created><modified>2024-01-01T00:00:00Z</modified>
-<unit name="u" meter="{metres}"/><up_axis>Z_UP</up_axis></asset>
-<library_geometries><geometry id="g"><mesh>
-<source id="s"><float_array id="a" count="{n}">{values}</float_array><technique_common>
-<accessor source="#a" count="{points}" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
-<param name="Z" type="float"/></accessor></technique_common></source>
-<vertices id="v"><input semantic="POSITION" source="#s"/></vertices>
-<triangles count="{faces}"><input semantic="VERTEX" source="#v" offset="0"/><p>{numbers}</p></triangles>
-</mesh></geometry></library_geometries>
-<library_visual_scenes><visual_scene id="scene"><node id="first"><translate>{shift}</translate>
-<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>
-<scene><instance_visual_scene url="#scene"/></scene></COLLADA>
-"""
-
-
-def numbers(array: Any) -> str:
-    return " ".join(f"{value:.9g}" for value in np.ravel(array))
 
 
 def three_mf(body: TriangleMesh, *, unit: str = "millimeter", items: str = '<item objectid="1"/>') -> bytes:
     """An archive with one object, which the items of the build place."""
     vertices = "".join('<vertex x="{:.9g}" y="{:.9g}" z="{:.9g}"/>'.format(*point) for point in body.vertices)
     triangles = "".join('<triangle v1="{}" v2="{}" v3="{}"/>'.format(*face) for face in body.faces)
-    content = (
-        f'<object id="1" name="ball" type="model"><mesh><vertices>{vertices}</vertices><triangles>{triangles}'
-    )
     model = (
-        f'<model unit="{unit}" xmlns="{THREE_MF}"><resources>{content}</triangles></mesh></object>'
-        "</resources>"
+        f'<model unit="{unit}" xmlns="{THREE_MF}"><resources><object id="1" name="ball" type="model"><mesh>'
+        f"<vertices>{vertices}</vertices><triangles>{triangles}</triangles></mesh></object></resources>"
         f"<build>{items}</build></model>"
     )
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("[Content_Types].xml", TYPES)
         archive.writestr("3D/3dmodel.model", model)
     return file.getvalue()
 
 
-def collada(mesh: TriangleMesh, *, metres: float = 1.0, shift: str = "0 0 0") -> str:
-    return COLLADA.format(
-        metres=metres,
-        n=mesh.vertices.size,
-        values=numbers(mesh.vertices),
-        shift=shift,
-        points=len(mesh.vertices),
-        faces=len(mesh.faces),
-        numbers=numbers(mesh.faces),
-    )
+def collada(mesh: TriangleMesh, *, metres: float = 1.0, shift: Sequence[float] = (0, 0, 0)) -> str:
+    """One mesh and the node that shows it, by pycollada."""
+    import collada  # type: ignore[import-not-found,import-untyped,unused-ignore]
+
+    document = collada.Collada()
+    document.assetInfo.unitname, document.assetInfo.unitmeter = "u", metres
+    source = collada.source.FloatSource("points", mesh.vertices.ravel(), ("X", "Y", "Z"))
+    geometry = collada.geometry.Geometry(document, "body", "body", [source])
+    inputs = collada.source.InputList()
+    inputs.addInput(0, "VERTEX", "#points")
+    geometry.primitives.append(geometry.createTriangleSet(mesh.faces.ravel(), inputs, "paint"))
+    document.geometries.append(geometry)
+    place = [collada.scene.TranslateTransform(*shift)]
+    node = collada.scene.Node("node", [collada.scene.GeometryNode(geometry, [])], place)
+    document.scene = collada.scene.Scene("scene", [node])
+    document.scenes.append(document.scene)
+    file = io.BytesIO()
+    document.write(file)
+    return file.getvalue().decode()
 
 
 def write_gltf(path: Path, mesh: TriangleMesh, nodes: list[dict[str, Any]], buffer: str = "") -> None:
@@ -231,21 +218,72 @@ def _crc32c(data: bytes) -> int:
     """The checksum of Castagnoli."""
     value = 0xFFFFFFFF
     for byte in data:
-        value = value >> 8 ^ _CRC[(value ^ byte) & 0xFF]
+        value ^= byte
+        for _ in range(8):
+            value = value >> 1 ^ (0x82F63B78 if value & 1 else 0)
     return value ^ 0xFFFFFFFF
 
 
-def _crc_of_byte(byte: int) -> int:
-    for _ in range(8):
-        byte = byte >> 1 ^ (0x82F63B78 if byte & 1 else 0)
-    return byte
+def laser_scan(folder: Path, suffix: str) -> bytes:
+    """A whole scan of a hundred points, whose header promises more than there are."""
+    path, points = folder / f"a{suffix}", np.arange(300.0).reshape(-1, 3)
+    if suffix == ".e57":
+        write_e57(path, [{"points": points}])
+        count = b'recordCount="%d"'
+        return with_other_xml(path.read_bytes(), lambda xml: xml.replace(count % 100, count % HUGE))
+    write_las(path, points, point_format=6)
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<Q", data, 247, HUGE)
+    return bytes(data)
 
 
-_CRC = [_crc_of_byte(byte) for byte in range(256)]
+# --- files that a hostile person would upload --------------------------------------------------------------
+
+HUGE = 999_999_999_999
+
+# Unpickled, it would write a file; numpy reads it where `allow_pickle` is set.
+PICKLE = b"cos\nsystem\n(S'echo > pickled'\ntR."
+
+# One triangle, and the names of files and programs that a reader of materials would open.
+REFERENCES = (
+    "mtllib file:///etc/passwd\nmtllib ../../../../etc/passwd\nmtllib http://127.0.0.1:{port}/a.mtl\n"
+    "call /etc/passwd\ncsh id\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl a\nf 1 2 3\n"
+)
 
 
-def write_laser_scan(path: Path, points: Any) -> None:
-    if path.suffix == ".e57":
-        write_e57(path, [{"points": points, "translation": np.array([1.0, 2.0, 3.0])}])
-    else:
-        write_las(path, points, point_format=6 if path.suffix == ".laz" else 3)
+def npy(declared: str, body: bytes = b"") -> bytes:
+    """An array whose header says what it likes."""
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", 118) + declared.encode().ljust(117) + b"\n" + body
+
+
+def pcd_bomb(n_bytes: int, n: int = 3 * 10**8) -> bytes:
+    """A compressed file of so many points that declares to expand to so many bytes."""
+    head = pcd_header("x", "y", "z", n=n, data="binary_compressed").encode()
+    return head + struct.pack("<II", 99, n_bytes) + bytes(99)
+
+
+# The name of the file, its content, and words of the message by which it is refused: promises of many points,
+# code, other formats, references, text that never ends or says nothing.
+HOSTILE: list[tuple[str, bytes, str]] = [
+    ("a.ply", ply("ascii", f"element vertex {HUGE}\n{XYZ}", b"0 0 0\n"), "declares"),
+    ("a.ply", ply("binary_little_endian", f"element vertex {HUGE}\n{XYZ}", b"0"), "declares"),
+    ("a.pcd", pcd_header("x", "y", "z", n=HUGE, data="binary").encode() + bytes(12), "declares"),
+    ("a.pcd", pcd_bomb(36 * 10**8), "declares 3600000000 bytes in 99"),
+    ("a.stl", bytes(80) + struct.pack("<I", 2**32 - 1) + bytes(50), "not a complete STL"),
+    ("a.off", f"OFF\n{HUGE} {HUGE} 0\n0 0 0\n".encode(), "not a complete OFF"),
+    ("a.ptx", f"{10**9}\n{10**9}\n{POSE}0 0 0 0.5\n".encode(), f"declares {10**18} rows in"),
+    ("a.npy", npy(f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({HUGE}, 3), }}"), "declares"),
+    ("a.npy", npy("{'descr': '|O', 'fortran_order': False, 'shape': (1, 3), }", PICKLE), "Python objects"),
+    ("a.npy", npy("__import__('os').system('echo > pickled')"), "not a complete NPY"),
+    ("a.npy", PICKLE, "not a complete NPY"),
+    ("a.php.off", b"<?php system($_GET['a']); ?>", "not a complete OFF"),
+    ("a.obj", b"<script>alert(1)</script>\nv <b> 0 0\n", "line 2 is 'v <b> 0 0'"),
+    ("a.off", b"\x89PNG\r\n\x1a\n" + bytes(99), "not a complete OFF"),
+    ("a.ply", b"PK\x03\x04" + bytes(99), "its first line is not 'ply'"),
+    ("a.ply", b'<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><a>&x;</a>', "first line is not 'ply'"),
+    ("a.xyz", b"9" * 900_000 + b" 1 2\n", "each line must hold 3 numbers"),
+    ("a.xyz", b"1e308 -1e308 1e308\n" * 200, "coordinates must be 1e-50 to 1e+50 in size"),
+    ("a.xyz", b"nan inf nan\n" * 200, ""),
+    ("a.off", b"OFF\nscan: read in 1.2.3 s\nscan: x in 1 s\n", "not a complete OFF"),
+    ("a.off", b"OFF\n#<script>alert(1)</script>\n/*PK\x03\x04*/GIF89a\n", "not a complete OFF"),
+]

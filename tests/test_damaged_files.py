@@ -1,42 +1,271 @@
-"""Damaged files other than scans: each gives what it held, or an error that names the file."""
+"""A damaged file gives what it held, or an error that names the file."""
 
 from __future__ import annotations
 
 import os
+import re
+import resource
 import shutil
-from collections.abc import Callable, Iterator
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from types import FrameType
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 import shapes
-from mutations import altered, mutated, read_damaged
+from PIL import Image
+from pypcd4.pypcd4 import Encoding, PointCloud as Pcd
+from scan_files import (
+    CAN_WRITE,
+    POSE,
+    XYZ,
+    collada,
+    ply,
+    three_mf,
+    with_checksums,
+    without_checksums,
+    write_e57,
+    write_gltf,
+    write_las,
+)
 
-from pcretrieve import Catalogue, PipelineOptions, calibrate, ingest, status
+from pcretrieve import Catalogue, PipelineOptions, PointCloud, TriangleMesh, calibrate, ingest, status
 from pcretrieve.catalogue import cache
+from pcretrieve.errors import PcretrieveError
 from pcretrieve.evaluation import evaluate
 from pcretrieve.evaluation.comparison import read_scores, write_evaluation
-from pcretrieve.formats import write_mesh
+from pcretrieve.formats import missing_extra, read_scan, write_cloud, write_mesh
+from pcretrieve.formats.registry import FORMATS
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import read_labels
 from pcretrieve.matching import DistanceMatrix, read_matrix, write_matrix
 from pcretrieve.retrieval.whitening import read_whitening
 
-N_SEEDS = int(os.environ.get("PCRETRIEVE_SEEDS", "165"))
-# Arrays of a stored index that are damaged: numbers and ids.
-ARRAYS = ("gallery", "id_text")
+# Seeds of each format of scans, and of each other kind of file.
+N_SCAN_SEEDS, N_SEEDS = (int(os.environ.get("PCRETRIEVE_SEEDS", default)) for default in ("60", "165"))
+
+# --- damage, as transfers, editors and exporters do it ----------------------------------------------------
+
+MOST_DAMAGES = 4
+MOST_BYTES = 64  # inserted, removed, or repeated at once
+HEADER_BYTES = 640  # of the first lines, which hold counts and sizes
+
+NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+# Numbers at which types, sizes and lists end.
+NUMBERS = (
+    *(b"0", b"-1", b"1", b"2", b"3", b"255", b"256", b"65536", b"2147483647", b"2147483648", b"4294967295"),
+    *(b"99999999999", b"1" + b"0" * 30, b"9" * 5000, b"0.5", b"1e30", b"-1e30", b"1e-320", b"1e400"),
+    *(b"nan", b"inf", b"-inf", b"0x10", b"1_000", b"", b"x", b"\xff", b"\xc2\xb2"),
+)
+LIMITS = [
+    bytes.fromhex(word) for word in ("00000000", "ffffffff", "ffffff7f", "00000080", "0000a07f", "01000000")
+]
+
+# What a disk or a memory does, where nothing moves.
+CHANGES = ("flip", "overwrite")
+DAMAGES = (*CHANGES, "cut", "insert", "remove", "repeat", "renumber", "renumber header")
+
+
+def damaged_once(data: bytes, damage: str, rng: np.random.Generator) -> bytes:
+    at, n = int(rng.integers(len(data) + 1)), int(rng.integers(1, MOST_BYTES))
+    match damage:
+        case "flip":
+            return data[:at] + bytes(byte ^ 1 << n % 8 for byte in data[at : at + 1]) + data[at + 1 :]
+        case "overwrite":
+            return data[:at] + LIMITS[int(rng.integers(len(LIMITS)))] + data[at + 4 :]
+        case "cut":
+            return data[:at]
+        case "insert":
+            return data[:at] + rng.bytes(n) + data[at:]
+        case "remove":
+            return data[:at] + data[at + n :]
+        case "repeat":
+            return data[: at + n] + data[at:]
+    reach = len(data) if damage == "renumber" else HEADER_BYTES
+    places = [place.span() for place in NUMBER.finditer(data[:reach])]
+    if not places:
+        return data
+    start, stop = places[int(rng.integers(len(places)))]
+    return data[:start] + NUMBERS[int(rng.integers(len(NUMBERS)))] + data[stop:]
+
+
+def damaged(data: bytes, seed: int, damages: Sequence[str] = DAMAGES) -> bytes:
+    """A file with one to four damages; the same for the same file and seed."""
+    rng, n_bytes = np.random.default_rng(seed), len(data)
+    for _ in range(int(rng.integers(1, MOST_DAMAGES + 1))):
+        data = damaged_once(data, damages[int(rng.integers(len(damages)))], rng)
+    return data[:n_bytes] if damages is CHANGES else data
+
+
+# --- limits -------------------------------------------------------------------------------------------------
+
+MEMORY = 1 << 30  # what a file of a few kilobytes may take; bytes
+SECONDS = 5.0  # of processor time
+
+
+class HangError(BaseException):
+    """Raised where a call exceeds its time. Code that handles every `Exception` does not handle it."""
+
+
+@contextmanager
+def limited_memory(n_bytes: int = MEMORY) -> Iterator[None]:
+    """Let further allocations of more than so many bytes in total raise a MemoryError."""
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    (used,) = (int(line.split()[1]) << 10 for line in status.splitlines() if line.startswith("VmData"))
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(resource.RLIMIT_DATA, (used + n_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, before)
+
+
+@contextmanager
+def limited_time(seconds: float) -> Iterator[None]:
+    """Raise a HangError after so many seconds of processor time, which other processes do not take."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise HangError(f"not finished within {seconds:g} s")
+
+    before = signal.signal(signal.SIGVTALRM, stop)
+    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+        signal.signal(signal.SIGVTALRM, before)
+
+
+def read_damaged(
+    path: Path, contents: Callable[[int], bytes], read: Callable[[Path], object], n_seeds: int, named: str
+) -> tuple[int, list[str]]:
+    """Read a file that is damaged anew from each seed: the number of errors, and each fault with its seed.
+
+    named: what the message of each error must contain, unless the error names a shape of the file.
+    """
+    n_errors, faults = 0, []
+    with limited_memory():
+        for seed in range(n_seeds):
+            path.write_bytes(contents(seed))
+            try:
+                with limited_time(SECONDS):
+                    read(path)
+            except PcretrieveError as error:
+                n_errors += 1
+                found = named in error.message or error.shape_id is not None
+                if not found or "codec" in error.message:
+                    faults.append(f"seed {seed}, in other words: {error}")
+            except BaseException as error:  # noqa: BLE001 — whatever a reader lets pass is a fault
+                faults.append(f"seed {seed}: {type(error).__name__}: {error}")
+    path.unlink(missing_ok=True)
+    return n_errors, faults
+
+
+# --- scans --------------------------------------------------------------------------------------------------
+
+BALL = shapes.icosphere(1)
+NORMALS = BALL.vertices / np.linalg.norm(BALL.vertices, axis=1, keepdims=True)
+CLOUD = PointCloud(BALL.vertices, NORMALS, 3 * NORMALS)
+ELEMENTS = f"element vertex 42\n{XYZ}element face 3\nproperty list uchar int vertex_indices\n"
+POLYGONS = [[3, 0, 1, 2], [4, 2, 3, 4, 5], [3, 6, 7, 8]]
+BIG_ENDIAN = [bytes([n]) + np.array(polygon, dtype=">i4").tobytes() for n, *polygon in POLYGONS]
+GRID = np.array([[x, y, 9 - (x * x + y * y) / 20, x] for x in range(6) for y in range(7)])
+DEPTH = Image.fromarray(np.fromfunction(lambda v, u: 1500 + u * u + v, (30, 40)).astype(np.uint16))
+
+
+def lines(rows: Any) -> str:
+    return "".join(" ".join(f"{value:.6g}" for value in row) + "\n" for row in rows)
+
+
+# A whole file of each format in each of its encodings: its content, or what writes it.
+SCANS: dict[str, str | bytes | Callable[[Path], object]] = {
+    **dict.fromkeys(("mesh.ply", "mesh.obj", "mesh.off", "mesh.stl", "mesh.glb"), partial(write_mesh, BALL)),
+    **dict.fromkeys(("cloud.ply", "cloud.pcd", "cloud.xyzn"), partial(write_cloud, CLOUD)),
+    "text.ply": ply("ascii", ELEMENTS, (lines(BALL.vertices) + lines(POLYGONS)).encode()),
+    "big_endian.ply": ply("binary_big_endian", ELEMENTS, BALL.vertices.astype(">f4").tobytes(), *BIG_ENDIAN),
+    "text.stl": BALL.to_trimesh().export(file_type="stl_ascii"),
+    **{
+        f"{encoding.value}.pcd": partial(
+            Pcd.from_xyz_points(BALL.vertices.astype(np.float32)).save, encoding=encoding
+        )
+        for encoding in (Encoding.ASCII, Encoding.BINARY_COMPRESSED)
+    },
+    "lines.xyz": lines(BALL.vertices),
+    "lines.pts": "42\n" + lines(BALL.vertices),
+    "lines.xyzrgb": lines(np.tile(BALL.vertices, 2)),
+    "lines.asc": "// X Y Z\n" + lines(BALL.vertices),
+    "lines.csv": "x,y,z\n" + lines(BALL.vertices).replace(" ", ","),
+    "lines.txt": lines(np.column_stack([BALL.vertices, NORMALS])),
+    "grids.ptx": 2 * (f"6\n7\n{POSE}" + lines(GRID)),
+    "scene.gltf": lambda path: write_gltf(path, BALL, [{"mesh": 0}], "scene.bin"),
+    "data.gltf": lambda path: write_gltf(path, BALL, [{"mesh": 0}]),
+    "scene.3mf": three_mf(BALL),
+    "scene.dae": lambda path: path.write_text(collada(BALL)),
+    "scan.las": lambda path: write_las(path, BALL.vertices),
+    "scan.laz": lambda path: write_las(path, BALL.vertices, point_format=6),
+    "scan.e57": lambda path: write_e57(path, [{"points": BALL.vertices, "translation": np.arange(3.0)}]),
+    **dict.fromkeys(("depth.png", "depth.tif", "depth.tiff"), DEPTH.save),
+    "depth.npy": lambda path: np.save(path, np.asarray(DEPTH)),
+    "array.npy": lambda path: np.save(path, BALL.vertices),
+    "arrays.npz": lambda path: np.savez_compressed(path, points=BALL.vertices, normals=NORMALS),
+    "views.conf": "camera 0 0 0\nbmesh a.ply 0 0 0 0 0 0 1\nbmesh a.pcd 0 0 1 0 0.6 0 0.8\n",
+}
+
+
+def whole_scan(name: str, folder: Path) -> Path:
+    """A file, beside the files to which others refer."""
+    path = folder / name
+    if missing_extra(path.suffix) or not CAN_WRITE.get(path.suffix, True):
+        pytest.skip(f"needs what reads and writes {path.suffix} files")
+    for part in ("a.ply", "a.pcd"):
+        write_cloud(CLOUD, folder / part)
+    (folder / "camera.toml").write_text("fx = 60\nfy = 60\ncx = 20\ncy = 15\n")
+    scan = SCANS[name]
+    if callable(scan):
+        scan(path)
+    else:
+        path.write_bytes(scan if isinstance(scan, bytes) else scan.encode())
+    return path
+
+
+def test_every_format_is_damaged() -> None:
+    assert {Path(name).suffix for name in SCANS} == FORMATS.own.keys()
+
+
+@pytest.mark.parametrize("name", SCANS)
+def test_a_name_that_is_not_utf8_is_read_as_any_other(name: str, tmp_path: Path) -> None:
+    path = whole_scan(name, tmp_path)
+    scan = read_scan(path)
+    other = read_scan(path.rename(path.with_name(os.fsdecode(b"latin-\xe9") + path.suffix)))
+    if isinstance(scan, TriangleMesh) and isinstance(other, TriangleMesh):
+        scan, other = PointCloud(scan.vertices), PointCloud(other.vertices)
+    assert scan == other
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCANS)
+def test_a_damaged_scan_is_read_or_named(name: str, tmp_path: Path) -> None:
+    whole = whole_scan(name, tmp_path).read_bytes()
+    path = tmp_path / f"damaged{Path(name).suffix}"
+
+    def content(seed: int) -> bytes:
+        if path.suffix == ".e57":
+            return with_checksums(damaged(without_checksums(whole), seed), len(whole))
+        return damaged(whole, seed)
+
+    n_errors, faults = read_damaged(path, content, read_scan, N_SCAN_SEEDS, str(path))
+    assert not faults
+    assert n_errors
+
+
+# --- other files --------------------------------------------------------------------------------------------
 
 # Files that were read wrongly once: a folder for each kind of file.
 FOUND = sorted((Path(__file__).parent / "corpus").glob("*/*"))
-
-
-class Target(NamedTuple):
-    """A file, and how it is read."""
-
-    path: Path
-    read: Callable[[Path], object]
-    damage: Callable[[bytes, int], bytes] = mutated
 
 
 def read_catalogue(path: Path) -> object:
@@ -72,8 +301,40 @@ def distances_in(path: Path) -> object:
     return read_matrix(path)
 
 
-def written(folder: Path) -> dict[str, Target]:
-    """A whole file of each kind, by name."""
+def scans_in(path: Path) -> object:
+    return discover([path])
+
+
+class Kind(NamedTuple):
+    """The name of a file, how it is read, and its damages."""
+
+    file: str
+    read: Callable[[Path], object]
+    damages: Sequence[str] = DAMAGES
+
+
+KINDS = {
+    "catalogue": Kind("c.sqlite", read_catalogue),
+    "pages of a catalogue": Kind("c.sqlite", read_catalogue, CHANGES),
+    "index, numbers": Kind("gallery.npy", read_index),
+    "index, ids": Kind("id_text.npy", read_index),
+    "whitening": Kind("metric.npz", read_whitening),
+    "options": Kind("options.toml", PipelineOptions.from_toml),
+    "labels": Kind("labels.csv", read_labels),
+    "labels of Princeton": Kind("labels.cla", read_labels),
+    "list of scans": Kind("scans.txt", scans_in),
+    "table of scans": Kind("scans.csv", scans_in),
+    "matrix": Kind("matrix.txt", distances_in),
+    "binary matrix": Kind("matrix.npy", distances_in),
+    "measures": Kind("queries.csv", read_scores),
+    "status": Kind("batch", read_status),
+}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder with a whole file of each kind."""
+    folder = tmp_path_factory.mktemp("whole")
     scans = folder / "scans"
     scans.mkdir()
     for number in range(6):
@@ -81,80 +342,53 @@ def written(folder: Path) -> dict[str, Target]:
         write_mesh(egg, scans / f"egg{number}.off")
     (scans / "flat.xyz").write_text("1 2 3\n" * 200)
     labels = {f"egg{number}": f"class{number // 2}" for number in range(6)}
-    for name in ("c.sqlite", "indexed.sqlite"):
-        with Catalogue(folder / name, create=True) as store:
-            ingest(discover([scans]), store, labels=labels)
-            if name == "indexed.sqlite":
-                store.index()
-            else:
-                options = store.options.changed(retrieval={"whitening": "none"})
-                write_evaluation(evaluate(store, options=options).ranked.rankings, folder)
-                table = store.signatures(options)
-                calibrate(store, folder / "metric.npz", options=store.options)
-    distances = np.abs(table.values[:, :1] - table.values[:, 0])
-    for suffix in ("txt", "npy"):
-        write_matrix(DistanceMatrix(table.ids, distances), folder / f"matrix.{suffix}")
     (folder / "options.toml").write_text("[surface]\nmode = 'keep'\ncell = 0.01\n[signature]\nn_values = 9\n")
     (folder / "labels.csv").write_text("file,class\n" + "".join(f"{a},{b}\n" for a, b in labels.items()))
     (folder / "labels.cla").write_text("PSB 1\n2 3\n\ncat 0 2\n5\n6\n\ndog 0 1\n7\n")
     (folder / "scans.txt").write_text("".join(f"scans/egg{number}.off\n" for number in range(6)))
     (folder / "scans.csv").write_text("path,x\n" + "".join(f"scans/egg{k}.off,\n" for k in range(6)))
-    (folder / "batch").write_bytes((folder / ".indexed.sqlite.batch").read_bytes())
-    (kept,) = (folder / "indexed.sqlite.gallery").iterdir()
-    arrays = {name: Path(shutil.copy(next(kept.glob(f"{name}*.npy")), folder)) for name in ARRAYS}
-    return {
-        "catalogue": Target(folder / "c.sqlite", read_catalogue),
-        "pages of a catalogue": Target(folder / "c.sqlite", read_catalogue, altered),
-        **{f"index, {name}": Target(path, read_index) for name, path in arrays.items()},
-        "whitening": Target(folder / "metric.npz", read_whitening),
-        "options": Target(folder / "options.toml", PipelineOptions.from_toml),
-        "labels": Target(folder / "labels.csv", read_labels),
-        "labels of Princeton": Target(folder / "labels.cla", read_labels),
-        "list of scans": Target(folder / "scans.txt", lambda path: discover([path])),
-        "table of scans": Target(folder / "scans.csv", lambda path: discover([path])),
-        "matrix": Target(folder / "matrix.txt", distances_in),
-        "binary matrix": Target(folder / "matrix.npy", distances_in),
-        "measures": Target(folder / "queries.csv", read_scores),
-        "status": Target(folder / "batch", read_status),
-    }
-
-
-@pytest.fixture(scope="module")
-def targets(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Target]]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cache, "SMALLEST_KEPT", 1)
-        yield written(tmp_path_factory.mktemp("whole"))
+        for name in ("c.sqlite", "indexed.sqlite"):
+            with Catalogue(folder / name, create=True) as store:
+                ingest(discover([scans]), store, labels=labels)
+                if name == "indexed.sqlite":
+                    store.index()
+                else:
+                    options = store.options.changed(retrieval={"whitening": "none"})
+                    write_evaluation(evaluate(store, options=options).ranked.rankings, folder)
+                    table = store.signatures(options)
+                    calibrate(store, folder / "metric.npz", options=store.options)
+        distances = np.abs(table.values[:, :1] - table.values[:, 0])
+        for suffix in ("txt", "npy"):
+            write_matrix(DistanceMatrix(table.ids, distances), folder / f"matrix.{suffix}")
+        shutil.copy(folder / ".indexed.sqlite.batch", folder / "batch")
+        for array in (folder / "indexed.sqlite.gallery").glob("*/*.npy"):
+            shutil.copy(array, folder)
+        yield folder
 
 
-KINDS = (
-    *("catalogue", "pages of a catalogue", *(f"index, {array}" for array in ARRAYS)),
-    *("whitening", "options", "labels", "labels of Princeton", "list of scans", "table of scans"),
-    *("matrix", "binary matrix", "measures", "status"),
-)
+def test_a_whole_file_of_every_kind_is_read(whole: Path) -> None:
+    for kind in KINDS.values():
+        kind.read(Path(shutil.copy(whole / kind.file, whole / f"copy-{kind.file}")))
 
 
-def test_every_kind_is_damaged(targets: dict[str, Target]) -> None:
-    assert targets.keys() == {*KINDS}
-    for path, read, _ in targets.values():
-        read(Path(shutil.copy(path, path.with_name(f"copy-{path.name}"))))
-
-
-def faults(kind: str, target: Target, damage: Callable[[bytes, int], bytes], n_seeds: int = 1) -> list[str]:
+def faults(name: str, whole: Path, content: Callable[[bytes, int], bytes], n_seeds: int = 1) -> list[str]:
     """The faults of reading such a file with so many damages."""
-    whole, damaged = target.path.read_bytes(), target.path.with_name(f"damaged-{target.path.name}")
+    kind = KINDS[name]
+    data, path = (whole / kind.file).read_bytes(), whole / f"damaged-{kind.file}"
     # Where a status cannot be read, there is none.
-    named = "" if kind == "status" else damaged.stem
-    return read_damaged(damaged, lambda seed: damage(whole, seed), target.read, n_seeds, named=named)[1]
+    named = "" if name == "status" else path.stem
+    return read_damaged(path, lambda seed: content(data, seed), kind.read, n_seeds, named)[1]
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_damaged_file_is_read_or_named(kind: str, targets: dict[str, Target]) -> None:
+@pytest.mark.parametrize("name", KINDS)
+def test_a_damaged_file_is_read_or_named(name: str, whole: Path) -> None:
     # A damaged index is computed and written again, which takes a tenth of a second.
-    n_seeds = N_SEEDS // 10 if kind.startswith("index") else N_SEEDS
-    assert not faults(kind, targets[kind], targets[kind].damage, n_seeds)
+    n_seeds = N_SEEDS // 10 if name.startswith("index") else N_SEEDS
+    assert not faults(name, whole, partial(damaged, damages=KINDS[name].damages), n_seeds)
 
 
-@pytest.mark.parametrize("path", FOUND, ids=lambda path: path.stem)
-def test_a_file_that_was_read_wrongly_is_read_or_named(path: Path, targets: dict[str, Target]) -> None:
-    kind = path.parent.name
-    assert not faults(kind, targets[kind], lambda whole, seed: path.read_bytes())
+@pytest.mark.parametrize("found", FOUND, ids=lambda path: path.stem)
+def test_a_file_that_was_read_wrongly_is_read_or_named(found: Path, whole: Path) -> None:
+    assert not faults(found.parent.name, whole, lambda data, seed: found.read_bytes())

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
-from scan_files import CUBE, XYZ, cloud, mesh, pcd_header
+from scan_files import CUBE, XYZ, cloud, mesh, pcd_header, ply
 
 from pcretrieve import PointCloud
 from pcretrieve.errors import InputError
@@ -194,10 +194,6 @@ def row(form: str, *values: Value) -> bytes:
             packed += struct.pack(order + SCALARS[length_type][0], len(items))
             packed += b"".join(struct.pack(order + SCALARS[type_][0], item) for item in items)
     return packed if order else " ".join(words).encode() + b"\n"
-
-
-def ply(form: str, elements: str, *rows: bytes) -> bytes:
-    return f"ply\nformat {form} 1.0\n{elements}end_header\n".encode() + b"".join(rows)
 
 
 def test_every_type_of_number(tmp_path: Path) -> None:

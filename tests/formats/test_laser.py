@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 import shapes
 from benchmarks.samples import write_conf, write_pcd
-from hostile_scans import laser_scan
-from scan_files import CAN_WRITE, cloud, needs, with_other_xml, write_e57, write_las
+from scan_files import CAN_WRITE, cloud, laser_scan, needs, with_other_xml, write_e57, write_las
 from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud, read_scan

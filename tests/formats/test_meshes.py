@@ -233,7 +233,7 @@ def test_a_3mf_file_names_its_unit(tmp_path: Path) -> None:
 @needs(".dae")
 def test_a_collada_file_says_how_long_its_unit_is(tmp_path: Path) -> None:
     for metres, unit, scale in ((0.01, "cm", 1.0), (1, "m", 1.0), (0.5, "m", 0.5)):
-        (tmp_path / "a.dae").write_text(collada(BALL, metres=metres, shift="1 2 3"))
+        (tmp_path / "a.dae").write_text(collada(BALL, metres=metres, shift=(1, 2, 3)))
         found = read_raw(tmp_path / "a.dae")
         assert found.unit == unit
         np.testing.assert_allclose(found.points.mean(axis=0), scale * np.array([1, 2, 3]), atol=1e-6)

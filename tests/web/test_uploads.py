@@ -18,9 +18,8 @@ from tempfile import gettempdir
 from urllib.parse import quote
 
 import pytest
-from hostile_scans import HOSTILE, REFERENCES, laser_scan
 from processes import PATIENCE, wait_for
-from scan_files import CAN_WRITE
+from scan_files import CAN_WRITE, HOSTILE, REFERENCES, laser_scan
 from search_server import Server, egg, raw, running, status
 
 from pcretrieve import search
@@ -90,7 +89,7 @@ def test_hostile_files_are_refused_in_words(target: Server, tmp_path: Path) -> N
     laser = [
         (f"a{end}", laser_scan(tmp_path, end), "not a complete") for end in (".laz", ".e57") if CAN_WRITE[end]
     ]
-    for name, body, words in (*HOSTILE.values(), *laser):
+    for name, body, words in (*HOSTILE, *laser):
         job = target.outcome(name, body)
         assert job["state"] == "failed"
         assert job["error"] in ("ScanReadError", "ReconstructionError")
