@@ -1,14 +1,17 @@
-"""Region growing: the region has the topology of a ball, few voxels are lost, and contacts are cut."""
+"""Regions grow to the topology of a ball, and parts that touch are separated; little else is lost."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter, label
 
+from pcretrieve.points.grid import distances
 from pcretrieve.surface import defects
 from pcretrieve.surface.growth import grown
 from pcretrieve.surface.marching import marched
+from pcretrieve.surface.parts import DETOUR, contact_layer, walls as links_across
 from pcretrieve.values import TriangleMesh
 
 Mask = NDArray[np.bool_]
@@ -25,12 +28,15 @@ def ring(major: float, minor: float, n: int = 40) -> Mask:
     return np.asarray((np.hypot(x, y) - major) ** 2 + z**2 < minor**2)
 
 
-def depth(inside: Mask) -> NDArray[np.float32]:
-    return np.asarray(distance_transform_edt(inside), dtype=np.float32)
-
-
 def no_walls(inside: Mask) -> Mask:
     return np.zeros((3, *inside.shape), dtype=bool)
+
+
+def lost(inside: Mask, walls: Mask) -> Mask:
+    depth: NDArray[np.float32] = distance_transform_edt(inside).astype(np.float32)
+    body = grown(inside, depth, walls)
+    assert not (body & ~inside).any()
+    return inside & ~body
 
 
 def euler(body: Mask) -> int:
@@ -39,18 +45,13 @@ def euler(body: Mask) -> int:
     return mesh.euler_characteristic
 
 
-def test_it_is_one_ball_inside_what_was_given() -> None:
+def test_a_region_is_one_ball_and_a_ring_loses_one_slice() -> None:
     for inside in (*map(blob, range(2)), ring(12, 5)):
-        body = grown(inside, depth(inside), no_walls(inside))
-        assert not (body & ~inside).any()
+        cut = lost(inside, no_walls(inside))
+        body = inside & ~cut
         assert label(body)[1] == 1
         assert label(~body, np.ones((3, 3, 3)))[1] == 1
         assert euler(body) == 2
-
-
-def test_a_ring_loses_one_slice_and_no_more() -> None:
-    inside = ring(12, 5)
-    cut = inside & ~grown(inside, depth(inside), no_walls(inside))
     assert 0 < cut.sum() < 2 * np.pi * 5**2  # two layers
     assert label(cut, np.ones((3, 3, 3)))[1] == 1
     at = np.argwhere(cut) - 19.5
@@ -65,9 +66,30 @@ def test_walls_keep_apart_what_is_thickest_where_it_touches() -> None:
     assert euler(inside) == 0
     walls = no_walls(inside)
     walls[1, place : place + 6, 9] = True  # between the contact and the upper bar
-    cut = inside & ~grown(inside, depth(inside), walls)
+    cut = lost(inside, walls)
     assert cut.any()
     cut[place : place + 6, 9:11] = False
     assert not cut.any()
-    unguided = inside & ~grown(inside, depth(inside), no_walls(inside))
+    unguided = lost(inside, no_walls(inside))
     assert not unguided[place : place + 6].any()
+
+
+@pytest.mark.parametrize("reach", [10, 14, 18])
+def test_a_fold_is_parted_in_one_layer_as_deep_as_it_goes(reach: int) -> None:
+    """A slab, whose shape does not show that it is folded, with points half way up to a depth of `reach`."""
+    n = 30
+    inside = np.pad(np.ones((n - 6, n - 6, 6), dtype=bool), 3)
+    x, z = np.meshgrid(np.arange(3, 3 + reach), np.arange(12), indexing="ij")
+    points = np.column_stack([x.ravel(), np.full(x.size, n / 2), z.ravel()]).astype(float)
+    links = links_across(points, np.tile([0.0, 1.0, 0.0], (len(points), 1)), inside.shape)
+    nothing, depth = no_walls(inside), distances(~inside, np.inf)
+    assert not contact_layer(inside, nothing, nothing, depth).any()
+    found = contact_layer(inside, links, nothing, depth)
+    (layer,) = np.flatnonzero(found.any(axis=(0, 2)))
+    assert abs(layer - n / 2) <= 1
+    # Near the end of the fold the detour is short, and the parts are not separated.
+    deepest = np.flatnonzero(found.any(axis=(1, 2))).max() - 2
+    assert reach - DETOUR / 2 <= deepest <= reach + 2
+    legs, n_legs = label((inside & ~found)[3 : 3 + reach - DETOUR // 2])
+    assert n_legs == 2
+    assert legs[0, 5, 6] != legs[0, -5, 6]
