@@ -8,14 +8,14 @@ import signal
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import shapes
+from processes import PATIENCE, wait_for
 
 from pcretrieve.errors import RemeshError
 from pcretrieve.options import RemeshOptions
@@ -25,44 +25,29 @@ from pcretrieve.values import FloatArray, IntArray, Step, TriangleMesh
 
 BALL = shapes.icosphere(2)
 
-# How long a process may take to notice that another has gone; seconds.
-PATIENCE = 20.0
-
+# Of a client that waits with its server idle.
 ASK_ONCE = """
 import numpy as np
-from pcretrieve.surface.tetwild import tetrahedralize
+from pcretrieve.surface import tetwild
 vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
 faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32)
-tetrahedralize(vertices, faces, edge_length=0.5, envelope=0.01, optimize=False, timeout=60)
-print("answered", flush=True)
+tetwild.tetrahedralize(vertices, faces, edge_length=0.5, envelope=0.01, optimize=False, timeout=60)
+print(tetwild._server.process().pid, flush=True)
+input()
 """
 
 
 def ball(
-    *, faces: IntArray = BALL.faces, edge_length: float = 0.2, envelope: float = 0.001, timeout: float = 60.0
+    *, faces: IntArray = BALL.faces, edge_length: float = 0.2, timeout: float = 60.0
 ) -> tuple[FloatArray, IntArray]:
     return tetrahedralize(
-        BALL.vertices, faces, edge_length=edge_length, envelope=envelope, optimize=False, timeout=timeout
+        BALL.vertices, faces, edge_length=edge_length, envelope=0.001, optimize=False, timeout=timeout
     )
 
 
 def volume(nodes: FloatArray, tetrahedra: IntArray) -> float:
     a, b, c, d = (nodes[tetrahedra[:, k]] for k in range(4))
     return float(np.abs(np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a)).sum() / 6)
-
-
-def servers(parent: int) -> set[int]:
-    """Processes that a process has started and that run the server."""
-    found = set()
-    for status in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            started_by = int(status.read_text().rpartition(")")[2].split()[1])
-            command = (status.parent / "cmdline").read_text()
-        except OSError:  # it ended while we looked
-            continue
-        if started_by == parent and "tetwild import serve" in command:
-            found.add(int(status.parent.name))
-    return found
 
 
 def runs(process: int) -> bool:
@@ -74,56 +59,25 @@ def runs(process: int) -> bool:
     return any(thread.rpartition(")")[2].split()[0] not in "ZX" for thread in threads)
 
 
-def wait_until(holds: Callable[[], bool]) -> bool:
-    deadline = time.monotonic() + PATIENCE
-    while not holds():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.02)
-    return True
-
-
 def own_server() -> int:
-    (process,) = servers(os.getpid())
-    return process
+    return tetwild._server.process().pid
 
 
-pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc to count processes")
-
-
-@pytest.fixture
-def client(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
-    """Another Python that has asked once, and now waits with its server idle.
-
-    The folder that it runs in holds modules that are not meant; isolated, it does not look there, and its
-    server must not either.
-    """
-    for name in ("signal", "numpy", "pytetwild", "pcretrieve"):
-        (tmp_path / f"{name}.py").write_text("raise SystemExit('the wrong module')\n")
-    process = subprocess.Popen(
-        [sys.executable, "-I", "-c", ASK_ONCE + "input()"],
-        cwd=tmp_path,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "answered\n"
-    with process:
-        yield process
-        process.kill()
+pytestmark = pytest.mark.skipif(
+    not Path("/proc/self/stat").exists(), reason="needs /proc to look at processes"
+)
 
 
 # --- answers ------------------------------------------------------------------------------------------
 
 
-def test_a_ball_is_filled_and_one_server_answers_again_and_again() -> None:
+def test_a_ball_is_filled_and_one_server_answers_again_also_after_ctrl_c_in_the_terminal() -> None:
     nodes, tetrahedra = ball()
     first = own_server()
     assert (nodes.dtype.name, tetrahedra.dtype.name) == ("float64", "int32")
-    assert (nodes.shape[1:], tetrahedra.shape[1:]) == ((3,), (4,))
     assert volume(nodes, tetrahedra) == pytest.approx(BALL.volume, rel=0.02)
-    ball()
+    os.kill(first, signal.SIGINT)
+    assert len(ball()[1])
     assert own_server() == first
 
 
@@ -164,29 +118,21 @@ def test_its_death_over_a_surface_is_an_error() -> None:
         )
 
 
-def test_it_ends_with_an_interpreter_that_exits(client: subprocess.Popen[str]) -> None:
-    (server,) = servers(client.pid)
-    folder = Path(f"/proc/{server}/cwd").readlink()
-    client.communicate("\n", timeout=PATIENCE)
-    assert client.returncode == 0
-    assert wait_until(lambda: not runs(server))
-    assert not folder.exists()
-
-
-def test_it_ends_with_a_client_that_is_killed(client: subprocess.Popen[str]) -> None:
-    (server,) = servers(client.pid)
-    folder = Path(f"/proc/{server}/cwd").readlink()
-    client.kill()
-    assert wait_until(lambda: not runs(server))
-    assert wait_until(lambda: not folder.exists())
-
-
-def test_ctrl_c_in_the_terminal_is_not_its_business() -> None:
-    ball()
-    first = own_server()
-    os.kill(first, signal.SIGINT)
-    assert len(ball()[1])
-    assert own_server() == first
+@pytest.mark.parametrize("code", [0, -signal.SIGKILL], ids=["exits", "is killed"])
+def test_it_ends_with_its_client_and_leaves_no_folder(code: int, tmp_path: Path) -> None:
+    """Isolated, neither of them looks for modules in the folder of the client, which holds some not meant."""
+    for name in ("signal", "numpy", "pytetwild", "pcretrieve"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('the wrong module')\n")
+    command, pipe = [sys.executable, "-I", "-c", ASK_ONCE], subprocess.PIPE
+    with subprocess.Popen(command, cwd=tmp_path, stdin=pipe, stdout=pipe, text=True) as client:
+        assert client.stdout is not None
+        server = int(client.stdout.readline())
+        assert Path(f"/proc/{server}/cwd").readlink().name.endswith(" (deleted)")
+        if code:
+            client.kill()
+        client.communicate("\n", timeout=PATIENCE)
+    assert client.returncode == code
+    assert wait_for(lambda: not runs(server))
 
 
 # --- remeshing ----------------------------------------------------------------------------------------
