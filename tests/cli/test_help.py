@@ -9,11 +9,8 @@ from pathlib import Path
 
 import click
 import pytest
-import shapes
 from commands import refusal, run
 
-from pcretrieve import Catalogue, PipelineOptions, describe, process
-from pcretrieve.catalogue import Content, Record
 from pcretrieve.cli.main import COMMANDS, cli
 
 MOST_LINES, COLUMNS = 40, 80
@@ -53,54 +50,44 @@ def test_the_help_fits_a_screen_and_names_and_explains_all_options(words: tuple[
         assert "More options" not in short
 
 
-@pytest.fixture(scope="module")
-def path(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """A catalogue of two cats and a dog."""
-    options = PipelineOptions()
-    shape = process(shapes.icosphere(2), options)
-    with Catalogue(tmp_path_factory.mktemp("names") / "c.sqlite", create=True) as store:
-        for name, label in (("cat0", "cat"), ("cat1", "cat"), ("dog0", "dog")):
-            content = Content(shape, describe(shape, options.signature).values)
-            store.put(Record(name, f"/{name}.off", name, label=label), content)
-    return store.location
-
-
-def test_the_environment_names_the_catalogue(path: str, tmp_path: Path) -> None:
+def test_the_environment_names_the_catalogue(eggs: Path, tmp_path: Path) -> None:
     """The option, where it is given, has priority."""
+    path = str(eggs)
     listed = run("list", PCRETRIEVE_CATALOGUE=path).stdout
     assert listed == run("list", "-c", path, PCRETRIEVE_CATALOGUE=str(tmp_path / "absent.sqlite")).stdout
     run("list", PCRETRIEVE_CATALOGUE=None, code=2)
     for command in ("status", "check"):
         assert run(command, PCRETRIEVE_CATALOGUE=path).stdout == run(command, path).stdout != ""
         run(command, PCRETRIEVE_CATALOGUE=None, code=2)
-    assert "failed" in str(run("retry", PCRETRIEVE_CATALOGUE=path, code=1).exception)
+    refused = run("retry", "--stage", "surface", PCRETRIEVE_CATALOGUE=path, code=1)
+    assert "failed in the stage surface" in str(refused.exception)
 
 
-def test_a_similar_name_is_suggested(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PCRETRIEVE_CATALOGUE", path)
+def test_a_similar_name_is_suggested(eggs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PCRETRIEVE_CATALOGUE", str(eggs))
     for words, said in (
         ("qurey a", "there is no command 'qurey'; did you mean 'query'?"),
         ("list --faield", "did you mean '--failed'?"),
-        ("show Cat1", "holds no shape 'Cat1'; `pcretrieve list` names them; did you mean 'cat1'?"),
-        ("query cat0 --filter label=ct", "`pcretrieve list` shows the classes; did you mean 'cat'?"),
-        ("query cat0 --filter cat", "must be label=CLASS, got 'cat'"),
-        ("query dgo0", "no file and no shape of"),
-        ("query dgo0", "did you mean 'dog0'?"),
+        ("show egg01", "holds no shape 'egg01'; `pcretrieve list` names them; did you mean 'Egg01'?"),
+        ("query Egg00 --filter label=kind1", "`pcretrieve list` shows the classes; did you mean '<kind 1>'?"),
+        ("query Egg00 --filter cat", "must be label=CLASS, got 'cat'"),
+        ("query Ego00", "no file and no shape of"),
+        ("query Ego00", "did you mean 'Egg00'?"),
         (
             "options --config bodyscanner",
             "there is no preset or file 'bodyscanner'; the presets are body-scanner, handheld, depth-camera, "
             "clean-mesh, paper, classic; did you mean 'body-scanner'?",
         ),
-        ("query cat0 --method hpat", "did you mean 'hapt'?"),
+        ("query Egg00 --method hpat", "did you mean 'hapt'?"),
     ):
         assert said.lower() in refusal(*words.split()).lower()
 
 
-def test_the_shell_completes(path: str) -> None:
+def test_the_shell_completes(eggs: Path) -> None:
     for typed, completed in (
-        ("show c", ["cat0", "cat1"]),
-        ("query d", ["dog0"]),
-        ("query cat0 --filter l", ["label=cat", "label=dog"]),
+        ("show Egg1", ["Egg10", "Egg11", "Egg12", "Egg13"]),
+        ("query b", ["broken"]),
+        ("query Egg00 --filter l", [f"label=<kind {number}>" for number in range(3)]),
         ("query --config de", ["depth-camera"]),
         ("query --method hks-bow-", ["hks-bow-spatial"]),
         ("dup", ["duplicates"]),
@@ -110,10 +97,10 @@ def test_the_shell_completes(path: str) -> None:
             "_PCRETRIEVE_COMPLETE": "bash_complete",
             "COMP_WORDS": words,
             "COMP_CWORD": str(len(words.split()) - 1),
-            "PCRETRIEVE_CATALOGUE": path,
+            "PCRETRIEVE_CATALOGUE": str(eggs),
         }
         program = [sys.executable, "-m", "pcretrieve"]
         done = subprocess.run(
             program, env=os.environ | environment, capture_output=True, text=True, check=True
         )
-        assert [line.partition(",")[2] for line in done.stdout.split()] == completed
+        assert [line.partition(",")[2] for line in done.stdout.splitlines()] == completed
