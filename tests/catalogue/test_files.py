@@ -6,13 +6,14 @@ import os
 import re
 import shutil
 import sqlite3
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
+from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Event
 
 import pytest
 import shapes
@@ -321,32 +322,24 @@ def test_a_damaged_sql_index_is_made_again(path: Path) -> None:
 # --- backup ---------------------------------------------------------------------------------------------
 
 
-WRITER = """
-import sys
-from dataclasses import replace
-from pcretrieve import Catalogue
-
-with Catalogue(sys.argv[1]) as store:
-    (entry,) = store.entries(["2"])
-    number = 0
-    while True:
-        number += 1
-        pair = [
-            replace(entry, record=replace(entry.record, id=f"{side}{number}", path=f"/{side}{number}"))
-            for side in "ab"
-        ]
-        store.add(pair)
-"""
+def store_pairs(path: Path, ended: Event) -> None:
+    """Store pairs of shapes until the end."""
+    with Catalogue(path) as store:
+        (entry,) = store.entries(["2"])
+        for number in count():
+            names = (f"a{number}", f"b{number}")
+            store.add([replace(entry, record=replace(entry.record, id=one, path=one)) for one in names])
+            if ended.is_set():
+                return
 
 
-@pytest.mark.slow
 def test_a_backup_while_writing_goes_on_is_one_state(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Another process stores pairs of shapes meanwhile."""
     monkeypatch.setattr("pcretrieve.catalogue.copies.PAGES_AT_ONCE", 100)
-    sizes = [20]
-    with subprocess.Popen([sys.executable, "-c", WRITER, str(path)]) as writer, Catalogue(path) as store:
+    sizes, ended = [20], Event()
+    with ThreadPoolExecutor() as pool, Catalogue(path) as store:
+        writing = pool.submit(store_pairs, path, ended)
         try:
             for number in range(2):
                 assert wait_for(lambda: len(store) > N_SHAPES + sizes[-1])
@@ -357,7 +350,7 @@ def test_a_backup_while_writing_goes_on_is_one_state(
                     sizes.append(len(copied) - N_SHAPES)
                 assert sizes[-1] % 2 == 0
             assert wait_for(lambda: len(store) > N_SHAPES + sizes[-1])
-            assert writer.poll() is None
         finally:
-            writer.kill()
+            ended.set()
+        writing.result()
     assert sizes == sorted({*sizes})

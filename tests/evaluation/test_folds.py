@@ -47,7 +47,7 @@ def test_every_class_is_in_one_fold_whatever_the_order_of_shapes() -> None:
 
 def test_the_whitening_of_a_fold_is_that_of_the_other_folds() -> None:
     table = a_table()
-    logs, poison = coordinates(table.values), np.random.default_rng(7)
+    logs = coordinates(table.values)
     folds = list(within_class_folds(table, RetrievalOptions(shrinkage=0.2)))
     assert len(folds) == 5
     for queries, whitening in folds:
@@ -55,19 +55,8 @@ def test_the_whitening_of_a_fold_is_that_of_the_other_folds() -> None:
         labels = [table.labels[row] for row in others]
         expected = fit_whitening("within-class", logs[others], labels, shrinkage=0.2)
         np.testing.assert_allclose(whitening.matrix, expected.matrix, rtol=1e-12)
+        np.testing.assert_allclose(whitening.mean, expected.mean, rtol=1e-12)
         assert whitening.options_digest == "3f2a"
-    folds = list(within_class_folds(table, WITHIN_CLASS))
-    for number, (queries, _) in enumerate(folds):
-        values = table.values.copy()
-        values[queries] = poison.lognormal(0, 5, values[queries].shape)
-        poisoned = list(within_class_folds(replace(table, values=values), WITHIN_CLASS))
-        assert (poisoned[number][0] == queries).all()
-        # All other folds are fitted on these values, so that the changed values did affect these fits.
-        same = [
-            one.mean.tolist() == two.mean.tolist() and (one.matrix == two.matrix).all()
-            for (_, one), (_, two) in zip(poisoned, folds, strict=True)
-        ]
-        assert same == [other == number for other in range(5)]
 
 
 @pytest.mark.parametrize("distance", DISTANCES)

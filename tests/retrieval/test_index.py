@@ -43,11 +43,9 @@ def a_table(n: int, *, seed: int = 0, n_values: int = 15, copies: int = 0) -> Si
 
 
 def an_index(
-    table: SignatureTable, distance: str | Distance = "log", whitening: str = "none"
+    table: SignatureTable, distance: Distance = DISTANCES["log"], whitening: str = "none"
 ) -> SignatureIndex:
-    if isinstance(distance, Distance):
-        return SignatureIndex(table, RetrievalOptions(whitening=whitening), distance=distance)
-    return SignatureIndex(table, RetrievalOptions(distance=distance, whitening=whitening))
+    return SignatureIndex(table, RetrievalOptions(whitening=whitening), distance=distance)
 
 
 def assert_exact(
@@ -67,18 +65,14 @@ OWN = (
 
 
 @pytest.mark.parametrize("whitening", ("none", "pca"))
-@pytest.mark.parametrize(
-    "distance", (*DISTANCES, *OWN), ids=lambda distance: getattr(distance, "name", distance)
-)
-def test_agrees_with_brute_force(
-    distance: str | Distance, whitening: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("distance", (*DISTANCES.values(), *OWN), ids=lambda distance: distance.name)
+def test_agrees_with_brute_force(distance: Distance, whitening: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Before and after compiled code is loaded; as arrays that are mapped, as a pickle, and as a matrix."""
     monkeypatch.setattr(index, "N_ALL", 0)
     table = a_table(300, copies=60)
     made = an_index(table, distance, whitening)
     copies = [made] * 3
-    if isinstance(distance, str):
+    if distance.name in DISTANCES:
         copies[1:] = pickle.loads(pickle.dumps(made)), SignatureIndex.from_arrays(made.to_arrays())
     rng = np.random.default_rng(100)
     near = table.values[:15] * np.exp(0.1 * rng.normal(size=(15, 15)))
@@ -92,8 +86,8 @@ def test_agrees_with_brute_force(
         assert matrix.nearest(shape_id, 7) == made.nearest(shape_id, 7)
 
 
-@pytest.mark.parametrize("distance", DISTANCES)
-def test_few_and_equal_shapes(distance: str) -> None:
+@pytest.mark.parametrize("distance", DISTANCES.values(), ids=DISTANCES)
+def test_few_and_equal_shapes(distance: Distance) -> None:
     """Ties are broken by id; of fewer shapes than asked for, all are answered."""
     equal = SignatureTable(tuple("gbfadce"), np.full((7, 4), 0.5), "r-bihdm")
     found = an_index(equal, distance).query(np.full(4, 0.5), 3)
@@ -104,7 +98,7 @@ def test_few_and_equal_shapes(distance: str) -> None:
         for values in 2 * table.values[:3]:
             assert_exact(made.query(values, 1000), made, table, values, 1000)
     values = np.exp([[700.0], [-700.0], [699.0], [-699.0], [-698.0]])
-    infinite = an_index(SignatureTable(tuple("dceba"), values, "r-bihdm"), "d2")
+    infinite = an_index(SignatureTable(tuple("dceba"), values, "r-bihdm"), DISTANCES["d2"])
     far = infinite.query(np.exp([720.0 - 15]), 4)
     assert (far.ids, far.distances[2]) == (tuple("deab"), np.inf)
 
