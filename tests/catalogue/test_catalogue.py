@@ -39,20 +39,12 @@ def egg(number: int) -> Shape:
     return Shape(surfaces, provenance=shape.provenance)
 
 
-@cache
-def content(number: int) -> Content:
-    return Content(egg(number), describe(egg(number), OPTIONS.signature).values)
-
-
-def record(number: int) -> Record:
-    label = "round" if number < N_SHAPES // 2 else "long"
-    return Record(f"egg{number}", f"/egg{number}.off", f"hash{number}", label, steps=egg(number).provenance)
-
-
 def filled(location: str | Path, options: PipelineOptions = OPTIONS) -> Catalogue:
     store = Catalogue(location, options, create=True)
     for number in range(N_SHAPES):
-        store.put(record(number), content(number))
+        name, shape = f"egg{number}", egg(number)
+        values = describe(shape, OPTIONS.signature).values
+        store.put(Record(name, f"/{name}.off", name, steps=shape.provenance), Content(shape, values))
     return store
 
 

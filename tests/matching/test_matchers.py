@@ -29,7 +29,7 @@ from pcretrieve.matching.cm_bof import (
 )
 from pcretrieve.matching.heat import HeatPoints, heat_distance, heat_points, word_frequencies
 from pcretrieve.matching.meshsift import _warn_once, keypoints, levels, match_distance, mesh_features
-from pcretrieve.values import Failure, FloatArray, Shape, TriangleMesh
+from pcretrieve.values import Failure, FloatArray, Shape, Surface, TriangleMesh
 
 BALL = shapes.icosphere(4)
 
@@ -78,36 +78,28 @@ def test_a_moved_scaled_and_renumbered_surface_is_near(name: str) -> None:
     assert matcher.distance(made, moved) < nearness * far
 
 
-def width_of(shape: Shape) -> float:
-    return float(np.ptp(shape.mesh.vertices[:, 2]))
-
-
 def lacking(query: float, other: float) -> float:
-    """What a query is longer by: no distance from long shapes to short ones alone."""
+    """What a query is larger by: no distance from large shapes to small ones alone."""
     return max(0.0, query - other)
-
-
-LACKING = Matcher("lacking", width_of, lacking, needs=("mesh",), symmetric=False)
-LENGTHS = {"c": 1.0, "a": 2.0, "b": 1.5, "d": 1.5}
-
-
-def egg(name: str) -> Shape:
-    return shapes.shape(shapes.ellipsoid((1, 1, LENGTHS[name]), subdivisions=1))
-
-
-def matched(matcher: Matcher, on_failure: Callable[[Failure], None] = print) -> DistanceMatrix:
-    return match_all(matcher, LENGTHS, egg, on_failure)
 
 
 def apart(query: float, other: float) -> float:
     return abs(query - other)
 
 
+AREAS = {"c": 1.0, "a": 2.0, "b": 1.5, "d": 1.5}
+LACKING = Matcher("lacking", lambda shape: shape.area, lacking, needs=(), symmetric=False)
+
+
+def matched(matcher: Matcher, on_failure: Callable[[Failure], None] = print) -> DistanceMatrix:
+    return match_all(matcher, AREAS, lambda name: Shape((Surface(AREAS[name]),)), on_failure)
+
+
 def test_each_distance_is_that_of_the_matcher_from_the_query() -> None:
     """Of a symmetric distance, half are computed."""
+    size = [*AREAS.values()]
     matrix = matched(LACKING)
     assert matrix.ids == ("c", "a", "b", "d")
-    size = [width_of(egg(name)) for name in LENGTHS]
     np.testing.assert_array_equal(matrix.values, [[lacking(one, two) for two in size] for one in size])
     calls = []
 
@@ -122,9 +114,9 @@ def test_each_distance_is_that_of_the_matcher_from_the_query() -> None:
 
 def test_a_shape_that_a_matcher_fails_on_is_left_out() -> None:
     def clumsy(shape: Shape) -> float:
-        if width_of(shape) > 3:
+        if shape.area == 2:
             raise IndexError("list index out of range")
-        return width_of(shape)
+        return shape.area
 
     failures: list[Failure] = []
     assert matched(replace(LACKING, prepare=clumsy), failures.append).ids == ("c", "b", "d")
@@ -133,12 +125,13 @@ def test_a_shape_that_a_matcher_fails_on_is_left_out() -> None:
 
 
 def test_distances_are_those_of_what_all_shapes_taught() -> None:
-    def relative_to_the_longest(gallery: Sequence[float]) -> Callable[[float], float]:
-        longest = max(gallery)
-        return lambda length: length / longest
+    def relative(gallery: Sequence[float]) -> Callable[[float], float]:
+        largest = max(gallery)
+        return lambda area: area / largest
 
-    matcher = Matcher("relative", width_of, apart, needs=("mesh",), learn=relative_to_the_longest)
-    assert matched(matcher).values[1] == pytest.approx([0.5, 0, 0.25, 0.25])
+    assert matched(replace(LACKING, distance=apart, learn=relative)).values[1] == pytest.approx(
+        [0.5, 0, 0.25, 0.25]
+    )
 
 
 def test_surfaces_without_features_are_named() -> None:
