@@ -89,11 +89,13 @@ def test_what_options_name_is_stored_and_comes_back(keep: tuple[str, ...], tmp_p
 def test_other_descriptors_are_made_from_the_stored_spectra(
     options: SignatureOptions, catalogue: Catalogue
 ) -> None:
-    table = catalogue.signatures(catalogue.options.changed(signature=options.model_dump()))
+    chosen = catalogue.options.changed(signature=options.model_dump())
+    table = catalogue.signatures(chosen)
     assert table.kind == options.method
     assert table.digest != catalogue.signatures().digest
     for row, values in enumerate(table.values):
         np.testing.assert_allclose(values, describe(egg(row), options).values, rtol=1e-9)
+    assert catalogue.index(chosen).nearest("egg2") == SignatureIndex(table, chosen.retrieval).nearest("egg2")
 
 
 RNG = np.random.default_rng(3)

@@ -156,32 +156,26 @@ def read_only(folder: Path) -> Iterator[None]:
         folder.chmod(0o755)
 
 
-def test_changes_that_are_in_the_log_alone_are_not_left_out() -> None:
-    """As a killed process leaves them, and where SQLite cannot apply them."""
-    with TemporaryDirectory(dir="/tmp") as place:  # that of pytest is closed to other users
-        folder = Path(place) / "folder"
-        folder.mkdir()
-        with Catalogue(Path(place) / "c.sqlite", create=True) as store:
-            store.put(failure("other"))
-            for suffix in ("", "-wal"):
-                shutil.copy(f"{store.location}{suffix}", folder)
-        Path(place).chmod(0o755)
-        words = r"is incomplete without its last changes in c\.sqlite-wal, .*: copy both files elsewhere"
-        with read_only(folder), pytest.raises(CatalogueError, match=words):
-            Catalogue(folder / "c.sqlite")
-
-
 def test_a_catalogue_that_may_not_be_written_can_be_read(original: Path) -> None:
-    with TemporaryDirectory(dir="/tmp") as place:
-        path = Path(shutil.copy(original, place))
+    """Unless changes are in the log alone, as a killed process leaves them, which cannot be applied there."""
+    with TemporaryDirectory(dir="/tmp") as place:  # that of pytest is closed to other users
+        folder = Path(place)
+        path = Path(shutil.copy(original, folder))
         path.chmod(0o644)
-        with read_only(Path(place)):
+        with read_only(folder):
             with Catalogue(path) as reader:
                 assert (len(reader), reader.mesh("2").euler_characteristic) == (N_SHAPES, 2)
                 with pytest.raises(CatalogueError, match="cannot be written to"):
                     reader.remove("2")
             with pytest.raises(CatalogueError, match="cannot be written to"):
                 Catalogue(path, create=True)
+        with Catalogue(path) as store:
+            store.put(failure("other"))
+            for suffix in ("", "-wal"):
+                shutil.copy(f"{path}{suffix}", folder / f"killed{suffix}")
+        words = r"is incomplete without its last changes in killed-wal, .*: copy both files elsewhere"
+        with read_only(folder), pytest.raises(CatalogueError, match=words):
+            Catalogue(folder / "killed")
 
 
 # --- damage ---------------------------------------------------------------------------------------------

@@ -8,20 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import shapes
 from benchmarks.catalogue import OPTIONS
 from commands import run
 from numpy.random import default_rng
-from processes import in_this_process
-from stored import content, everything
+from stored import content
 
-from pcretrieve import Catalogue, PipelineOptions, evaluate, ingest, merge_catalogues
+from pcretrieve import Catalogue, PipelineOptions, merge_catalogues
 from pcretrieve.catalogue import Record, postgresql as postgresql_module
 from pcretrieve.catalogue.copies import MergedCatalogues
 from pcretrieve.catalogue.records import OWN, PAYLOADS, Entry, Origin, settings_of
 from pcretrieve.catalogue.rows import Rows
 from pcretrieve.errors import CatalogueError, OptionError
-from pcretrieve.formats import write_mesh
 from pcretrieve.values import Step
 
 SETTINGS = {"options": "{}", "numbers_version": "7"}
@@ -103,27 +100,6 @@ def test_a_path_keeps_its_id_and_an_id_that_is_taken_gets_a_number(rows: Rows) -
     assert rows.store(failed("b")) == done("b").record, "a failure replaces a failure only"
     assert rows.store(failed("e", message="again")).message == "again"
     assert rows.store(done("e")) == done("e").record
-
-
-@pytest.mark.slow
-def test_a_catalogue_in_a_database_answers_as_a_file(postgresql: str, tmp_path: Path) -> None:
-    """Ingest, query, evaluate and other descriptors."""
-    eggs = [tmp_path / f"egg{number}.off" for number in range(4)]
-    for number, path in enumerate(eggs):
-        write_mesh(shapes.ellipsoid((1, 1, 1 + number / 3), subdivisions=3), path)
-    labels = {"egg0": "short", "egg1": "short", "egg2": "long", "egg3": "long"}
-    location, plain = f"{postgresql}?schema=eggs", tmp_path / "plain.sqlite"
-    for place in (location, plain):
-        assert len(ingest(eggs, place, labels=labels, executor=in_this_process).done) == 4
-        assert len(ingest(eggs, place, executor=in_this_process).held) == 4
-    assert everything(location) == everything(str(plain))
-    with Catalogue(location) as store, Catalogue(plain) as expected:
-        other = store.options.changed(signature={"method": "wks"}, retrieval={"whitening": "within-class"})
-        for options in (None, other, other):
-            assert store.signatures(options) == expected.signatures(options)
-            assert store.index(options).nearest("egg2") == expected.index(options).nearest("egg2")
-        assert store.shape("egg1") == expected.shape("egg1")
-    assert evaluate(location) == evaluate(plain)
 
 
 def test_locations(tmp_path: Path) -> None:

@@ -258,7 +258,6 @@ def test_the_best_position_counts() -> None:
         larger = np.maximum(one[row].sum(axis=1), two.sum(axis=1))
         means.append(np.mean(np.where(larger > 0, 1 - common / np.maximum(larger, 1), 0)))
     assert clock_distance(words_of(one), words_of(two)) == pytest.approx(min(means))
-    assert clock_distance(words_of(two), words_of(one)) == pytest.approx(min(means))
     assert clock_distance(words_of(one[exchanges()[7]]), words_of(one)) == 0
     nothing = words_of(np.zeros((66, 30), dtype=int))
     assert clock_distance(nothing, nothing) == 0
@@ -303,7 +302,6 @@ def test_a_match_is_clearly_nearer_than_the_second() -> None:
     # From one: .1 of .6, .1 of .4, .75 of 1.4. From two: .1 of .4, .1 of .6; the nearest of the third, .65 of
     # .75, is not mutual, nor clear.
     assert match_distance(one, two) == pytest.approx(1 - (2 + 2) / 2 / 3)
-    assert match_distance(two, one) == match_distance(one, two)
     assert match_distance(one, two[:2]) == pytest.approx(1 - 2 / 3), "by the larger number of features"
     assert match_distance(one, two[:1]) == pytest.approx(1 - 1 / 2 / 3)
 
