@@ -26,10 +26,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+# Fixtures import what they start: only tests that need it have it.
+
+
 @pytest.fixture(scope="session")
 def postgresql() -> Iterator[str]:
     """The URL of a database of a PostgreSQL server that runs until the tests have ended."""
-    # Imported here, because only tests with this fixture need the server.
     from postgresql_server import running_server
 
     with running_server() as url:
@@ -40,7 +42,6 @@ def postgresql() -> Iterator[str]:
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> "Iterator[DaskCluster]":
     """A Dask cluster of two workers that runs until the tests have ended."""
     pytest.importorskip("distributed", reason="distributed is not installed (the extra cluster)")
-    # Imported here, because only tests with this fixture need the cluster.
     from dask_cluster import dask_cluster
 
     with dask_cluster(tmp_path_factory.mktemp("dask") / "cluster") as started:
@@ -81,16 +82,3 @@ def new_location(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     if request.param == "sqlite":
         return str(tmp_path / "new.sqlite")
     return f"{request.getfixturevalue('postgresql')}?schema=new{uuid4().hex}"
-
-
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Print the findings of longer runs of kills."""
-    heads = ("kills", "nothing new", "some stored", "after the end")
-    if "PCRETRIEVE_KILLS" not in os.environ:
-        return
-    reports = [report for outcome in ("passed", "failed") for report in terminalreporter.getreports(outcome)]
-    rows = dict(row for report in reports if report.when == "call" for row in report.user_properties)
-    rows["all"] = tuple(sum(column) for column in zip(*rows.values(), strict=True)) or (0,) * len(heads)
-    terminalreporter.write_line(" " * 30 + "".join(f"{head:>14}" for head in heads))
-    for name, counts in rows.items():
-        terminalreporter.write_line(f"{name:30}" + "".join(f"{count:>14,}" for count in counts))

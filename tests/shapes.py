@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -43,17 +44,8 @@ def icosphere(subdivisions: int, radius: float = 1.0) -> TriangleMesh:
     golden = (1 + np.sqrt(5)) / 2
     rectangle = np.array([[-1, golden, 0], [1, golden, 0], [-1, -golden, 0], [1, -golden, 0]])
     directions: FloatArray = np.concatenate([np.roll(rectangle, k, axis=1) for k in range(3)])  # (12, 3)
-    distance = np.linalg.norm(directions[:, None] - directions, axis=2)
-    near = np.isclose(distance, 2.0)
-    faces = np.array(
-        [
-            (a, b, c)
-            for a in range(12)
-            for b in range(a + 1, 12)
-            for c in range(b + 1, 12)
-            if near[a, b] and near[b, c] and near[c, a]
-        ]
-    )
+    near = np.isclose(np.linalg.norm(directions[:, None] - directions, axis=2), 2.0)
+    faces = np.array([three for three in combinations(range(12), 3) if near[np.ix_(three, three)].sum() == 6])
     inward = np.linalg.det(directions[faces]) < 0  # (20,)
     faces[inward] = faces[inward, ::-1]
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -91,31 +83,28 @@ def body(subdivisions: int = 4) -> TriangleMesh:
 
 def torus(n_around: int = 48, n_tube: int = 24, *, major: float = 1.0, minor: float = 0.4) -> TriangleMesh:
     """Area near 4π² major minor, volume near 2π² major minor²; Euler characteristic 0."""
-    u, v = np.meshgrid(
-        2 * np.pi * np.arange(n_around) / n_around, 2 * np.pi * np.arange(n_tube) / n_tube, indexing="ij"
-    )
+    i, j = np.indices((n_around, n_tube))
+    u, v = 2 * np.pi * i / n_around, 2 * np.pi * j / n_tube
     reach = major + minor * np.cos(v)
     vertices = np.stack([reach * np.cos(u), reach * np.sin(u), minor * np.sin(v)], axis=-1).reshape(-1, 3)
-    i, j = np.meshgrid(np.arange(n_around), np.arange(n_tube), indexing="ij")
     return TriangleMesh(vertices, _quads(i, j, (i + 1) % n_around, (j + 1) % n_tube, n_tube))
 
 
 def square(n: int) -> TriangleMesh:
     """The unit square, n cells a side, each cut in two; facing up."""
     x, y = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1), indexing="ij")
-    i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
+    i, j = np.indices((n, n))
     vertices = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     return TriangleMesh(vertices, _quads(i, j, i + 1, j + 1, n + 1))
 
 
 def mobius_strip(n_around: int = 30, n_across: int = 4) -> TriangleMesh:
     """One half twist, one side, one boundary of 2 · `n_around` edges; Euler characteristic 0."""
-    u, v = np.meshgrid(
-        2 * np.pi * np.arange(n_around) / n_around, np.linspace(-0.4, 0.4, n_across + 1), indexing="ij"
-    )
+    i, j = np.indices((n_around, n_across + 1))
+    u, v = 2 * np.pi * i / n_around, np.linspace(-0.4, 0.4, n_across + 1)[j]
     reach = 1 + v * np.cos(u / 2)
     vertices = np.stack([reach * np.cos(u), reach * np.sin(u), v * np.sin(u / 2)], axis=-1).reshape(-1, 3)
-    i, j = np.meshgrid(np.arange(n_around), np.arange(n_across), indexing="ij")
+    i, j = i[:, :-1], j[:, :-1]
     faces = _quads(i, j, i + 1, j + 1, n_across + 1)
     # Once around, the strip meets its start upside down.
     past = faces >= n_around * (n_across + 1)

@@ -17,7 +17,6 @@ IMPORTS = "from pathlib import Path\nfrom pcretrieve.values.files import write_f
 
 
 def python(script: str, folder: Path) -> str:
-    """What a script prints, which is run in a folder by a process of its own."""
     known = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     command = [sys.executable, "-c", script]
     return subprocess.check_output(command, cwd=folder, env=known, text=True, timeout=60)
@@ -27,13 +26,15 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_a_file_is_replaced_and_has_the_permissions_of_a_new_one(tmp_path: Path) -> None:
+# The second is as long as the system allows.
+@pytest.mark.parametrize("name", ["a", "x" * 255])
+def test_a_file_is_replaced_and_has_the_permissions_of_a_new_one(name: str, tmp_path: Path) -> None:
     (tmp_path / "other").touch()
-    (tmp_path / "a").write_text("old")
-    write_file(tmp_path / "a", b"new")
-    assert (tmp_path / "a").read_bytes() == b"new"
-    assert (tmp_path / "a").stat().st_mode == (tmp_path / "other").stat().st_mode
-    assert names(tmp_path) == ["a", "other"]
+    (tmp_path / name).write_text("old")
+    write_file(tmp_path / name, b"new")
+    assert (tmp_path / name).read_bytes() == b"new"
+    assert (tmp_path / name).stat().st_mode == (tmp_path / "other").stat().st_mode
+    assert names(tmp_path) == sorted([name, "other"])
 
 
 def test_a_link_stays_and_what_it_leads_to_is_replaced(tmp_path: Path) -> None:
@@ -49,13 +50,7 @@ def test_a_link_stays_and_what_it_leads_to_is_replaced(tmp_path: Path) -> None:
 def test_a_device_is_written_to_and_not_replaced(tmp_path: Path) -> None:
     write_file(Path(os.devnull), b"into nowhere")
     assert stat.S_ISCHR(Path(os.devnull).stat().st_mode)
-    writing = f"{IMPORTS}write_file(Path('/dev/stdout'), b'a page')"
-    assert python(writing, tmp_path) == "a page"
-
-
-def test_a_name_may_be_as_long_as_the_system_allows(tmp_path: Path) -> None:
-    write_file(tmp_path / ("x" * 255), b"content")
-    assert names(tmp_path) == ["x" * 255]
+    assert python(f"{IMPORTS}write_file(Path('/dev/stdout'), b'a page')", tmp_path) == "a page"
 
 
 @pytest.mark.parametrize("name", ["nowhere/a", "file/a", "folder", "x" * 256])

@@ -44,10 +44,8 @@ NUMBERS = Registry(Names("number", GROUP, ("one", "two")), {"one": 1, "two": 2},
 
 
 @pytest.fixture
-def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder of a package that adds numbers."""
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     install(tmp_path / "site", "numbers-package", MODULES, POINTS, monkeypatch)
-    return tmp_path / "site"
 
 
 def test_names_are_those_of_the_records() -> None:
@@ -65,17 +63,13 @@ def test_names_are_those_of_the_records() -> None:
     assert tuple(matcher.type.choices) == tuple(MATCHERS)
 
 
-def test_without_packages_there_are_those_of_pcretrieve() -> None:
+def test_a_package_adds_names_and_takes_none(request: pytest.FixtureRequest) -> None:
     assert NUMBERS.names.all() == ("one", "two")
-    assert NUMBERS["two"] == 2
     with pytest.raises(OptionError, match="there is no number 'seven'; there are one, two"):
         NUMBERS["seven"]
-
-
-@pytest.mark.usefixtures("installed")
-def test_a_package_adds_names_and_takes_none() -> None:
+    request.getfixturevalue("installed")
     assert NUMBERS.names.all() == ("one", "two", "ending", "lost", "nowhere", "seven", "word")
-    assert (NUMBERS["seven"], NUMBERS["one"]) == (7, 1)
+    assert (NUMBERS["seven"], NUMBERS["one"], NUMBERS["two"]) == (7, 1, 2)
     assert NUMBERS.called("seven") == "the number 'seven' of the package numbers-package"
     assert NUMBERS.called("one") == "the number 'one'"
     assert NUMBERS.names.known("seven") == "seven"
@@ -102,20 +96,16 @@ def test_what_cannot_be_loaded_is_named_and_disables_nothing_else(name: str, mes
 def test_of_two_packages_the_first_on_the_path_is_taken(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for number in (8, 9):
-        text = {f"package{number}": f"N = {number}\n"}
-        install(
-            tmp_path / f"{number}", f"p{number}", text, f"[{GROUP}]\nn = package{number}:N\n", monkeypatch
-        )
+    for name, number in (("first", 8), ("second", 9)):
+        points = f"[{GROUP}]\nn = {name}:N\n"
+        install(tmp_path / name, name, {name: f"N = {number}\n"}, points, monkeypatch)
     assert NUMBERS["n"] == 9
 
 
 @pytest.mark.usefixtures("installed")
 def test_errors_of_a_package_fail_a_shape_or_an_option_and_others_pass() -> None:
     for error in (KeyError("x"), InputError("x"), SystemExit(0)):
-        with pytest.raises(
-            ShapeError, match=r"\[spectrum\] the number 'seven' of the package .* failed, "
-        ) as by:
+        with pytest.raises(ShapeError, match=r"^\[spectrum\] the number 'seven' of the .* failed, ") as by:
             fail("seven", error)
         assert by.value.__cause__ is error
     # Without a stage, an option is at fault; values that do not suit fail a shape even of pcretrieve.

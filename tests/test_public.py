@@ -61,7 +61,6 @@ def imported_by(*arguments: str) -> set[str]:
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("-c", "import pcretrieve"),
         ("-c", "import pcretrieve; dir(pcretrieve); pcretrieve.__version__"),
         ("-m", "pcretrieve", "--help"),
         ("-m", "pcretrieve", "query", "--help"),  # lists descriptors and distances

@@ -1,4 +1,4 @@
-"""Queries are files, ids and signatures, one or several, in some classes or without themselves."""
+"""Queries are files, ids and signatures; Python, commands and pages answer a question alike."""
 
 from __future__ import annotations
 
@@ -6,23 +6,21 @@ import csv
 import json
 import shutil
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import shapes
-from click.testing import CliRunner, Result
+from commands import result, run
 
 import pcretrieve as pr
 from pcretrieve.catalogue import Content, Record
-from pcretrieve.cli.main import cli
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import InputError, OptionError, ScanReadError
 from pcretrieve.values import Neighbors, TriangleMesh
 
 N_KINDS, N_EACH = 3, 4
-RERANKINGS = ("none", "local", "k-reciprocal")
 
 
 def egg(kind: int, number: float) -> TriangleMesh:
@@ -48,12 +46,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def catalogue(folder: Path) -> Path:
     return folder / "c.sqlite"
-
-
-def run(*arguments: object, code: int = 0) -> Result:
-    result = CliRunner().invoke(cli, [str(word) for word in arguments])
-    assert result.exit_code == code, result.output
-    return result
 
 
 def among(found: Neighbors, ids: Sequence[str], k: int) -> Neighbors:
@@ -127,7 +119,7 @@ def test_ranks_in_some_classes_are_those_among_all_shapes(distance: str, catalog
         assert found == among(everything, some, 5)
 
 
-@pytest.mark.parametrize("rerank", RERANKINGS)
+@pytest.mark.parametrize("rerank", ["none", "local", "k-reciprocal"])
 def test_a_query_can_be_left_out_of_its_results(rerank: str, catalogue: Path, folder: Path) -> None:
     options = {"retrieval": {"rerank": rerank}}
     with_itself = pr.search(catalogue, "11", k=4, options=options)
@@ -162,7 +154,7 @@ def test_what_is_printed_of_many(catalogue: Path, folder: Path) -> None:
     assert [line.split()[4] for line in lines if line.startswith("   ")] == [row["id"] for _, row in rows]
     assert lines[4::5] == [str(answer) for answer in answers.values()]
     asked = ("query", *names, "-c", catalogue, "-k", 2)
-    documents = json.loads(run(*asked, "--json").stdout)["result"]
+    documents = result(*asked)
     assert [document["query"] for document in documents] == names
     found = [row["distance"] for document in documents for row in document["results"]]
     assert found == [row["distance"] for _, row in rows]
@@ -182,8 +174,7 @@ def test_a_scan_that_fails_does_not_stop_the_others(catalogue: Path, folder: Pat
     assert f"failed: [broken.off / read] {documents[1]['message']}" in done.stderr
     answers = dict(pr.search_many(catalogue, queries, k=1))
     assert isinstance(answers[str(broken)], ScanReadError)
-    alone = CliRunner().invoke(cli, ["query", str(broken), "-c", str(catalogue)])
-    assert isinstance(alone.exception, ScanReadError)
+    assert isinstance(run("query", broken, "-c", catalogue, code=None).exception, ScanReadError)
 
 
 def test_scores_come_with_distances_and_least_ones_leave_no_match(catalogue: Path) -> None:
@@ -208,3 +199,99 @@ def test_scores_come_with_distances_and_least_ones_leave_no_match(catalogue: Pat
         pr.search(catalogue, "11", min_score=2)
     with pytest.raises(InputError, match="a least score needs calibrated scores"):
         pr.search(catalogue, "11", min_score=0.5, matrix=pr.matrix(catalogue))
+
+
+def test_a_question_has_one_answer(catalogue: Path, folder: Path, tmp_path: Path) -> None:
+    """By Python, by the command, on the page that each of them writes, and by a distance matrix."""
+    scan = folder / "stored" / "00.off"
+    for whitening in ("none", "pca", "within-class"):
+        options = {"retrieval": {"whitening": whitening}}
+        neighbors = pr.search(catalogue, scan, k=3, options=options)
+        assert neighbors.ids[0] == "00"
+        asked = (scan, "-c", catalogue, "-k", 3, "--whitening", whitening)
+        (answer,) = result("query", *asked, "--html", tmp_path / "command.html")
+        assert [row["id"] for row in answer["results"]] == list(neighbors.ids)
+        assert [row["distance"] for row in answer["results"]] == neighbors.distances.tolist()
+        page = pr.query_page(catalogue, scan, tmp_path / "python.html", k=3, options=options)
+        text = page.read_text(encoding="utf-8")
+        assert text == (tmp_path / "command.html").read_text(encoding="utf-8")
+        assert all(shape_id in text for shape_id in neighbors.ids)
+        pr.write_matrix(pr.matrix(catalogue, options=options), tmp_path / "run.npy")
+        (by_matrix,) = result("query", scan, "-c", catalogue, "-k", 3, "--matrix", tmp_path / "run.npy")
+        assert [row["id"] for row in by_matrix["results"]] == list(neighbors.ids)
+
+
+def test_measures_are_the_same_numbers(catalogue: Path, tmp_path: Path) -> None:
+    for whitening in ("none", "pca"):
+        printed = result("evaluate", "-c", catalogue, "--whitening", whitening, "--per-class")
+        found = pr.evaluate(catalogue, options={"retrieval": {"whitening": whitening}})
+        # A command counts all failures, and measures those of the classes.
+        names = {part.name for part in fields(pr.RetrievalMeasures)} - {"n_failed"}
+        assert {name: printed[name] for name in names} == {name: getattr(found, name) for name in names}
+        assert printed["macro"]["map"] == found.macro.map
+        assert [one["label"] for one in printed["classes"]] == [one.label for one in found.classes]
+        assert list(printed["interval"]["low"].values()) == found.interval[0].tolist()
+    with pr.Catalogue(catalogue) as store:
+        assert pr.evaluate(store.signatures(), options=store.options) == pr.evaluate(store)
+    page = pr.report(catalogue, tmp_path / "bodies.html", k=2)
+    run("report", "-c", catalogue, "-o", tmp_path / "same.html", "-k", 2)
+    assert page.read_text(encoding="utf-8") == (tmp_path / "same.html").read_text(encoding="utf-8")
+
+
+def test_a_metric_of_labelled_scans_is_used_in_another_catalogue(
+    catalogue: Path, folder: Path, tmp_path: Path
+) -> None:
+    """Eggs of one kind differ in one direction: in another catalogue, that direction counts less."""
+    metric, other = tmp_path / "metric.npz", tmp_path / "other.sqlite"
+    pr.ingest(folder / "new", other, workers=1)
+    reason = result("calibrate", "-c", catalogue, "-o", metric)["reason"]
+    learnt = pr.calibrate(catalogue, tmp_path / "again.npz")
+    assert (learnt.reason, reason) == ("within-class: 3 classes of 12 shapes",) * 2
+    assert (tmp_path / "again.npz").read_bytes() == metric.read_bytes()
+    chosen = {"retrieval": {"calibration": str(metric)}}
+    with pr.Catalogue(other) as store:
+        used = store.whitening(store.options.changed(**chosen))
+    np.testing.assert_array_equal(used.matrix, learnt.matrix)
+    assert (used.kind, used.reason) == ("calibrated", f"{reason}, from {metric}")
+    (found,) = result("query", "new0", "-c", other, "--whitening", metric)
+    neighbors = pr.search(other, "new0", options=chosen)
+    assert [row["distance"] for row in found["results"]] == neighbors.distances.tolist()
+    plain = result("query", "new0", "-c", other, "--whitening", "none")
+    assert found["results"] != plain[0]["results"]
+    evaluated = result("evaluate", "-c", catalogue, "--whitening", metric)
+    assert evaluated["whitening_used"] == f"{reason}, from {metric}"
+    pr.calibrate(catalogue, metric, options={"signature": {"n_values": 9}})
+    with pytest.raises(InputError, match="must be fitted on signatures made by the same options"):
+        pr.search(catalogue, "00", options=chosen)
+    for content in (b"", b"PK no archive", b"words"):
+        metric.write_bytes(content)
+        with pytest.raises(InputError, match="a whitening must be a name such as auto, or a file"):
+            pr.search(catalogue, "00", options=chosen)
+
+
+def test_signatures_are_exported(catalogue: Path, tmp_path: Path) -> None:
+    with pr.Catalogue(catalogue) as store:
+        wanted = store.signatures().select(["11", "00"])
+    for suffix in (".npz", ".parquet", ".csv"):
+        path = tmp_path / f"bodies{suffix}"
+        run("export", "--signatures", "-c", catalogue, "-o", path, "11", "00")
+        if suffix == ".npz":
+            with np.load(path, allow_pickle=False) as file:
+                ids, labels, values = file["ids"].tolist(), file["labels"].tolist(), file["values"]
+                assert str(file["kind"]) == "combined"
+        elif suffix == ".parquet":
+            pandas = pytest.importorskip("pandas")
+            frame = pandas.read_parquet(path)
+            ids, labels, values = frame["id"].tolist(), frame["label"].tolist(), frame.iloc[:, 2:].to_numpy()
+        else:
+            with path.open(newline="", encoding="utf-8") as text:
+                header, *rows = csv.reader(text)
+            assert header[:3] == ["id", "label", "v1"]
+            ids, labels = [row[0] for row in rows], [row[1] for row in rows]
+            values = np.array([row[2:] for row in rows], dtype=float)
+        assert (ids, labels) == (["11", "00"], ["kind1", "kind0"])
+        np.testing.assert_array_equal(values, wanted.values)
+    with pytest.raises(InputError, match=r"must end in one of \.npz \.parquet \.csv, got bodies\.txt"):
+        pr.write_signatures(wanted, tmp_path / "bodies.txt")
+    with pytest.raises(InputError, match="there is no signature of the shape 'cat'"):
+        wanted.select(["cat"])

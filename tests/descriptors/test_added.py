@@ -82,30 +82,20 @@ def options(method: str, **changed: Any) -> SignatureOptions:
     return SignatureOptions(method=method, n_values=3, **changed)
 
 
-def test_a_function_is_a_descriptor_too() -> None:
+def test_what_a_descriptor_is_given() -> None:
     first = both().apart()[0]
-    np.testing.assert_array_equal(
-        describe(first, options("extent")).values, np.ptp(first.mesh.vertices, axis=0)
-    )
+    extent = describe(first, options("extent"))  # a function is a descriptor too
+    np.testing.assert_array_equal(extent.values, np.ptp(first.mesh.vertices, axis=0))
     assert len(describe(both(), options("lowest")).values) == 3
-
-
-def test_the_points_of_a_scan_are_described_once() -> None:
-    signature = describe(both(), options("center"))
-    assert signature.deviation is None
-    np.testing.assert_allclose(signature.values, both().points.points.mean(axis=0))
-    with pytest.raises(ShapeError, match=r"\[signature\] gone: the shape must hold its points, but does not"):
-        describe(Shape(both().surfaces), options("center"))
-
-
-def test_eigenvectors_come_from_the_shape_or_from_its_mesh() -> None:
-    with_mesh = describe(both().apart()[0], options("waves", n_modes=20))
-    assert with_mesh.values.tolist() == [642, 21, pytest.approx(1)]
-    with pytest.raises(ShapeError, match="gone: the shape must hold its mesh"):
-        describe(Shape((Surface(1.0, both().spectrum),)), options("waves"))
-    first = both().apart()[0]
+    # The points of a scan are described once.
+    center = describe(both(), options("center"))
+    assert center.deviation is None
+    np.testing.assert_allclose(center.values, both().points.points.mean(axis=0))
+    # Eigenvectors come from the shape or from its mesh.
     kept = Shape((Surface(1.0, eigenpairs=unit_eigenpairs(first.mesh, 31)),))
-    assert describe(kept, options("waves", n_modes=20)).values.tolist() == [642, 21, pytest.approx(1)]
+    for shape in (first, kept):
+        waves = describe(shape, options("waves", n_modes=20))
+        assert waves.values.tolist() == [642, 21, pytest.approx(1)]
 
 
 @pytest.mark.parametrize(
@@ -115,21 +105,21 @@ def test_eigenvectors_come_from_the_shape_or_from_its_mesh() -> None:
         ("short", "the descriptor 'short' of the package theirs must give 4 values, as its record .* got 3"),
         ("moody", "must give a Signature with the metric 'logarithms', got Signature"),
         ("hollow", "failed, InputError: signature values must be positive, got 0.0"),
+        ("center", r"\[signature\] gone: the shape must hold its points, but does not"),
+        ("waves", "gone: the shape must hold its mesh"),
     ],
 )
 def test_what_a_descriptor_may_not_do_fails_its_shape(method: str, message: str) -> None:
+    bare = Shape((Surface(1.0, both().spectrum),))
     with pytest.raises(ShapeError, match=message) as raised:
-        describe(both(), options(method))
+        describe(bare if method in ("center", "waves") else both(), options(method))
     assert raised.value.stage == "signature"
 
 
-@pytest.mark.parametrize(
-    ("declared", "message"),
-    [
+def test_records_that_declare_what_does_not_exist() -> None:
+    for declared, message in (
         ({"needs": ("voxels",)}, "needs of a descriptor must be of spectrum, .* points, got 'voxels'"),
         ({"needs": (), "metric": "angles"}, "metric of a descriptor must be of logarithms, .* got 'angles'"),
-    ],
-)
-def test_records_that_declare_what_does_not_exist(declared: dict[str, Any], message: str) -> None:
-    with pytest.raises(OptionError, match=message):
-        Descriptor("x", lambda shape, options: Signature(np.ones(1), kind="x"), **declared)
+    ):
+        with pytest.raises(OptionError, match=message):
+            Descriptor("x", lambda shape, options: Signature(np.ones(1), kind="x"), **declared)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,9 +51,17 @@ def body() -> Shape:
     return process(shapes.body(3), PipelineOptions())
 
 
+@cache
+def longer() -> Shape:
+    return process(shapes.ellipsoid((1, 1, 1.4), subdivisions=3), PipelineOptions())
+
+
+def options(method: str, **more: Any) -> SignatureOptions:
+    return SignatureOptions(method=method, n_values=N_VALUES, **more)
+
+
 def values(shape: Shape, method: str, scale: str = "relative") -> FloatArray:
-    options = SignatureOptions(method=method, n_values=N_VALUES, scale=scale)
-    return describe(shape, options).values
+    return describe(shape, options(method, scale=scale)).values
 
 
 def compared(shape: Shape, method: str) -> FloatArray:
@@ -71,13 +80,13 @@ LENGTHS = {
 
 
 def test_a_descriptor_says_what_it_is_and_is_positive(method: str) -> None:
-    signature = describe(body(), SignatureOptions(method=method, n_values=N_VALUES))
+    signature = describe(body(), options(method))
     assert signature.kind == method
     assert len(signature.values) == LENGTHS.get(method, N_VALUES)
     assert np.isfinite(compared(body(), method)).all()
     for size_weight in (0.0,) if signature.metric == "histograms" else (0.0, 1.0):
-        options = SignatureOptions(method=method, n_values=N_VALUES, size_weight=size_weight)
-        assert signature_length(options) == len(describe(body(), options).values)
+        chosen = options(method, size_weight=size_weight)
+        assert signature_length(chosen) == len(describe(body(), chosen).values)
 
 
 @pytest.mark.parametrize("change", [shapes.moved, shapes.renumbered])
@@ -105,28 +114,22 @@ def test_size_is_kept_where_it_is_asked_for_and_nowhere_else(method: str) -> Non
     np.testing.assert_allclose(by_area, values(body(), method, "area"), rtol=1e-5)
     if method in SIZELESS:
         return
-    np.testing.assert_allclose(
-        by_area * twice.area ** (np.array(POWERS[method]) / 2), values(twice, method, "absolute"), rtol=1e-5
-    )
-    growth = values(twice, method, "absolute") / values(body(), method, "absolute")
-    np.testing.assert_allclose(growth, 2.0 ** np.array(POWERS[method]), rtol=1e-5)
+    power, absolute = np.array(POWERS[method]), values(twice, method, "absolute")
+    np.testing.assert_allclose(by_area * twice.area ** (power / 2), absolute, rtol=1e-5)
+    np.testing.assert_allclose(absolute / values(body(), method, "absolute"), 2.0**power, rtol=1e-5)
 
 
 @pytest.mark.parametrize("function", [r_bihdm, bihdm])
 def test_a_descriptor_by_itself_is_that_of_the_default_options(function: Callable[..., Signature]) -> None:
-    name = function.__name__.replace("_", "-")
-    described = describe(body(), SignatureOptions(method=name))
-    assert described.digest == function(body().spectrum).digest
-    np.testing.assert_array_equal(described.values, function(body().spectrum).values)
-    relative = function(body().spectrum, scale="relative").values
-    assert not np.allclose(described.values, relative, rtol=0.1)
+    described = describe(body(), SignatureOptions(method=function.__name__.replace("_", "-")))
+    by_itself, relative = function(body().spectrum), function(body().spectrum, scale="relative")
+    assert (described, described.digest) == (by_itself, by_itself.digest)
+    assert not np.allclose(described.values, relative.values, rtol=0.1)
 
 
 def test_the_default_descriptor_is_r_bihdm_and_csd_in_balance() -> None:
     described = describe(body(), SignatureOptions())
-    by_itself = combined(body().spectrum, body().eigenpairs)
-    assert described.digest == by_itself.digest
-    np.testing.assert_array_equal(described.values, by_itself.values)
+    assert described == combined(body().spectrum, body().eigenpairs)
     halves = r_bihdm(body().spectrum).values ** 0.6, csd(body().eigenpairs).values ** 3
     np.testing.assert_array_equal(described.values, np.concatenate(halves))
 
@@ -141,10 +144,7 @@ def test_the_compact_shape_descriptor_of_a_sphere_is_that_of_each_of_its_points(
     kernel = np.exp(-4 * np.pi * np.outer(times, degrees * (degrees + 1))) @ (2 * degrees + 1)
     frequencies = np.abs(np.fft.rfft(np.diff(np.log(kernel))))[:3]
     np.testing.assert_allclose(found[6:], frequencies / np.linalg.norm(frequencies), atol=0.002)
-
-
-def test_the_compact_shape_descriptor_has_no_more_values_than_the_heat_kernel_has_frequencies() -> None:
-    assert len(csd(body().eigenpairs, 147).values) == 147
+    assert len(csd(body().eigenpairs, 147).values) == 147  # as the heat kernel has frequencies
     for n_values in (2, 148):
         with pytest.raises(OptionError, match=f"n_values must be between 3 and 147 for csd, got {n_values}"):
             csd(body().eigenpairs, n_values)
@@ -183,14 +183,6 @@ def test_geodesic_distances_of_a_sphere() -> None:
     assert largest == pytest.approx(2 * np.pi**2, rel=0.03)
 
 
-# --- several surfaces -----------------------------------------------------------------------------------
-
-
-@cache
-def longer() -> Shape:
-    return process(shapes.ellipsoid((1, 1, 1.4), subdivisions=3), PipelineOptions())
-
-
 def both() -> Shape:
     """A scan that was made into two surfaces."""
     return Shape((*body().surfaces, *longer().surfaces))
@@ -198,42 +190,30 @@ def both() -> Shape:
 
 def test_a_shape_of_several_surfaces_is_described_by_their_mean(method: str) -> None:
     """Each descriptor is given the surface that it describes, be it as a spectrum or as a mesh."""
-    options = SignatureOptions(method=method, n_values=N_VALUES)
-    mean = describe(both(), options)
+    mean = describe(both(), options(method))
     assert mean.deviation is not None
     assert mean.deviation.max() > 0
-    assert describe(body(), options).deviation is None
-    of_logarithms = mean.metric == "logarithms"
-    rows = np.array([describe(shape, options).values for shape in (body(), longer())])
-    averaged = np.log(rows) if of_logarithms else rows
-    found = np.log(mean.values) if of_logarithms else mean.values
-    np.testing.assert_allclose(found, averaged.mean(axis=0), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(mean.deviation, np.abs(averaged[0] - averaged[1]) / np.sqrt(2), atol=1e-12)
+    assert describe(body(), options(method)).deviation is None
+    log = np.log if mean.metric == "logarithms" else np.asarray
+    rows = np.array([log(describe(shape, options(method)).values) for shape in (body(), longer())])
+    np.testing.assert_allclose(log(mean.values), rows.mean(axis=0), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(mean.deviation, np.abs(rows[0] - rows[1]) / np.sqrt(2), atol=1e-12)
 
 
 def test_size_is_one_value_more_beside_the_form(method: str) -> None:
-    surfaces = (replace(body().surfaces[0], area=3.0), replace(longer().surfaces[0], area=3.3))
-    shape = Shape(surfaces)
-    options = SignatureOptions(method=method, n_values=N_VALUES)
-    weighted = options.model_copy(update={"size_weight": 6.0})
+    shape = Shape((replace(body().surfaces[0], area=3.0), replace(longer().surfaces[0], area=3.3)))
+    weighted = options(method).model_copy(update={"size_weight": 6.0})
     if DESCRIPTORS[method].metric == "histograms":
         with pytest.raises(OptionError, match=f"size_weight must be 0 for {method}, whose values are a hist"):
             describe(shape, weighted)
         return
-    form, sized = describe(shape, options), describe(shape, weighted)
+    form, sized = describe(shape, options(method)), describe(shape, weighted)
     np.testing.assert_array_equal(sized.values[:-1], form.values)
     areas = 6 * np.log([3.0, 3.3])
     size = sized.values[-1] if form.metric == "values" else np.log(sized.values[-1])
     assert size == pytest.approx(areas.mean())
     assert sized.deviation is not None
     assert sized.deviation[-1] == pytest.approx(areas.std(ddof=1))
-
-
-# --- fusion ---------------------------------------------------------------------------------------------
-
-
-def options(method: str) -> SignatureOptions:
-    return SignatureOptions(method=method, n_values=N_VALUES)
 
 
 def test_fused_values_are_the_coordinates_of_the_parts_in_units_of_their_spread() -> None:

@@ -21,35 +21,20 @@ def tube(radius: float, length: float, *, bend: float = 0.0) -> TriangleMesh:
     over = np.maximum(np.abs(along) - length / 2, 0)
     profile = np.sqrt(np.maximum(radius**2 - over**2, 0))
     angle = 2 * np.pi * np.arange(n_around) / n_around
-    x = profile[:, np.newaxis] * np.cos(angle)
-    y = profile[:, np.newaxis] * np.sin(angle)
+    x, y = (profile[:, np.newaxis] * of_angle(angle) for of_angle in (np.cos, np.sin))
     z = np.broadcast_to(along[:, np.newaxis], x.shape)
     tips = np.array([[0, 0, -length / 2 - radius], [0, 0, length / 2 + radius]])
     vertices = np.concatenate([np.stack([x, y, z], axis=-1).reshape(-1, 3), tips])
     if bend:
         arc = (length + 2 * radius) / bend  # radius of the arc of the axis
-        turn = vertices[:, 2] / arc
-        vertices = np.column_stack(
-            [
-                arc - (arc - vertices[:, 0]) * np.cos(turn),
-                vertices[:, 1],
-                (arc - vertices[:, 0]) * np.sin(turn),
-            ]
-        )
-    n_rows = len(t)
-    here = np.arange(n_rows * n_around).reshape(n_rows, n_around)
+        turn, reach = vertices[:, 2] / arc, arc - vertices[:, 0]
+        vertices = np.column_stack([arc - reach * np.cos(turn), vertices[:, 1], reach * np.sin(turn)])
+    here = np.arange(x.size).reshape(x.shape)
     beside = np.roll(here, -1, axis=1)
     a, b, c, d = (corner.ravel() for corner in (here[:-1], beside[:-1], beside[1:], here[1:]))
-    first, last = n_rows * n_around, n_rows * n_around + 1
-    faces = np.concatenate(
-        [
-            np.column_stack([a, b, c]),
-            np.column_stack([a, c, d]),
-            np.column_stack([beside[0], here[0], np.full(n_around, first)]),
-            np.column_stack([here[-1], beside[-1], np.full(n_around, last)]),
-        ]
-    )
-    return TriangleMesh(vertices, faces)
+    first, last = np.full(n_around, x.size), np.full(n_around, x.size + 1)
+    faces = ((a, b, c), (a, c, d), (beside[0], here[0], first), (here[-1], beside[-1], last))
+    return TriangleMesh(vertices, np.concatenate([np.column_stack(corners) for corners in faces]))
 
 
 def roots(mesh: TriangleMesh) -> FloatArray:
@@ -98,11 +83,7 @@ def test_rotation_reflection_scale_and_orientation_change_nothing() -> None:
 def test_a_body_that_is_all_length_needs_too_large_a_grid() -> None:
     """A thin tube on three axes: its grid has as many voxels as the cube around it."""
     arm = tube(0.004, 2.0)
-    arms = [arm.vertices @ np.roll(np.eye(3), turn, axis=1) for turn in range(3)]
-    star = TriangleMesh(
-        np.concatenate(arms), np.concatenate([arm.faces + k * len(arm.vertices) for k in range(3)])
-    )
-    with pytest.raises(
-        DegenerateMeshError, match=r"at most 16,777,216 voxels of 0.01 √area, got [\d,]+: the"
-    ):
-        hapt(star)
+    arms = (TriangleMesh(arm.vertices @ np.roll(np.eye(3), turn, axis=1), arm.faces) for turn in range(3))
+    message = r"at most 16,777,216 voxels of 0.01 √area, got [\d,]+: the"
+    with pytest.raises(DegenerateMeshError, match=message):
+        hapt(shapes.joined(*arms))

@@ -1,10 +1,18 @@
-"""Bags of sparse codes: the lasso, its derivative, and dictionaries without and with labels."""
+"""Arrays that the package ships: what makes them, and that they are what is made."""
 
 from __future__ import annotations
 
+from importlib import resources
+
 import numpy as np
 import pytest
-from benchmarks.shipped import sparse_dictionary, supervised_dictionary, triplet_loss
+from benchmarks.shipped import (
+    features,
+    log_eigenvalues,
+    sparse_dictionary,
+    supervised_dictionary,
+    triplet_loss,
+)
 
 from pcretrieve.descriptors.dl import PENALTY, SurfacePoints, sparse_codes
 from pcretrieve.values import FloatArray
@@ -72,3 +80,23 @@ def test_learning_with_labels_separates_surfaces_that_it_has_not_seen() -> None:
     np.testing.assert_allclose(np.linalg.norm(learned, axis=1), 1)
     before, after = (triplet_loss(unseen, labels, atoms, 0.1).value for atoms in (start, learned))
     assert after < 0.75 * before
+
+
+def kept(package: str, name: str) -> FloatArray:
+    array: FloatArray = np.load(str(resources.files(package).joinpath(name)))
+    return array
+
+
+def test_the_words_come_from_the_first_subject_too() -> None:
+    made = next(features())
+    heat = kept("pcretrieve.descriptors", "hks_sample.npy")
+    np.testing.assert_allclose(made.heat, heat[:, : made.heat.shape[1]], atol=1e-3)
+    wavelets = kept("pcretrieve.descriptors", "wavelet_sample.npy")
+    np.testing.assert_allclose(made.wavelets, wavelets[: len(made.wavelets)], atol=1e-3)
+
+
+def test_a_hand_moves_with_the_resolution_as_was_measured() -> None:
+    sample = kept("pcretrieve.retrieval", "resolution.npy")  # 56 people, animals and hands each
+    made = log_eigenvalues(("hand", 0))
+    np.testing.assert_allclose(made, sample[:, 2 * 56], atol=1e-3)
+    assert np.linalg.norm(made[0] - made[1]) > 0.01, "cells of two sizes, two surfaces"
