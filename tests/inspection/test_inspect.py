@@ -31,16 +31,26 @@ def check(inspection: Inspection, name: str) -> Check:
     return found
 
 
-def test_a_good_scan_passes() -> None:
+def test_a_good_scan_passes_and_its_spread_is_the_rms_distance_to_the_mean() -> None:
     """A body seen from all sides, with a dozen outliers at the end."""
     outliers = 0.6 * BODY.diagonal * shapes.points_on(shapes.icosphere(2), 12, seed=7)
-    points = np.concatenate([shapes.points_on(BODY, 20_000), outliers])
-    good = inspect_scan(seen_from_far(points), OPTIONS, n_rescans=2)
+    cloud = seen_from_far(np.concatenate([shapes.points_on(BODY, 20_000), outliers]))
+    good = inspect_scan(cloud, OPTIONS, n_rescans=2)
     assert good.failure is None
     assert [(bad.name, bad.shown) for bad in good.checks if bad.verdict != "passed"] == []
     assert good.verdict == "passed"
-    assert good.spread is not None and 0 < good.spread < 0.15
-    assert check(good, "Signature").value == good.spread
+    deviation, spread = good.rescan_deviation, good.spread
+    assert good.signature is not None and deviation is not None and spread is not None
+    np.testing.assert_allclose(good.signature.values, signature(cloud, OPTIONS).values, rtol=1e-9)
+    assert check(good, "Signature").value == spread < 0.15
+    assert spread**2 == pytest.approx((deviation**2).sum())
+    # Two parts lie on either side of their mean.
+    rng = np.random.default_rng(0)
+    one, two = (
+        np.log(signature(cloud.select(np.sort(rng.choice(20_012, 18_011, replace=False))), OPTIONS).values)
+        for _ in range(2)
+    )
+    np.testing.assert_allclose(deviation, abs(one - two) / 2, atol=1e-9)
 
 
 def test_a_hole_in_the_scan_is_filled_where_it_is() -> None:
@@ -90,29 +100,6 @@ def test_what_fails_is_shown_as_far_as_it_came(tmp_path: Path) -> None:
         seen = inspect_scan(points)
         assert seen.failure is not None
         assert seen.scan is not None and len(seen.scan.points) == len(points)
-
-
-# --- the error bar ------------------------------------------------------------------------------------
-
-CLOUD = seen_from_far(shapes.points_on(BODY, 5000, noise=0.003))
-
-
-def test_spread_is_the_rms_distance_to_the_mean() -> None:
-    seen = inspect_scan(CLOUD, OPTIONS, n_rescans=2)
-    deviation, spread = seen.rescan_deviation, seen.spread
-    assert seen.signature is not None and deviation is not None and spread is not None
-    np.testing.assert_allclose(seen.signature.values, signature(CLOUD, OPTIONS).values, rtol=1e-9)
-    assert spread**2 == pytest.approx((deviation**2).sum())
-    # Two parts lie on either side of their mean.
-    rng = np.random.default_rng(0)
-    one, two = (
-        np.log(signature(CLOUD.select(np.sort(rng.choice(5000, 4500, replace=False))), OPTIONS).values)
-        for _ in range(2)
-    )
-    np.testing.assert_allclose(deviation, abs(one - two) / 2, atol=1e-9)
-
-
-# --- the next body ------------------------------------------------------------------------------------
 
 
 def test_the_next_body_is_the_nearest_shape_of_another_class(tmp_path: Path) -> None:

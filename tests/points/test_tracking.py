@@ -16,12 +16,11 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import pcretrieve
-from pcretrieve import PointCloud, TriangleMesh
+from pcretrieve import TriangleMesh
 from pcretrieve.draw.open3d import RayScene
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.conf import image_poses, trajectory_file
 from pcretrieve.options import PipelineOptions
-from pcretrieve.points.register import merge_views
 from pcretrieve.points.register.alignment import moved
 from pcretrieve.simulation.turning import TurningOptions, turning_frames, write_frames
 from pcretrieve.values import FloatArray
@@ -64,23 +63,14 @@ def test_a_turn_before_a_camera_becomes_one_cloud_without_its_background(tmp_pat
     assert np.quantile(surface.distance(merged.cloud.points), 0.999) < 0.02 * body().diagonal
 
 
-def test_a_foreign_frame_does_not_end_the_sequence() -> None:
+def test_a_foreign_frame_does_not_end_the_sequence(tmp_path: Path) -> None:
     images, _ = sequence()
     strange, _ = turning_frames(shapes.torus(major=0.6), CAMERA, np.random.default_rng(1))
-    frames = [as_points(image) for image in (*images[:2], strange[0], images[3])]
-    found = merge_views(frames, DEPTH_CAMERA)
+    write_frames(tmp_path, np.stack([*images[:2], strange[0], images[3]]), CAMERA)
+    found = pcretrieve.merge_views(tmp_path, "depth-camera")
     assert found.left_out == (2,)
     (step,) = found.cloud.provenance
     assert any("left out view 2" in note for note in step.notes)
-
-
-def as_points(image: FloatArray) -> PointCloud:
-    """The points of a depth image, with the camera at the origin."""
-    v, u = np.nonzero(image)
-    z = image[v, u]
-    x = (u - (CAMERA.width - 1) / 2) * z / CAMERA.focal
-    y = (v - (CAMERA.height - 1) / 2) * z / CAMERA.focal
-    return PointCloud(np.column_stack([x, y, z]))
 
 
 # --- poses in files -----------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections import Counter
 from pathlib import Path
 
@@ -12,27 +13,15 @@ from benchmarks.samples import write, write_views
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from pcretrieve import PointCloud, read_scan
 from pcretrieve.draw.open3d import RayScene
 from pcretrieve.formats.conf import read_poses
 from pcretrieve.formats.ply import read_ply
 from pcretrieve.simulation import POSES, RigOptions, body, camera_pose, make_subject
 from pcretrieve.simulation.samples import moved, random_motion, write_samples
-from pcretrieve.values import FloatArray
 
 ROOT = Path(__file__).parents[2]
 SCANS = ROOT / "scans"
-
-LARGEST_SET = 9e6
-
-
-def read_pcd(path: Path) -> tuple[FloatArray, FloatArray]:
-    """Points and VIEWPOINT (tx ty tz qw qx qy qz)."""
-    header, _, content = path.read_bytes().partition(b"DATA binary\n")
-    said = dict(line.split(maxsplit=1) for line in header.decode().splitlines() if not line.startswith("#"))
-    points = np.frombuffer(content, "<f4").reshape(-1, 3).astype(np.float64)
-    assert said["FIELDS"] == "x y z"
-    assert int(said["POINTS"]) == int(said["WIDTH"]) == len(points)
-    return points, np.array(said["VIEWPOINT"].split(), dtype=np.float64)
 
 
 def test_the_same_seed_makes_the_same_bytes_and_the_points_of_the_set(tmp_path: Path) -> None:
@@ -58,20 +47,25 @@ def test_views_lie_on_the_body_and_sensors_where_they_stood(tmp_path: Path) -> N
     placed = random_motion(rng)
     conf = write_views(tmp_path / "hand_spread", surface, placed, rng)
     scene, rig = RayScene(surface.vertices, surface.faces), RigOptions()
+    whole, back = read_scan(conf), np.linalg.inv(placed).astype(np.float64)
+    assert isinstance(whole, PointCloud) and whole.viewpoints is not None
+    off = scene.distance(moved(back, whole.points)) / surface.diagonal
+    assert np.quantile(off, 0.95) < 4 * rig.noise
+    cameras = np.array([camera_pose(surface, rig, number)[:3, 3] for number in range(rig.n_views)])
+    apart = np.linalg.norm(moved(back, whole.viewpoints)[:, None] - cameras, axis=2)  # (n, v)
+    assert apart.min(axis=1) == pytest.approx(0, abs=1e-6)
+    assert (np.diff(apart.argmin(axis=1)) >= 0).all(), "view by view"
     views = read_poses(conf)
     assert len(views) == rig.n_views
-    back = np.linalg.inv(placed).astype(np.float64)
-    for number, (path, rotation, translation) in enumerate(views):
-        points, pose = read_pcd(path)
-        on_body = moved(back, rotation.apply(points) + translation)
-        off = scene.distance(on_body) / surface.diagonal
-        assert np.quantile(off, 0.95) < 4 * rig.noise
-        camera = camera_pose(surface, rig, number)
-        sensor = moved(back, rotation.apply(pose[None, :3]) + translation)[0]
-        assert sensor == pytest.approx(camera[:3, 3], abs=1e-6)
+    for path, _, _ in views:
+        said = re.search(rb"VIEWPOINT (.*)\n", path.read_bytes())
+        assert said is not None
+        pose = np.array(said[1].split(), dtype=np.float64)  # tx ty tz qw qx qy qz
         # The sensor looks along its own z axis, which the quaternion turns into the frame of the points.
         ahead = Rotation.from_quat(pose[[4, 5, 6, 3]]).apply([0, 0, 1])
-        towards = np.median(points, axis=0) - pose[:3]
+        seen = read_scan(path)
+        assert isinstance(seen, PointCloud)
+        towards = np.median(seen.points, axis=0) - pose[:3]
         assert ahead @ towards / np.linalg.norm(towards) > 0.9
     assert max(rotation.magnitude() for _, rotation, _ in views) > 0.1
 
@@ -79,13 +73,10 @@ def test_views_lie_on_the_body_and_sensors_where_they_stood(tmp_path: Path) -> N
 def test_the_sample_set_is_whole_and_small() -> None:
     with (SCANS / "labels.csv").open(newline="", encoding="utf-8") as file:
         labels = list(csv.DictReader(file))
-    assert list(labels[0]) == ["file", "class"]
-    counts = Counter(row["class"] for row in labels)
-    assert len(counts) == 8
-    assert set(counts.values()) == {5}
+    assert list(Counter(row["class"] for row in labels).values()) == [5] * 8
     files = {SCANS / row["file"] for row in labels}
     views = {view for file in files if file.suffix == ".conf" for view, _, _ in read_poses(file)}
     assert all(file.is_file() for file in files | views)
     strange = {file for file in SCANS.rglob("*.*") if file.is_file()} - files - views
     assert strange == {SCANS / "labels.csv", SCANS / "README.md"}
-    assert sum(file.stat().st_size for file in SCANS.rglob("*") if file.is_file()) < LARGEST_SET
+    assert sum(file.stat().st_size for file in SCANS.rglob("*") if file.is_file()) < 9e6

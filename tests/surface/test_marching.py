@@ -85,16 +85,14 @@ ROUGH: FloatArray = BALL.vertices * (
 )
 
 
-def test_noise_goes_and_the_volume_stays() -> None:
+def test_noise_goes_the_volume_stays_and_only_what_may_move_moves() -> None:
     moved = smoothed(ROUGH, BALL.faces, np.arange(len(ROUGH)), 8)
     assert np.linalg.norm(moved, axis=1).std() < 0.45 * np.linalg.norm(ROUGH, axis=1).std()
     assert TriangleMesh(moved, BALL.faces).volume == pytest.approx(BALL.volume, rel=0.002)
-
-
-def test_only_what_may_move_moves_near_the_mean_of_its_neighbours() -> None:
     above = np.flatnonzero(ROUGH[:, 2] > 0)
     changed = (smoothed(ROUGH, BALL.faces, above, 8) != ROUGH).any(axis=1)
     np.testing.assert_array_equal(np.flatnonzero(changed), above)
+    # Near the mean of its neighbours.
     vertices = BALL.vertices.copy()
     vertices[0] *= 2
     moved = smoothed(vertices, BALL.faces, np.array([0]), 8)

@@ -20,7 +20,7 @@ from processes import PATIENCE, wait_for
 from pcretrieve.errors import RemeshError
 from pcretrieve.options import RemeshOptions
 from pcretrieve.surface import defects, tetwild
-from pcretrieve.surface.tetwild import boundary_faces, remesh, tetrahedralize
+from pcretrieve.surface.tetwild import remesh, tetrahedralize
 from pcretrieve.values import FloatArray, IntArray, Step, TriangleMesh
 
 BALL = shapes.icosphere(2)
@@ -184,14 +184,3 @@ def test_without_an_answer_a_surface_with_holes_is_an_error() -> None:
     )
     with pytest.raises(RemeshError, match=message):
         remesh(pricked, RemeshOptions(method="tetwild", timeout=1e-3))
-
-
-def test_the_boundary_of_tetrahedra_points_outwards_whatever_their_order() -> None:
-    # Two tetrahedra on one face, their corners in any order.
-    nodes = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]], dtype=float)
-    for rng in map(np.random.default_rng, range(4)):
-        both = np.array([rng.permutation([0, 1, 2, 3]), rng.permutation([1, 2, 3, 4])], dtype=np.int32)
-        surface = TriangleMesh(nodes, boundary_faces(nodes, both))
-        assert len(surface.faces) == 6
-        assert not defects(surface)
-        assert surface.volume == pytest.approx(1 / 6 + 1 / 3)
