@@ -76,9 +76,7 @@ class Server:
 
     @property
     def port(self) -> int:
-        port = urlsplit(self.address).port
-        assert port
-        return port
+        return urlsplit(self.address).port or 0
 
     @property
     def token(self) -> str:
@@ -106,7 +104,7 @@ class Server:
         assert not [secret for secret in self.secrets if secret.encode() in told], told
         return found
 
-    def send(self, name: str, body: bytes, **request: Any) -> Answer:
+    def send(self, name: str, body: bytes | Iterator[bytes], **request: Any) -> Answer:
         """The answer to an upload."""
         return self.ask(f"/scans?name={quote(name, safe='')}", method="POST", body=body, **request)
 

@@ -3,46 +3,35 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-import shapes
 from browsers import DESKTOP, PHONE, opened, origin, overflow, violations
-from search_server import Server
+from search_server import Server, egg, running
 
-from pcretrieve import search, write_mesh
+from pcretrieve import Catalogue, search
+from pcretrieve.catalogue import find_defects
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, FileChooser, Page
 
 pytestmark = pytest.mark.slow
 
-# Every kind of page, and what is opened to see it.
-PAGES = {
-    "collection": "/",
-    "nothing found": "/?q=none",
-    "shape": "/shape/Egg00",
-    "doubtful shape": "/shape/Egg23",
-    "failed shape": "/shape/broken",
-    "no match": "/shape/Egg00?min_score=1&label=%3Ckind+2%3E",
-    "comparison": "/compare?a=Egg00&b=Egg23",
-    "map": "/map",
-}
+# Every kind of page: a collection, one in which nothing was found, shapes, no match, a comparison, a map.
+PAGES = (
+    *("/", "/?q=none", "/shape/Egg00", "/shape/Egg23", "/shape/broken", "/map", "/compare?a=Egg00&b=Egg23"),
+    "/shape/Egg00?min_score=1&label=%3Ckind+2%3E",
+)
 
 
 @pytest.fixture
 def page(browser: Browser, server: Server) -> Iterator[Page]:
     with opened(browser, server.address) as page:
         yield page
-
-
-@pytest.fixture(scope="module")
-def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("scans") / "egg.off"
-    write_mesh(shapes.ellipsoid((1.06, 1, 1.8), 3), path)
-    return path
 
 
 def names(page: Page) -> list[str]:
@@ -89,15 +78,41 @@ def test_two_shapes_turn_together(page: Page) -> None:
     assert mesh.value.path().read_bytes().startswith(b"glTF")
 
 
-def test_a_chosen_scan_is_processed_and_answered(page: Page, eggs: Path, scan: Path) -> None:
-    page.locator("input[type=file]").set_input_files(scan)
-    page.wait_for_url("**/scan/*")
-    page.get_by_role("heading", name="Nearest shapes").wait_for()
-    assert page.get_by_role("heading", name="egg.off").is_visible()
-    assert page.locator("#stages").get_by_text("spectrum").is_visible()
-    assert names(page) == list(search(eggs, scan, k=12).ids)
-    page.locator("#results .shapes li a").first.click()
-    page.wait_for_url("**/shape/*")
+def test_a_chosen_scan_is_answered_and_kept_when_it_is_asked_for(
+    browser: Browser, eggs: Path, tmp_path: Path
+) -> None:
+    collection, scan, folder = tmp_path / "collection.sqlite", egg(tmp_path), tmp_path / "kept"
+    folder.mkdir()
+    shutil.copy(eggs, collection)
+    with running(collection, "--keep", str(folder)) as keeper:
+        with opened(browser, keeper.address) as page:
+            page.locator("input[type=file]").set_input_files(tmp_path / "egg.off")
+            page.wait_for_url("**/scan/*")
+            page.get_by_role("heading", name="Nearest shapes").wait_for()
+            assert page.get_by_role("heading", name="egg.off").is_visible()
+            assert page.locator("#stages").get_by_text("spectrum").is_visible()
+            assert names(page) == list(search(eggs, tmp_path / "egg.off", k=12).ids)
+            page.get_by_role("link", name="Inspection of the scan").wait_for()
+            assert [*folder.iterdir()] == []
+            page.keyboard.press("Tab")
+            page.get_by_text("Keep this scan in the collection").press("Enter")
+            page.get_by_label("Name", exact=True).fill("anna sits")
+            page.locator("input[name=label]").fill("anna")
+            assert not violations(page)
+            page.locator("input[name=label]").press("Enter")
+            page.wait_for_url("**/shape/anna%20sits")
+            page.get_by_role("heading", name="anna sits").wait_for()
+            page.goto(f"{origin(keeper.address)}/?q=anna")
+            page.get_by_text("1 shape", exact=True).wait_for()
+        assert (folder / "anna sits.off").read_bytes() == scan
+        found = keeper.outcome("again.off", scan)
+        nearest = keeper.ask(f"/scans/{found['job']}/similar?k=1").json["results"][0]
+    assert (nearest["id"], nearest["label"]) == ("anna sits", "anna")
+    assert nearest["distance"] == pytest.approx(0, abs=1e-6)
+    with Catalogue(collection) as store:
+        assert Path(store.record("anna sits").path) == folder / "anna sits.off"
+        assert "anna sits" not in {defect.shape_id for defect in find_defects(store)}
+        assert store.thumbnail("anna sits") is not None
 
 
 def test_a_dropped_scan_is_processed_and_fails_in_words(page: Page) -> None:
@@ -156,12 +171,16 @@ def reached(page: Page, selector: str) -> None:
     raise AssertionError(f"{selector} is not reached by the key Tab")
 
 
-def test_pages_are_accessible_and_fit(browser: Browser, server: Server) -> None:
-    found: dict[str, object] = {}
-    for size, dark in ((DESKTOP, False), (DESKTOP, True), (PHONE, False), (PHONE, True)):
+def test_pages_are_accessible_and_fit(browser: Browser, server: Server, tmp_path: Path) -> None:
+    job, found = server.outcome("egg.off", egg(tmp_path))["job"], set[str]()
+    for size, dark in product((DESKTOP, PHONE), (False, True)):
         with opened(browser, server.address, size, dark=dark) as page:
-            for name, address in PAGES.items():
+            for address in (*PAGES, f"/scan/{job}", f"/scan/{job}/inspection"):
                 page.goto(f"{origin(server.address)}{address}")
-                found |= {f"{name}: {violation}": None for violation in violations(page)}
-                found |= {f"{name} is {wide} pixels too wide": None for wide in [overflow(page)] if wide > 0}
+                found |= {f"{address}: {violation}" for violation in violations(page)}
+                found |= {f"{address} is {wide} pixels too wide" for wide in [overflow(page)] if wide > 0}
+            # Of the inspection:
+            assert page.locator("canvas").is_visible(), "the viewer runs"
+            fills = page.locator(".key rect").evaluate_all("all => all.map(it => getComputedStyle(it).fill)")
+            assert fills and "rgb(0, 0, 0)" not in fills
     assert not found, "\n".join(found)
