@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import time
 from collections.abc import Callable, Generator, Iterable
 from pathlib import Path
@@ -26,13 +25,6 @@ def in_this_process(
         except Exception as error:  # noqa: BLE001  as an executor must
             outcome = shape_error(error)
         yield item, outcome
-
-
-def all_workers_ended() -> bool:
-    """Whether all child processes end by themselves: one that was killed takes a moment on a busy machine."""
-    for child in multiprocessing.active_children():
-        child.join(PATIENCE)
-    return not multiprocessing.active_children()
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = PATIENCE) -> bool:

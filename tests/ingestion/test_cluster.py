@@ -7,7 +7,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -65,20 +65,12 @@ def test_a_scan_that_ends_one_dask_worker_after_the_other_fails_alone(own_cluste
     assert outcomes == {number: number for number in (0, 1, 2, 4, 5)}
 
 
-def lose_computer(cluster: DaskCluster) -> None:
-    cluster.kill(cluster.workers[0])
-
-
-def stop_computer(cluster: DaskCluster) -> None:
-    """Stop all processes of a Dask worker, which then answers no more, and keeps its connections."""
-    os.killpg(cluster.workers[0].pid, signal.SIGSTOP)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("lose", [lose_computer, stop_computer])
+@pytest.mark.parametrize("lose", [signal.SIGKILL, signal.SIGSTOP])
 def test_items_of_a_lost_computer_are_processed_by_another_one(
-    lose: Callable[[DaskCluster], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    lose: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """One whose processes are stopped answers no more, and keeps its connections."""
     # Time after which the scheduler gives up a worker that does not answer, by default five minutes.
     monkeypatch.setenv("DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL", "5s")
     file = tmp_path / "go"
@@ -90,7 +82,7 @@ def test_items_of_a_lost_computer_are_processed_by_another_one(
             reader = threading.Thread(target=lambda: found.extend(outcomes))
             reader.start()
             assert until(lambda: len(list(tmp_path.glob("go.begun*"))) == 2)
-            lose(own_cluster)
+            os.killpg(own_cluster.workers[0].pid, lose)
             file.touch()
             reader.join(PATIENCE)
     assert sorted(found) == [(number, number) for number in range(4)]
@@ -126,14 +118,10 @@ def test_workers_of_other_versions_are_an_error(
 
 
 def test_one_cluster_must_be_given() -> None:
-    address = "tcp://127.0.0.1:8786"
-    two: list[dict[str, Any]] = [
-        {"local": True, "scheduler": address},
-        {"scheduler_file": Path("a"), "local": True},
-    ]
-    for given in ({}, *two):
+    here, file = partial(DaskExecutor, local=True), Path("scheduler.json")
+    for made in (DaskExecutor, partial(here, scheduler="tcp://127.0.0.1:8786"), partial(here, None, file)):
         with pytest.raises(InputError, match="must be given by one of"):
-            DaskExecutor(**given)
+            made()
 
 
 @pytest.mark.slow

@@ -12,7 +12,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -73,38 +72,27 @@ def n_stored(location: str) -> int:
     return 0
 
 
-@pytest.fixture
-def start(scans: Path, new_location: str, tmp_path: Path) -> Callable[..., subprocess.Popen[str]]:
-    """Starts an ingest in a process group of its own, with a folder of its own for temporary files."""
+@pytest.mark.slow
+@pytest.mark.parametrize("executor", EXECUTORS)
+def test_killed_at_any_moment(
+    executor: str, new_location: str, scans: Path, undisturbed: Everything, tmp_path: Path
+) -> None:
+    if executor == "dask":
+        pytest.importorskip("distributed", reason="distributed is not installed (the extra cluster)")
     (tmp_path / "temporary").mkdir()
     command = [sys.executable, "-m", "pcretrieve", "ingest", str(scans), "-c", new_location, "--workers", "2"]
     environment = os.environ | {"TMPDIR": str(tmp_path / "temporary")}
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
 
-    def started(*arguments: str) -> subprocess.Popen[str]:
-        whole = [*command, *arguments]
+    def start() -> subprocess.Popen[str]:
+        """An ingest in a process group of its own."""
+        whole = [*command, *EXECUTORS[executor]]
         return subprocess.Popen(whole, cwd=tmp_path, env=environment, start_new_session=True, **pipes)
 
-    return started
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("executor", EXECUTORS)
-def test_killed_at_any_moment(
-    executor: str,
-    new_location: str,
-    start: Callable[..., subprocess.Popen[str]],
-    undisturbed: Everything,
-    tmp_path: Path,
-    record_property: Callable[[str, object], None],
-) -> None:
-    if executor == "dask":
-        pytest.importorskip("distributed", reason="distributed is not installed (the extra cluster)")
     rng = random.Random(executor)
     there: Everything = {}
-    counts = [0] * 4  # kills: all, before a shape was stored, after some were stored, after the end
     for kill in range(N_KILLS):
-        process = start(*EXECUTORS[executor])
+        process = start()
         # Every fourth one while processes start, the others after some shapes more, and a moment later.
         if kill % 4 == 0:
             time.sleep(rng.uniform(0, 3))
@@ -119,21 +107,16 @@ def test_killed_at_any_moment(
         assert not has_ended or process.returncode == 0, said
         assert wait_for(lambda: not living(process.pid))  # noqa: B023
         before, there = there, stored(new_location)
-        n_new = len(there) - len(before)
         assert before.items() <= there.items()  # nothing is lost
         assert there.items() <= undisturbed.items()  # and nothing is stored that is not whole
-        counts[0] += 1
-        counts[3 if has_ended else 2 if n_new else 1] += 1
         if len(there) == N_SHAPES and kill < N_KILLS - 1:  # the next kills find an ingest at work, too
             with Catalogue(new_location) as catalogue:
                 catalogue.remove(*there)
             there = {}
-    process = start(*EXECUTORS[executor])
+    process = start()
     said, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, said
     assert stored(new_location) == undisturbed
     assert [*(tmp_path / "temporary").glob("pcretrieve-*")] == []
     # Beside the catalogue there is only what `pcretrieve status` reads.
     assert {path.name for path in tmp_path.iterdir()} <= {"temporary", "new.sqlite", ".new.sqlite.batch"}
-    store = "sqlite" if new_location.endswith(".sqlite") else "postgresql"
-    record_property(f"{store}, {executor}", counts)

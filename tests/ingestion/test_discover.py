@@ -16,15 +16,10 @@ from pcretrieve.ingestion.discover import discover
 NOBODY = 65534
 
 FILES = (
-    "a.ply",
-    "b.OBJ",
-    "deep/c.xyz",
-    "deep/er/d.off",
-    "notes.md",
-    "labels.csv",
-    ".hidden.ply",
-    "deep/._a.ply",
+    *("a.ply", "b.OBJ", "deep/c.xyz", "deep/er/d.off"),
+    *("notes.md", "labels.csv", ".hidden.ply", "deep/._a.ply"),
 )
+SCANS = ["a.ply", "b.OBJ", "deep/c.xyz", "deep/er/d.off"]
 
 
 @pytest.fixture
@@ -41,9 +36,8 @@ def names(*arguments: str | Path) -> list[str]:
 
 
 def test_files_folders_and_globs(folder: Path) -> None:
-    everything = ["a.ply", "b.OBJ", "deep/c.xyz", "deep/er/d.off"]
     assert names("a.ply", "deep/c.xyz") == ["a.ply", "deep/c.xyz"]
-    assert names(".") == names("*") == everything
+    assert names(".") == names("*") == SCANS
     assert names("**/*.[oO]*") == ["b.OBJ", "deep/er/d.off"]
     # Each once, by one name.
     assert names("deep", "a.ply", "deep/c.xyz", "a.ply") == ["deep/c.xyz", "deep/er/d.off", "a.ply"]
@@ -65,7 +59,7 @@ def test_paths_in_a_manifest_are_relative_to_its_folder(folder: Path) -> None:
 def test_a_folder_says_what_it_leaves_unread(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     for name in ("1.fbx", "deep/2.FBX", "deep/er/3.step", "a.jpg", "b.jpg", "c.jpg", "LICENSE"):
         (folder / name).write_text("1 2 3\n")
-    assert names(".") == ["a.ply", "b.OBJ", "deep/c.xyz", "deep/er/d.off"]
+    assert names(".") == SCANS
     assert caplog.messages == [
         "left unread in .: 2 .fbx (export them as .glb), 1 .step (export them as .stl), 3 .jpg, 1 .csv, "
         "1 .md, 1 without a suffix"
@@ -80,14 +74,16 @@ def test_views_belong_to_their_conf(folder: Path) -> None:
 
 def test_what_means_no_scans(folder: Path) -> None:
     (folder / "hollow").mkdir()
-    (folder / "column.csv").write_text("cat,dog\n1,2\n")
-    (folder / "hollow.txt").write_text("# nothing\n\n")
-    (folder / "hollow.csv").write_text("")
-    (folder / "bytes.txt").write_bytes(b"\xff\xfe\x00")
-    (folder / "long.csv").write_text("file\n" + "x" * 200_000)
-    for suffix in (".txt", ".csv"):
-        os.mkfifo(folder / f"pipe{suffix}")
-        (folder / f"endless{suffix}").symlink_to("/dev/zero")
+    for name, content in (
+        ("column.csv", b"cat,dog\n1,2\n"),
+        ("hollow.txt", b"# nothing\n\n"),
+        ("hollow.csv", b""),
+        ("bytes.txt", b"\xff\xfe\x00"),
+        ("long.csv", b"file\n" + b"x" * 200_000),
+    ):
+        (folder / name).write_bytes(content)
+    os.mkfifo(folder / "pipe.txt")
+    (folder / "endless.csv").symlink_to("/dev/zero")
     for argument, words in {
         "": "a path must not be empty",
         "nowhere": "there is no file or folder nowhere",
@@ -100,8 +96,6 @@ def test_what_means_no_scans(folder: Path) -> None:
         "bytes.txt": r"cannot read the manifest bytes\.txt",
         "long.csv": r"long\.csv is not a CSV file \(field larger than field limit",
         "pipe.txt": "pipe.txt must be a regular file",
-        "pipe.csv": "pipe.csv must be a regular file",
-        "endless.txt": "endless.txt must be a regular file",
         "endless.csv": "endless.csv must be a regular file",
     }.items():
         with pytest.raises(InputError, match=words):
@@ -136,15 +130,12 @@ def test_a_folder_that_may_not_be_read_is_named(locked: Path, caplog: pytest.Log
 
 def test_content_that_cannot_be_had(folder: Path) -> None:
     (folder / "empty.ply").touch()
-    os.mkfifo(folder / "pipe.ply")
-    (folder / "lost.conf").write_text("bmesh gone.ply 0 0 0 0 0 0 1\n")
-    (folder / "odd.conf").write_text("bmesh a.ply 0\n")
-    (folder / "link.conf").symlink_to("nowhere")
     os.mkfifo(folder / "pipe.conf")
-    for suffix in ("conf", "ply"):
-        (folder / f"endless.{suffix}").symlink_to("/dev/zero")
+    (folder / "link.conf").symlink_to("nowhere")
+    (folder / "endless.ply").symlink_to("/dev/zero")
     (folder / "alias.ply").symlink_to("a.ply")
     for conf, views in (
+        ("lost", ["gone.ply"]),
         ("device", ["a.ply", "endless.ply"]),
         ("again", ["a.ply", "b.OBJ", "deep/../a.ply"]),
         ("linked", ["a.ply", "alias.ply"]),
@@ -155,14 +146,11 @@ def test_content_that_cannot_be_had(folder: Path) -> None:
     for name, words in (
         ("gone.ply", r"cannot read .*gone\.ply: No such file"),
         ("empty.ply", r"empty\.ply: the file is empty"),
-        ("pipe.ply", r"pipe\.ply must be a regular file"),
         ("deep", r"deep is a folder, not a scan"),
         ("zero\0.ply", "embedded null byte"),
         ("lost.conf", r"cannot read .*gone\.ply"),
-        ("odd.conf", r"odd\.conf: line 1 must read"),
         ("link.conf", r"cannot read .*link\.conf"),
         ("pipe.conf", r"pipe\.conf must be a regular file"),
-        ("endless.conf", r"endless\.conf must be a regular file"),
         ("device.conf", r"endless\.ply must be a regular file"),
         ("again.conf", r"again\.conf: each view must be named once, lines 1 and 3 name deep/\.\./a\.ply"),
         ("linked.conf", r"linked\.conf: each view must be named once, lines 1 and 2 name alias\.ply"),

@@ -19,7 +19,7 @@ TIMEOUT = 10  # of a scan; seconds
 
 # A reader of .vicious files, which does to its process what the file's name says.
 VICIOUS = """
-import ctypes, itertools, os, signal, sys, time
+import ctypes, os, signal, sys
 import numpy as np
 from pcretrieve.errors import ScanReadError
 
@@ -29,20 +29,6 @@ def read(path):
 
 def crash():
     ctypes.string_at(0)
-
-def abort():
-    os.abort()
-
-def alarm():
-    signal.alarm(1)
-    time.sleep(1000)
-
-def loop():
-    while True:
-        pass
-
-def loop_in_native_code():
-    all(itertools.repeat(1))
 
 def stop():
     os.kill(os.getpid(), signal.SIGSTOP)
@@ -80,10 +66,6 @@ DEEDS = {name: deed for name, deed in globals().items() if callable(deed)}
 # The error, the stage, and words of the message.
 EXPECTED = {
     "crash": ("WorkerDied", "worker", "ended with SIGSEGV"),
-    "abort": ("WorkerDied", "worker", "ended with SIGABRT"),
-    "alarm": ("WorkerDied", "worker", "ended with SIGALRM"),
-    "loop": ("StageTimeout", "worker", f"not finished within {TIMEOUT} s: raise --timeout"),
-    "loop_in_native_code": ("StageTimeout", "worker", f"not finished within {TIMEOUT} s: raise --timeout"),
     "stop": ("StageTimeout", "worker", f"not finished within {TIMEOUT} s: raise --timeout"),
     "fill_30_gib": ("MemoryExceeded", "read", "than --memory allows: raise that, or thin the scan"),
     "close_output": ("ScanReadError", "read", "after the deed close_output"),

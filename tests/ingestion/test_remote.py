@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -43,10 +42,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-@pytest.fixture(scope="module")
-def http(folder: Path) -> Iterator[str]:
+@pytest.fixture
+def http(tmp_path: Path) -> Iterator[str]:
     pytest.importorskip("aiohttp", reason="aiohttp is not installed (the extra remote)")
-    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(folder))) as server:
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(tmp_path))) as server:
         Thread(target=server.serve_forever, daemon=True).start()
         yield f"http://127.0.0.1:{server.server_address[1]}"
         server.shutdown()
@@ -59,44 +58,30 @@ def s3(folder: Path) -> Iterator[str]:
     server_module = pytest.importorskip("moto.server", reason="moto is not installed (the extra dev)")
     server = server_module.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
-    told = {
-        "AWS_ENDPOINT_URL": "http://{}:{}".format(*server.get_host_and_port()),
-        "AWS_ACCESS_KEY_ID": "key",
-        "AWS_SECRET_ACCESS_KEY": "secret",
-        "AWS_DEFAULT_REGION": "us-east-1",
-    }
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in told.items():
-            patch.setenv(name, value)
+        patch.setenv("AWS_ENDPOINT_URL", "http://{}:{}".format(*server.get_host_and_port()))
+        for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_DEFAULT_REGION"):
+            patch.setenv(name, "us-east-1")
         # A worker of pytest-xdist may set this fixture up twice. Clients are kept, with the address of the
         # server that they were made for, and the buckets of all servers of a process are the same.
         s3fs.S3FileSystem.clear_instance_cache()
         store, bucket = s3fs.S3FileSystem(), f"bucket-{uuid4().hex}"
         store.mkdir(bucket)
-        for file in sorted(folder.rglob("*.*")):
-            store.put_file(str(file), f"{bucket}/{file.relative_to(folder)}")
+        store.put(f"{folder}/", bucket, recursive=True)
         yield f"s3://{bucket}"
     s3fs.S3FileSystem.clear_instance_cache()
     server.stop()
 
 
-@pytest.fixture
-def memory(folder: Path) -> Iterator[str]:
-    store = fsspec.filesystem("memory")
-    name = f"/{uuid4().hex}"
-    for file in sorted(folder.rglob("*.*")):
-        store.put_file(str(file), f"{name}/{file.relative_to(folder)}")
-    yield f"memory:/{name}"
-    store.rm(name, recursive=True)
-
-
-def test_ingest_skips_what_it_has_until_the_content_changes(memory: str, tmp_path: Path) -> None:
+def test_ingest_skips_what_it_has_until_the_content_changes(folder: Path, tmp_path: Path) -> None:
+    store, memory = fsspec.filesystem("memory"), f"memory://{uuid4().hex}"
+    store.put(f"{folder}/", memory, recursive=True)
     catalogue, here = tmp_path / "c.sqlite", in_this_process  # as a file system in memory is
     first = ingest(memory, catalogue, options=OPTIONS, executor=here)
     assert [record.path for record in first.done] == [f"{memory}/egg.ply", f"{memory}/more/cigar.off"]
     assert len(ingest(memory, catalogue, executor=here).held) == 2
     write_mesh(shapes.ellipsoid((2, 2, 3), subdivisions=3), tmp_path / "other.off")
-    fsspec.filesystem("memory").put_file(str(tmp_path / "other.off"), f"{memory}/more/cigar.off")
+    store.put_file(str(tmp_path / "other.off"), f"{memory}/more/cigar.off")
     again = ingest(memory, catalogue, executor=here)
     assert [record.path for record in again.held] == [f"{memory}/egg.ply"]
     assert [record.path for record in again.done] == [f"{memory}/more/cigar.off"]
@@ -114,19 +99,17 @@ def test_ingest_of_a_bucket_equals_that_of_a_folder(s3: str, folder: Path, tmp_p
     assert "2 known already" in run("ingest", s3, "-c", tmp_path / "s3.sqlite").output
 
 
-def test_files_that_a_scan_names_are_copied_too_unless_they_are_elsewhere(http: str, folder: Path) -> None:
-    views = folder / "views"
+def test_files_that_a_scan_names_are_copied_too_unless_they_are_elsewhere(http: str, tmp_path: Path) -> None:
+    views = tmp_path / "views"
     views.mkdir()
-    try:
-        write_mesh(shapes.ellipsoid((1, 2, 3), subdivisions=3), views / "one.ply")
-        (views / "all.conf").write_text("bmesh one.ply 0 0 0 0 0 0 1\n")
-        (views / "out.conf").write_text("bmesh ../egg.ply 0 0 0 0 0 0 1\n")
-        read, expected = read_scan(f"{http}/views/all.conf"), read_scan(views / "all.conf")
-        np.testing.assert_array_equal(read.to_open3d().points, expected.to_open3d().points)
-        with pytest.raises(ScanReadError, match=r"egg\.ply"):
-            read_scan(f"{http}/views/out.conf")
-    finally:
-        shutil.rmtree(views)
+    for path in (tmp_path / "egg.ply", views / "one.ply"):
+        write_mesh(shapes.ellipsoid((1, 2, 3), subdivisions=3), path)
+    (views / "all.conf").write_text("bmesh one.ply 0 0 0 0 0 0 1\n")
+    (views / "out.conf").write_text("bmesh ../egg.ply 0 0 0 0 0 0 1\n")
+    read, expected = read_scan(f"{http}/views/all.conf"), read_scan(views / "all.conf")
+    np.testing.assert_array_equal(read.to_open3d().points, expected.to_open3d().points)
+    with pytest.raises(ScanReadError, match=r"egg\.ply"):
+        read_scan(f"{http}/views/out.conf")
 
 
 def test_stores_that_are_not_there() -> None:

@@ -8,21 +8,21 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import shapes
-from processes import wait_for
-from stored import Everything, everything
+from processes import PATIENCE, in_this_process, living, wait_for
 
-from pcretrieve import Catalogue, Record, ingest, merge_catalogues
+import pcretrieve as pr
+from pcretrieve import Catalogue, Record
 from pcretrieve.formats import write_mesh
 from pcretrieve.simulation import write_ply
 
-PATIENCE = 60  # seconds
-MARK = "PCRETRIEVE_TEST_MARK"
+ingest = partial(pr.ingest, executor=in_this_process)
 
 
 def egg(path: Path, length: float) -> bytes:
@@ -104,16 +104,6 @@ def test_labels_reach_shapes_that_are_held_already(folder: Path, filled: Catalog
     assert summary.unknown_labels == ["nobody"]
 
 
-def test_a_failure_is_stored_until_it_is_retried(folder: Path, filled: Catalogue) -> None:
-    (folder / "flat.xyz").write_text("1 2 3\n" * 200)
-    assert ids(ingest(folder, filled).failed) == ["flat"]
-    remembered = ingest(folder, filled)
-    assert (remembered.failed, "flat" in ids(remembered.held)) == ([], True)
-    assert ids(ingest(folder, filled, retry_failed=True).failed) == ["flat"]
-    (folder / "flat.xyz").unlink()
-    assert ids(ingest(folder, filled).held) == ["a", "b"]
-
-
 def test_a_file_out_of_reach_keeps_what_was_made_of_it(folder: Path, filled: Catalogue) -> None:
     """Its copy stays a copy, and the next run that reaches the file finds all as it was."""
     before, signatures = filled.records(), filled.signatures().values
@@ -133,32 +123,6 @@ def test_a_file_out_of_reach_keeps_what_was_made_of_it(folder: Path, filled: Cat
     assert ids(ingest(folder, filled).held) == ["a"]
 
 
-# --- shards ---------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_shards_make_together_what_one_ingest_makes(tmp_path: Path) -> None:
-    """Nine different eggs, in two folders with files of the same names, and a copy of one of them."""
-    folder = tmp_path / "scans"
-    for number in range(9):
-        path = folder / f"part{number % 2}" / f"egg{number // 2}.off"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        egg(path, 1 + number / 9)
-    (folder / "zcopy.off").write_bytes((folder / "part0" / "egg1.off").read_bytes())
-    ingest(folder, tmp_path / "whole.sqlite", workers=1)
-    whole, found = everything(str(tmp_path / "whole.sqlite")), Everything()
-    for number in range(1, 4):
-        part = tmp_path / f"part-{number}.sqlite"
-        summary = ingest(folder, part, workers=1, shard=f"{number}/3")
-        stored = everything(str(part))
-        assert len(summary.done) == len(stored) < len(whole)
-        assert not found.keys() & stored.keys()
-        found |= stored
-    assert found == whole
-    merge_catalogues(sorted(tmp_path.glob("part-*.sqlite")), tmp_path / "all.sqlite")
-    assert [*everything(str(tmp_path / "all.sqlite")).items()] == [*whole.items()]
-
-
 # --- several ingests at once ----------------------------------------------------------------------------
 
 
@@ -173,9 +137,9 @@ def test_two_processes_that_ingest_at_once_store_every_shape_once(
         for number in range(4):
             egg(folder / f"{number}.off", 1 + (start + 2 * number) / 8)
     command = [sys.executable, "-m", "pcretrieve", "ingest", "-c", new_location, "--workers", "1", "--json"]
-    given = [str(folders[0] if same else folder) for folder in folders]
+    given = [folders[0], folders[0 if same else 1]]
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    running = [subprocess.Popen([*command, folder], **pipes) for folder in given]
+    running = [subprocess.Popen([*command, str(folder)], **pipes) for folder in given]
     for process in running:
         said, errors = process.communicate(timeout=PATIENCE)
         assert process.returncode == 0, errors.decode()
@@ -184,27 +148,11 @@ def test_two_processes_that_ingest_at_once_store_every_shape_once(
     with Catalogue(new_location) as catalogue:
         records = catalogue.records()
         assert len(catalogue.signatures().ids) == len(records)
-    expected = folders[:1] if same else folders
-    assert sorted(record.path for record in records) == sorted(
-        str(folder / f"{number}.off") for folder in expected for number in range(4)
-    )
+    expected = {str(folder / f"{number}.off") for folder in given for number in range(4)}
+    assert sorted(record.path for record in records) == sorted(expected)
 
 
 # --- processes ------------------------------------------------------------------------------------------
-
-
-def marked(value: str) -> list[int]:
-    """Processes that were started with this mark in their environment."""
-    found = []
-    for process in Path("/proc").glob("[0-9]*"):
-        try:
-            environment = (process / "environ").read_bytes()
-            is_over = (process / "stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
-        except OSError:
-            continue  # it has ended
-        if f"{MARK}={value}".encode() in environment and not is_over:
-            found.append(int(process.name))
-    return found
 
 
 def runs_tetwild(pid: int) -> bool:
@@ -215,7 +163,7 @@ def runs_tetwild(pid: int) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc to see other processes")
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc to see other processes")
 @pytest.mark.parametrize(
     ("send", "code"),
     [
@@ -232,12 +180,11 @@ def test_no_process_outlives_an_ingest(send: Callable[[int], None], code: int, t
     command = [sys.executable, "-m", "pcretrieve", "ingest", tmp_path, "-c", tmp_path / "c.sqlite"]
     with subprocess.Popen(
         [*map(str, command), "--workers", "2", "--config", str(tmp_path / "options.toml")],
-        env=os.environ | {MARK: str(tmp_path)},
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
     ) as running:
-        assert wait_for(lambda: any(runs_tetwild(pid) for pid in marked(str(tmp_path))))
+        assert wait_for(lambda: any(runs_tetwild(pid) for pid in living(running.pid)))
         send(running.pid)
         _, said = running.communicate(timeout=PATIENCE)
     assert running.returncode == code
@@ -245,4 +192,4 @@ def test_no_process_outlives_an_ingest(send: Callable[[int], None], code: int, t
     assert "pcretrieve/" not in said.replace(str(tmp_path), "")
     if code > 0:
         assert "the same command goes on from there" in said
-    assert wait_for(lambda: not marked(str(tmp_path)))
+    assert wait_for(lambda: not living(running.pid))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from browsers import DESKTOP, PHONE, opened, origin, overflow, violations
+from processes import wait_for
 from search_server import Server, egg, running
 
 from pcretrieve import Catalogue, search
@@ -134,7 +135,7 @@ def test_keys_suffice(page: Page) -> None:
     choosers: list[FileChooser] = []
     page.on("filechooser", lambda chooser: choosers.append(chooser))
     page.keyboard.press("Tab")
-    assert focused(page) == "Skip to the shapes"
+    assert page.evaluate("document.activeElement.innerText") == "Skip to the shapes"
     page.keyboard.press("Enter")
     reached(page, "input[type=file]")
     page.keyboard.press("Space")
@@ -154,12 +155,6 @@ def test_keys_suffice(page: Page) -> None:
     assert page.evaluate("history.length") >= 3
 
 
-def focused(page: Page) -> str:
-    """The text of the element that has the focus."""
-    text: str = page.evaluate("document.activeElement.innerText")
-    return text
-
-
 def reached(page: Page, selector: str) -> None:
     """Press Tab until an element has the focus, and see that the focus is drawn."""
     for _ in range(40):
@@ -173,6 +168,7 @@ def reached(page: Page, selector: str) -> None:
 
 def test_pages_are_accessible_and_fit(browser: Browser, server: Server, tmp_path: Path) -> None:
     job, found = server.outcome("egg.off", egg(tmp_path))["job"], set[str]()
+    assert wait_for(lambda: b'id="waiting"' not in server.ask("/map").body)
     for size, dark in product((DESKTOP, PHONE), (False, True)):
         with opened(browser, server.address, size, dark=dark) as page:
             for address in (*PAGES, f"/scan/{job}", f"/scan/{job}/inspection"):

@@ -1,4 +1,4 @@
-"""What hostile files, names and requests do to a server: they are refused in words, and it goes on answering.
+"""Uploaded scans: hostile files, names and requests are refused in words; others are answered, and kept.
 
 The files and the names are those of the OWASP File Upload Cheat Sheet.
 """
@@ -9,15 +9,17 @@ import csv
 import io
 import json
 import re
+import shutil
 import socket
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from itertools import product
 from pathlib import Path
 from urllib.parse import urlencode
 
 import pytest
+from commands import refusal
 from processes import PATIENCE, wait_for
 from scan_files import HOSTILE, REFERENCES
 from search_server import Server, egg, raw, running, status
@@ -53,33 +55,22 @@ def temporary(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def target(eggs: Path, temporary: Path) -> Iterator[Server]:
+def started(eggs: Path, temporary: Path) -> Iterator[Server]:
     temporary.mkdir()
     with running(eggs, "--max-upload", "1", temporary=temporary) as server:
         yield server
 
 
-@pytest.fixture(autouse=True)
-def unharmed(request: pytest.FixtureRequest) -> Iterator[None]:
-    """After each attack, the server answers, and has kept no file."""
-    yield
-    if "target" in request.fixturenames:
-        target: Server = request.getfixturevalue("target")
-        place: Path = request.getfixturevalue("temporary")
-        assert target.ask("/shapes/Egg00/similar?k=1").json["results"][0]["id"] == "Egg01"
-        assert wait_for(lambda: not scans_in(place))
+@pytest.fixture
+def target(started: Server, temporary: Path) -> Iterator[Server]:
+    """A server that answers after each attack, and has kept no file."""
+    yield started
+    assert started.ask("/shapes/Egg00/similar?k=1").json["results"][0]["id"] == "Egg01"
+    assert wait_for(lambda: not scans_in(temporary))
 
 
 def scans_in(place: Path) -> list[Path]:
     return [path for path in place.rglob("*") if path.suffix.lower() in (".off", ".ply", ".obj")]
-
-
-def sizes_in(place: Path) -> list[int]:
-    sizes = []
-    for path in scans_in(place):
-        with suppress(FileNotFoundError):  # the server has removed it meanwhile
-            sizes.append(path.stat().st_size)
-    return sizes
 
 
 # --- files ------------------------------------------------------------------------------------------------
@@ -111,14 +102,11 @@ def test_files_that_a_scan_refers_to_are_not_opened(target: Server) -> None:
 # --- names ------------------------------------------------------------------------------------------------
 
 
-def test_other_kinds_of_files_are_refused(target: Server) -> None:
+def test_names_say_what_kind_of_file_it_is_and_are_of_no_file(target: Server) -> None:
     for name in REFUSED:
         answer = target.send(name, b"OFF")
         assert answer.status == 400
         assert "a scan must be a file with one of the suffixes" in answer.json["message"]
-
-
-def test_names_are_of_no_file(target: Server) -> None:
     for name in WORDS:
         job = target.outcome(name, b"OFF")
         assert job["name"] == name
@@ -188,7 +176,6 @@ def test_slow_and_endless_bodies_are_given_up(eggs: Path, tmp_path: Path) -> Non
             with raw(server, begun) as endless, pytest.raises(ConnectionError):  # the server closes it
                 while time.monotonic() < end:
                     endless.sendall(more)
-                    assert all(size <= 1_000_000 for size in sizes_in(tmp_path))
         assert server.ask("/").status == 200
 
 
@@ -240,3 +227,87 @@ def test_a_scan_is_answered_as_by_the_library_and_inspected(
     # What the content policy of the server would not let the browser do.
     assert not re.findall(r"<style|style=|<script>|\son\w+=", inspection)
     assert "'unsafe-inline'" not in inspection + answer.headers["content-security-policy"]
+
+
+# --- keeping ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def keeper(eggs: Path, tmp_path: Path) -> Iterator[Server]:
+    """A server that may change its catalogue, and keeps scans in a folder."""
+    folder, temporary = tmp_path / "kept", tmp_path / "temporary"
+    folder.mkdir()
+    temporary.mkdir()
+    collection = Path(shutil.copy(eggs, tmp_path / "collection.sqlite"))
+    with running(collection, "--keep", str(folder), temporary=temporary) as server:
+        yield server
+
+
+NOT_KEPT: list[tuple[dict[str, str], str]] = [
+    *(
+        ({"id": name}, "a name must be letters")
+        for name in ("", "../../evil", "/etc/passwd", ".hidden", "a*", "x" * 101, "a\0b")
+    ),
+    ({}, "a name must be letters"),
+    ({"id": "Egg00"}, "there is a shape 'Egg00' already"),
+    ({"id": "fine", "label": "a\nb"}, "a class must be"),
+    ({"id": "fine", "label": "x" * 201}, "a class must be"),
+]
+
+
+def test_nobody_else_and_under_no_other_name_may_have_a_scan_kept(keeper: Server, tmp_path: Path) -> None:
+    job = keeper.outcome("egg.off", egg(tmp_path))
+    for fields, said in NOT_KEPT:
+        refused = keeper.ask(f"/scans/{job['job']}/keep?{urlencode(fields)}", method="POST")
+        assert refused.status == 400, (fields, refused.body)
+        assert said in refused.json["message"]
+        by_form = keeper.ask(f"/scan/{job['job']}/keep", method="POST", body=urlencode(fields).encode())
+        assert by_form.status == 400 and b"<main" in by_form.body, fields
+    cookie = keeper.ask(f"/?token={keeper.token}", bearer=False).headers["set-cookie"].split(";")[0]
+    for headers in ({}, {"Cookie": cookie}, {"Cookie": cookie, "Origin": "http://evil.example"}):
+        for address in (f"/scans/{job['job']}/keep?id=evil", f"/scan/{job['job']}/keep"):
+            answer = keeper.ask(address, method="POST", body=b"id=evil", headers=headers, bearer=False)
+            assert answer.status == 403
+    long = keeper.ask(f"/scan/{job['job']}/keep", method="POST", body=b"id=" + b"x" * 20_000)
+    assert long.status == 413
+    assert [*(tmp_path / "kept").iterdir()] == []
+    assert keeper.ask("/shapes").json["total"] == 13
+    assert keeper.ask(f"/scans/{job['job']}").json["kept_as"] is None
+
+
+def test_what_the_catalogue_has_or_cannot_have_is_not_kept_and_ends_with_the_server(
+    keeper: Server, tmp_path: Path
+) -> None:
+    scan = egg(tmp_path)
+    first, second = keeper.outcome("a.off", scan), keeper.outcome("b.off", scan)
+    assert keeper.ask(f"/scans/{first['job']}/keep?id=one", method="POST").status == 201
+    refused = keeper.ask(f"/scans/{second['job']}/keep?id=two", method="POST")
+    assert (refused.status, refused.json["message"]) == (400, "the catalogue has this scan already, as 'one'")
+    bad = keeper.outcome("bad.off", b"OFF\n1 1 1\nnothing")
+    assert keeper.ask(f"/scans/{bad['job']}/keep?id=three", method="POST").status == 404
+    assert keeper.ask("/scans/none/keep?id=four", method="POST").status == 404
+    assert [path.name for path in (tmp_path / "kept").iterdir()] == ["one.off"]
+    assert keeper.ask("/shapes?q=one").json["total"] == 1
+    assert scans_in(tmp_path / "temporary"), "until it is too late to ask for it"
+    keeper.process.terminate()
+    keeper.process.wait(60)
+    assert not scans_in(tmp_path / "temporary")
+
+
+def test_a_server_that_only_reads_takes_and_keeps_no_scan(eggs: Path, tmp_path: Path) -> None:
+    with running(eggs, "--read-only") as closed:
+        assert closed.send("a.off", b"OFF").status == 404
+        assert b'id="upload"' not in closed.ask("/").body
+    words = refusal("serve", "-c", eggs, "--read-only", "--keep", tmp_path)
+    assert "choose one of --read-only and --keep" in words
+
+
+def test_what_a_killed_server_leaves_is_removed_by_the_next(keeper: Server, tmp_path: Path) -> None:
+    temporary = tmp_path / "temporary"
+    keeper.outcome("egg.off", egg(tmp_path))
+    keeper.process.kill()
+    keeper.process.wait(60)
+    assert scans_in(temporary)
+    with running(tmp_path / "collection.sqlite", temporary=temporary) as server:
+        assert server.ask("/shapes").status == 200
+        assert not scans_in(temporary)
