@@ -41,7 +41,7 @@ def gltf_scene(path: Path) -> Scene:
     placed = _placed(tree, n_bytes)
     nodes, meshes = tree["nodes"], tree["meshes"]
     labels = (nodes[node].get("name") or meshes[placed[node][0]].get("name") or "" for node in sorted(placed))
-    names = dict(zip(sorted(placed), distinct_names(map(str, labels)), strict=True))
+    names = zip(distinct_names(map(str, labels)), sorted(placed), strict=True)
 
     @cache
     def parts(mesh: int) -> list[RawScan]:
@@ -51,8 +51,7 @@ def gltf_scene(path: Path) -> Scene:
         empty = RawScan(np.empty((0, 3)))  # of a mesh without primitives
         return joined([empty, *(moved(part, motion) for part in parts(mesh))])._replace(unit="m")
 
-    bodies = {names[node]: partial(body, *found) for node, found in placed.items()}
-    return Scene(bodies, tuple(names.values()), is_surface=True)
+    return {name: partial(body, *placed[node]) for name, node in names}
 
 
 def buffer_files(path: Path) -> tuple[Part, ...]:
@@ -177,7 +176,7 @@ def _primitive(tree: Any, contents: list[bytes], primitive: Any) -> RawScan:
     vertices = _values(tree, contents, primitive["attributes"]["POSITION"], "VEC3").astype(np.float64)
     mode = primitive.get("mode", TRIANGLES)
     if mode not in (TRIANGLES, STRIP, FAN):
-        return RawScan(vertices, np.empty((0, 3), dtype=np.int64))
+        return RawScan(vertices)
     corners = np.arange(len(vertices))
     if "indices" in primitive:
         corners = _values(tree, contents, primitive["indices"], "SCALAR")[:, 0].astype(np.int64)

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcretrieve.formats.format import Damaged, RawScan, distinct_names, fans, joined, text_lines
 from pcretrieve.values import FloatArray, TriangleMesh, unit_of
@@ -83,29 +84,17 @@ def _vertex(word: str, n_before: int) -> int:
     return number - 1 if number > 0 else n_before + number
 
 
-def read_off(path: Path) -> RawScan:
-    """Read an OFF file."""
-    mesh = _by_trimesh(path, "off")
+def read_by_trimesh(path: Path) -> RawScan:
+    """Read an OFF file, or an STL file, with nothing merged."""
+    import trimesh
+
+    file_type = path.suffix[1:].lower()
+    # An open file, because trimesh takes names in UTF-8 only.
+    with path.open("rb") as file:
+        mesh = _of_trimesh(trimesh.load(file, file_type=file_type, process=False, force="mesh"))
     if not len(mesh.points):
         raise Damaged("it holds no vertices")
     return mesh
-
-
-def read_stl(path: Path) -> RawScan:
-    """Read an STL file, and merge the vertices that its triangles share."""
-    mesh = _by_trimesh(path, "stl")
-    if mesh.faces is None:
-        raise Damaged("it holds no triangles")
-    return _merged(mesh)
-
-
-def _by_trimesh(path: Path, file_type: str) -> RawScan:
-    """The vertices and the triangles of a file, with nothing merged."""
-    import trimesh
-
-    # An open file, because trimesh takes names in UTF-8 only.
-    with path.open("rb") as file:
-        return _of_trimesh(trimesh.load(file, file_type=file_type, process=False, force="mesh"))
 
 
 def _of_trimesh(mesh: Any) -> RawScan:
@@ -113,44 +102,49 @@ def _of_trimesh(mesh: Any) -> RawScan:
     return RawScan(np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3), faces if len(faces) else None)
 
 
-def _merged(mesh: RawScan) -> RawScan:
-    """A mesh without the duplicates of its vertices, which are in lexicographic order."""
-    faces = np.empty((0, 3), dtype=np.int64) if mesh.faces is None else mesh.faces
-    n = len(mesh.points)
-    if faces.size and not (faces.min() >= 0 and faces.max() < n):
-        raise Damaged(f"faces must name vertices 0 to {n - 1}, got {faces.min()} to {faces.max()}")
-    points, inverse = np.unique(mesh.points, axis=0, return_inverse=True)
-    return mesh._replace(points=points, faces=inverse.reshape(-1)[faces] if len(faces) else None)
+def welded(points: NDArray[Any], faces: NDArray[np.integer]) -> tuple[NDArray[Any], NDArray[np.integer]]:
+    """Merge the vertices that coincide at the ends of open edges, which have one face.
+
+    STL repeats the vertices of each triangle, other formats those at seams of normals and textures. Vertices
+    that coincide without such an edge in common are of parts that touch, and stay apart.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    n = len(points)
+    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=-1) @ (n, 1)  # (m, 3), one number for each edge
+    edges, use = np.unique(sides, return_counts=True)
+    ends = np.column_stack(np.divmod(edges[use == 1], n))  # (s, 2)
+    if not len(ends):
+        return points, faces
+    order = np.lexsort(points.T)
+    place = np.empty(n, dtype=np.int64)
+    place[order] = np.cumsum(np.diff(points[order], axis=0, prepend=np.nan).any(axis=1)) - 1
+    at = place[ends]  # (s, 2)
+    _, edge = np.unique(np.sort(at, axis=1) @ (n, 1), return_inverse=True)  # (s,)
+    # A graph of the vertices, and of the two ends of each edge in space, which are theirs.
+    end = n + 2 * edge[:, None] + (at == at.max(axis=1, keepdims=True))  # (s, 2)
+    pairs, size = (ends.ravel(), end.ravel()), int(end.max()) + 1
+    graph = coo_array((np.ones(ends.size, np.int8), pairs), shape=(size, size))
+    merged = connected_components(graph, directed=False)[1][:n]  # (n,), numbered in the order of the file
+    first = np.flatnonzero(np.diff(np.maximum.accumulate(merged), prepend=-1))
+    return points[first], merged[faces]
 
 
 # --- scenes -----------------------------------------------------------------------------------------------
 
 
-class Scene(NamedTuple):
-    """The bodies of a file by name, in its unit; which are read when they are called.
-
-    names: the names in the order of the file.
-    is_surface: whether the bodies may be parts of one surface, whose vertices are one too.
-    """
-
-    bodies: Mapping[str, Callable[[], RawScan]]
-    names: tuple[str, ...]
-    is_surface: bool = False
+#: The bodies of a file by name, in their order and in the unit of the file; each is read when it is called.
+Scene: TypeAlias = dict[str, Callable[[], RawScan]]
 
 
 def read_scene(read: Callable[[Path], Scene], path: Path, name: str | None = None) -> RawScan:
     """All bodies of a scene as one scan, or the body of a name."""
-    bodies, _, is_surface = read(path)
+    bodies = read(path)
     chosen = [body() for body in (bodies.values() if name is None else [bodies[name]])]
     if not any(len(body.points) for body in chosen):
         raise Damaged("its scene has no vertices")
-    # Formats duplicate vertices of faces of different normals.
-    return _merged(joined(chosen)) if is_surface else joined([*map(_merged, chosen)])
-
-
-def names_in_scene(read: Callable[[Path], Scene], path: Path) -> tuple[str, ...]:
-    """The names of the bodies."""
-    return read(path).names
+    return joined(chosen)
 
 
 def check_size(n_values: int, n_bytes: int) -> None:
@@ -206,6 +200,9 @@ def _markup(path: Path, file_type: str, n_bytes: int) -> tuple[list[tuple[str, R
     if not meshes:
         raise Damaged("it holds no triangles")
     check_size(sum(mesh.vertices.size + mesh.faces.size for _, _, mesh in meshes), n_bytes)
+    if file_type == "dae":  # in which trimesh merges all that coincides, of parts that touch too
+        for *_, mesh in meshes:
+            mesh.unmerge_vertices()
     bodies = [(name, moved(_of_trimesh(mesh), motion)) for name, motion, mesh in meshes]
     return bodies, meshes[-1][2].metadata.get("units")
 
@@ -213,4 +210,4 @@ def _markup(path: Path, file_type: str, n_bytes: int) -> tuple[list[tuple[str, R
 def _scene(found: list[tuple[str, RawScan]], unit: str | None, scale: float = 1.0) -> Scene:
     names = distinct_names(name for name, _ in found)
     scans = [scan._replace(points=scale * scan.points, unit=unit) for _, scan in found]
-    return Scene({name: partial(RawScan, *scan) for name, scan in zip(names, scans, strict=True)}, (*names,))
+    return {name: partial(RawScan, *scan) for name, scan in zip(names, scans, strict=True)}

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.format import RawScan, url_of
+from pcretrieve.formats.meshes import welded
 from pcretrieve.formats.registry import read_raw
 from pcretrieve.formats.remote import local_copy
 from pcretrieve.values import METRES, UNIT, PointCloud, Step, TriangleMesh
@@ -109,6 +110,7 @@ def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:
             numbers = np.cumsum(kept) - 1  # (n,), of the vertices that are left
             faces = numbers[faces[kept[faces].all(axis=1)]]
         if len(faces):
+            points, faces = welded(points, faces.astype(np.int64))
             sizes = {"vertices": n, "faces": len(raw.faces), **unit}
             step = Step("read", time.perf_counter() - started, sizes, tuple(notes))
             return TriangleMesh(points, faces.astype(np.int32), (step,))

@@ -23,11 +23,9 @@ from pcretrieve.formats.meshes import (
     Scene,
     collada_scene,
     mesh_bytes,
-    names_in_scene,
+    read_by_trimesh,
     read_obj,
-    read_off,
     read_scene,
-    read_stl,
     three_mf_scene,
 )
 from pcretrieve.formats.pcd import pcd_bytes, read_pcd
@@ -232,7 +230,7 @@ def _rows(array: object, name: str, n: int | None = None) -> NDArray[np.float64]
 
 
 def _scene(read: Callable[[Path], Scene], **others: Any) -> Format:
-    return Format(partial(read_scene, read), names=partial(names_in_scene, read), **others)
+    return Format(partial(read_scene, read), names=lambda path: tuple(read(path)), **others)
 
 
 # Columns behind the coordinates of tables without a header are colours and intensities, by the suffix.
@@ -254,8 +252,8 @@ _OWN = {
     ".e57": Format(read_e57, names=e57_names, extra=Extra("e57", ("pye57",))),
     **dict.fromkeys((".png", ".tif", ".tiff"), _IMAGE),
     ".obj": Format(read_obj, write_mesh=partial(mesh_bytes, file_type="obj")),
-    ".off": Format(read_off, write_mesh=partial(mesh_bytes, file_type="off")),
-    ".stl": Format(read_stl, write_mesh=partial(mesh_bytes, file_type="stl")),
+    ".off": Format(read_by_trimesh, write_mesh=partial(mesh_bytes, file_type="off")),
+    ".stl": Format(read_by_trimesh, write_mesh=partial(mesh_bytes, file_type="stl")),
     ".glb": _scene(gltf_scene, write_mesh=partial(mesh_bytes, file_type="glb")),
     ".gltf": _scene(gltf_scene, parts=buffer_files),
     ".3mf": _scene(three_mf_scene, extra=Extra("meshes", ("lxml", "networkx"))),

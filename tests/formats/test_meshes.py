@@ -80,6 +80,18 @@ def test_a_vertex_that_is_nan_takes_its_faces_with_it(tmp_path: Path) -> None:
     assert defects(found).boundary_edges == n_around
 
 
+def test_vertices_are_merged_at_open_edges_only(tmp_path: Path) -> None:
+    """Two cubes that touch in a corner remain two, with or without vertices in common among their faces."""
+    faces = np.array([(*side[:1], *side[k : k + 2]) for side in SIDES for k in (1, 2)])
+    corners, faces = np.concatenate([CUBE, -CUBE]), np.concatenate([faces, faces[:, ::-1] + 8])
+    for points, numbers in ((corners, faces), (corners[faces].reshape(-1, 3), np.arange(72).reshape(-1, 3))):
+        lines = [f"v {x:g} {y:g} {z:g}" for x, y, z in points]
+        (tmp_path / "a.obj").write_text("\n".join([*lines, *(f"f {a} {b} {c}" for a, b, c in numbers + 1)]))
+        found = mesh(tmp_path / "a.obj")
+        np.testing.assert_array_equal(found.vertices[found.faces], corners[faces])
+        assert len(found.vertices) == 16 and str(defects(found)) == "2 components"
+
+
 # --- several meshes ---------------------------------------------------------------------------------------
 
 
@@ -131,7 +143,7 @@ def test_a_file_of_one_body_has_no_names_and_a_hash_in_its_name_is_no_mark(tmp_p
 
 def test_nodes_place_their_meshes_as_trimesh_does(tmp_path: Path) -> None:
     nested = [
-        *(NODES[1] | {"children": [1, 2]}, NODES[2] | {"children": [3]}, {"children": [4]}),
+        *(NODES[1] | {"children": [2, 1]}, NODES[2] | {"children": [3]}, {"children": [4]}),
         *(NODES[3], NODES[2]),
     ]
     for nodes in (*([node] for node in NODES), nested):
