@@ -60,7 +60,8 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(folder: Path) -> N
     assert [Path(duplicate["path"]).name for duplicate in answer["duplicates"]] == ["copy.off"]
     assert "5 to process, 0 failed, 0 known already, 1 duplicates" in done.stderr
     # With a catalogue, it knows what that has.
-    ingest(folder)
+    failures = [line for line in ingest(folder).stderr.splitlines() if line.startswith("failed: [")]
+    assert [line.split()[1] for line in failures] == [f"[{name}" for name in bad], "one message each"
     before = files(folder)
     answer = json.loads(ingest(folder, "--dry-run", "--json").stdout)["result"]
     assert (answer["planned"], answer["held"]) == ([], ["a", "b"])
@@ -81,9 +82,6 @@ def test_after_so_many_failures_the_ingest_stops_and_can_be_continued(folder: Pa
     with pr.Catalogue(folder / "c.sqlite") as catalogue:
         assert len(catalogue.records(status="failed")) == 2
     progress = ingest(folder, "--max-failures", 2, "--progress", "json", "--quiet", code=3)
-    with pr.Catalogue(folder / "c.sqlite") as catalogue:
-        assert len(catalogue.records(status="failed")) == N_BAD
-        assert [record.id for record in catalogue.records(status="done")] == ["a", "b"]
     # Progress in JSON is one line for each scan, and the log has each stage of each scan.
     lines = [json.loads(line) for line in progress.stderr.splitlines()]
     assert [line["finished"] for line in lines] == list(range(1, 7))
@@ -94,8 +92,7 @@ def test_after_so_many_failures_the_ingest_stops_and_can_be_continued(folder: Pa
     assert by_id["a"]["seconds"] > 0
     assert (by_id["bad-0"]["status"], by_id["bad-0"]["stage"]) == ("failed", "read")
     text = log.read_text()
-    for name in ("a.off", "b.off"):
-        assert f"INFO pcretrieve.pipeline: {name}: spectrum in " in text
+    assert "INFO pcretrieve.pipeline: b.off: spectrum in " in text
     assert "INFO pcretrieve.ingestion.run: failed: [bad-1 / read]" in text
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import zipfile
+from html import unescape
 from pathlib import Path
 from urllib.parse import unquote, urlparse
 
@@ -24,8 +25,7 @@ from pcretrieve.simulation.samples import DEMO_QUERY
 
 LENGTHS = {"a": 1.5, "b": 2.0, "c": 3.0}
 FEW_CELLS = "[surface]\ncell = 0.01\ntarget_faces = 3000\n"
-N_VIEWS = 6
-RIG = RigOptions(n_views=N_VIEWS, pixels=120, n_points=None)
+RIG = RigOptions(n_views=6, pixels=120, n_points=None)
 
 
 @pytest.fixture(scope="module")
@@ -97,8 +97,6 @@ def test_an_inspection_has_checks_numbers_and_pictures(
     answer = json.loads(done.stdout)["result"]
     assert answer["page"] == str(tmp_path / "page.html")
     assert answer["failure"] is None
-    judgement = answer["shape_verdict"]["judgement"]
-    assert (answer["verdict"], judgement) in (("passed", "sound"), ("look", "doubtful"))
     assert answer["shape_verdict"]["uncertainty"] >= answer["spread"]
     assert answer["next_body"]["distance"] == 0.5
     assert {"Points", "Normals", "Handles", "Signature"} <= {check["name"] for check in answer["checks"]}
@@ -106,7 +104,6 @@ def test_an_inspection_has_checks_numbers_and_pictures(
         assert f"{check['verdict']:<6}  {check['name']}" in done.stderr
     assert len(answer["signature"]) == len(answer["rescan_deviation"]) == 118
     assert "deviation" not in answer, "that is over the surfaces of one scan"
-    assert answer["spread"] ** 2 == pytest.approx(sum(part**2 for part in answer["rescan_deviation"]))
     assert [step["stage"] for step in answer["steps"]][:3] == ["read", "crop", "clean"]
     with Image.open("sheet.png") as sheet:
         assert sheet.format == "PNG" and sheet.width > 1000
@@ -117,12 +114,16 @@ def test_a_scan_that_fails_gets_its_page(tmp_path: Path, monkeypatch: pytest.Mon
     write_ply(Path("few.ply"), shapes.points_on(shapes.body(), 50))
     Path("garbage.ply").write_bytes(b"\x00\xff" * 500)
     for scan, stage in (("garbage.ply", "read"), ("few.ply", "crop")):
-        done = run("inspect", scan, "--json", code=3)
+        done = run("inspect", scan, "--png", "sheet.png", "--json", code=3)
         answer = json.loads(done.stdout)["result"]
         assert answer["failure"]["stage"] == stage
         assert answer["signature"] is answer["rescan_deviation"] is answer["spread"] is None
-        assert f"the {stage} stage failed" in Path(answer["page"]).read_text(encoding="utf-8")
+        page = unescape(Path(answer["page"]).read_text(encoding="utf-8"))
+        assert f"the {stage} stage failed" in page and answer["failure"]["message"] in page
         assert f"the {stage} stage failed" in done.stderr
+        assert ("<canvas" in page) == ("<img" in page) == (stage != "read")
+        with Image.open("sheet.png") as sheet:
+            assert np.asarray(sheet).min() < 100  # something is drawn
 
 
 def packed(path: str) -> dict[str, str]:
@@ -163,12 +164,12 @@ def test_a_scan_that_fails_is_packed_without_its_points_and_its_folder(
 
 @pytest.fixture(scope="module")
 def views(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Views of a body before a scanner, a .conf that says where they belong, and a view of something else."""
+    """Two views of a body before a scanner, a .conf with their places, and a view of something else."""
     place = tmp_path_factory.mktemp("merge")
     rng = np.random.default_rng(0)
     (place / "views").mkdir()
     names, motions = [], []
-    for number, view in enumerate(scan_views(shapes.body(), RIG, rng)):
+    for number, view in enumerate(scan_views(shapes.body(), RIG, rng)[2:4]):
         assert view.viewpoints is not None
         away = np.eye(4)
         away[:3, :3], away[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.normal(0, 2, 3)
@@ -183,20 +184,25 @@ def views(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-@pytest.mark.slow
-def test_a_view_that_is_left_out_shows_in_words_in_json_and_in_the_exit_code(views: Path) -> None:
+def test_a_view_that_is_left_out_shows_in_words_in_json_and_in_the_exit_code(
+    views: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(views)
     (views / "searched.ply").write_text("what stood there before")
-    done = program("merge", "views", "torus.pcd", "-o", "searched.ply", "--json", cwd=views, code=3)
+    done = run("merge", "views", "torus.pcd", "-o", "searched.ply", "--json", code=3)
     answer = json.loads(done.stdout)["result"]
-    assert [view["placed"] for view in answer["views"]] == [True] * N_VIEWS + [False]
+    assert [view["placed"] for view in answer["views"]] == [True, True, False]
     assert answer["views"][-1]["pose"] is None and answer["views"][-1]["rms"] is None
     (line,) = [line for line in done.stderr.splitlines() if line.startswith("left out  ")]
     assert line.endswith("torus.pcd")
-    assert any(note.startswith(f"left out view {N_VIEWS}") for note in answer["notes"])
-    assert f"placed {N_VIEWS} of {N_VIEWS + 1} views" in done.stderr
+    assert any(note.startswith("left out view 2") for note in answer["notes"])
+    assert "placed 2 of 3 views" in done.stderr
 
 
-def test_the_poses_of_a_conf_are_kept_if_asked(views: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_poses_of_a_conf_and_the_largest_range_are_kept(
+    views: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three quarters of the points lie within the third quartile of the distances from their sensors."""
     monkeypatch.chdir(views)
     direct = pr.read_scan("body.conf")
     assert isinstance(direct, pr.PointCloud) and direct.viewpoints is not None
@@ -208,17 +214,9 @@ def test_the_poses_of_a_conf_are_kept_if_asked(views: Path, monkeypatch: pytest.
         if suffix != ".xyzn":
             assert kept.viewpoints is not None
             np.testing.assert_allclose(kept.viewpoints, direct.viewpoints, atol=1e-4)
-
-
-@pytest.mark.slow
-def test_the_largest_range_reaches_the_merge(views: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Three quarters of the points lie within the third quartile of the distances from their sensors."""
-    monkeypatch.chdir(views)
-    scan = pr.read_scan("body.conf")
-    assert isinstance(scan, pr.PointCloud) and scan.viewpoints is not None
-    reach = np.quantile(np.linalg.norm(scan.points - scan.viewpoints, axis=1), 0.75)
-    found = result("merge", "body.conf", "-o", "near.ply", "--max-range", reach)
-    assert found["points"] == pytest.approx(0.75 * len(scan.points), rel=0.01)
+    reach = np.quantile(np.linalg.norm(direct.points - direct.viewpoints, axis=1), 0.75)
+    found = result("merge", "body.conf", "--no-refine", "-o", "near.ply", "--max-range", reach)
+    assert found["points"] == pytest.approx(0.75 * len(direct.points), rel=0.01)
 
 
 # --- demo -----------------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +16,14 @@ from PIL import Image
 
 import pcretrieve as pr
 from pcretrieve.catalogue import Content, Record
-from pcretrieve.evaluation.comparison import read_scores
-from pcretrieve.evaluation.measures import MEASURES, query_scores
+from pcretrieve.evaluation.measures import MEASURES
 from pcretrieve.formats import write_mesh
 from pcretrieve.matching import MATCHERS, match_all
 
 N_KINDS, N_EACH = 4, 4
 PCA = ("--whitening", "pca", "--distance", "d1", "--n-values", 9)
 PLAIN = ("--whitening", "none")
+METHOD = ("--method", "r-bihdm")
 
 
 @pytest.fixture(scope="module")
@@ -45,26 +46,18 @@ def eggs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # --- options --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scale", ["area", "relative"])
-def test_a_file_gives_commands_their_options_and_flags_override_it(
-    scale: str, eggs: Path, tmp_path: Path
-) -> None:
-    """Of R-BiHDM, whose values have a scale: the default, and one that the catalogue was told."""
-    catalogue, mine = tmp_path / "c.sqlite", tmp_path / "mine.toml"
-    built = {"method": "r-bihdm"} | ({} if scale == "area" else {"scale": scale})
-    labels = {f"{kind}{number}.off": f"kind{kind}" for kind in range(N_KINDS) for number in range(3)}
-    files = [eggs / name for name in labels]
-    pr.ingest(files, catalogue, labels=labels, options={"signature": built}, workers=2)
+def test_a_file_gives_commands_their_options_and_flags_override_it(eggs: Path, tmp_path: Path) -> None:
+    """Of R-BiHDM, whose values have a scale."""
+    mine, asked = tmp_path / "mine.toml", ("evaluate", "-c", eggs / "eggs.sqlite", *METHOD)
     mine.write_text("[signature]\nn_values = 9\n[retrieval]\nwhitening = 'pca'\ndistance = 'd1'\n")
-    asked = ("evaluate", "-c", catalogue)
     by_file = result(*asked, "--config", mine)
     assert (by_file["n_values"], by_file["whitening"], by_file["distance"]) == (9, "pca", "d1")
     assert by_file == result(*asked, *PCA)
     back = ("--whitening", "auto", "--distance", "log", "--n-values", 59)
     assert result(*asked, "--config", mine, *back) == result(*asked)
-    query = ("query", "-c", catalogue, files[0])
+    query = ("query", eggs / "10.off", *asked[1:])
     assert result(*query, "--config", mine) == result(*query, *PCA) != result(*query)
-    run("report", "-c", catalogue, "-o", tmp_path / "page.html", "--queries", 1, "--config", mine)
+    run("report", *asked[1:], "-o", tmp_path / "page.html", "--queries", 1, "--config", mine)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     for name, value in {"distance": "d1", "whitening": "pca: the cov", "scale": by_file["scale"]}.items():
         assert re.search(rf"<dt>{name}</dt>\s*<dd>{value}", page), name
@@ -82,9 +75,8 @@ def test_sizes_are_compared_in_one_unit_or_not_at_all(tmp_path: Path) -> None:
     assert first["distance"] < 0.05
     assert second["distance"] == pytest.approx(6 * np.log(1.2**2), rel=0.01)
     options = {"signature": {"size_weight": 6}}
-    known = pr.search(catalogue, query, options=options, unit="cm")
+    known = pr.search(catalogue, pr.read_scan(query), options=options, unit="cm")
     assert known.distances.tolist() == [first["distance"], second["distance"]]
-    assert pr.search(catalogue, pr.read_scan(query), options=options, unit="cm").ids == known.ids
     signed = pr.signature(query, {**options, "scan": {"unit": "cm"}})
     assert pr.search(catalogue, signed, options=options) == known
     said = refusal("query", query, "-c", catalogue, "--scale", "absolute")
@@ -176,10 +168,6 @@ def test_two_settings_matrices_and_files_give_one_comparison(eggs: Path, tmp_pat
     for name, flags in settings.items():
         run("matrix", "-c", catalogue, *PLAIN, *flags, "-o", tmp_path / f"{name}.txt")
         run("evaluate", "-c", catalogue, *PLAIN, *flags, "--csv", tmp_path / name)
-    with pr.Catalogue(catalogue) as store:
-        chosen = store.options.changed(retrieval={"whitening": "none", "distance": "log"})
-        rankings = pr.evaluate(store, options=chosen).ranked.rankings
-    assert read_scores(tmp_path / "one" / "queries.csv") == query_scores(rankings)
     plain = {"retrieval": {"whitening": "none"}}
     short = {"retrieval": {"whitening": "none", "distance": "d1"}, "signature": {"n_values": 5}}
     expected = pr.compare(catalogue, catalogue, options=plain, second_options=short)
@@ -192,20 +180,17 @@ def test_two_settings_matrices_and_files_give_one_comparison(eggs: Path, tmp_pat
     found = result("compare", catalogue, catalogue, *PLAIN, *both, "--changes", 3)
     assert found["difference"] == dict(zip(MEASURES, expected.difference.tolist(), strict=True))
     assert found["low"] == dict(zip(MEASURES, expected.interval[0].tolist(), strict=True))
-    assert found["n_queries"] == 16
     assert [one["id"] for one in found["changes"]] == [one.shape_id for one in expected.changes[:3]]
     printed = run("compare", *files).stdout.splitlines()
     assert printed[3].split()[:6] == [f"{value:+.3f}" for value in expected.difference]
     assert printed[1].endswith(f"  A: {files[0]}")
     change = expected.changes[0]
-    assert printed[6:8] == ["average precision of the most changed shapes:", "ID  CLASS       A       B"]
     precisions = f"{change.first:.4f}", f"{change.second:.4f}"
     assert printed[8].split() == [change.shape_id, change.label, *precisions]
     said = refusal("compare", catalogue, matrices[0])
     assert "a distance matrix has no classes: give labels" in said
     said = refusal("compare", catalogue, catalogue, *("--distance", "d1") * 3)
     assert "--distance is given at most twice, got 3" in said
-    assert "there is no catalogue" in refusal("compare", catalogue, tmp_path / "gone.sqlite")
 
 
 # --- duplicates and maps --------------------------------------------------------------------------------
@@ -213,34 +198,25 @@ def test_two_settings_matrices_and_files_give_one_comparison(eggs: Path, tmp_pat
 
 @pytest.fixture(scope="module")
 def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Twelve eggs of three kinds; the fourth of each is almost the third, and not sound of the last kind."""
+    """Six eggs of two kinds; the third of each is almost the second, and not sound of the last kind."""
     location, options = tmp_path_factory.mktemp("near") / "eggs.sqlite", pr.PipelineOptions()
     with pr.Catalogue(location, create=True) as store:
-        for kind in range(3):
-            for number, width in enumerate((1, 1.04, 1.08, 1.0801)):
-                shape = pr.process(shapes.ellipsoid((width, 1, 1.3 + 0.5 * kind), 3))
-                sound = (kind, number) != (2, 3)
-                verdict = pr.Verdict("sound" if sound else "doubtful", 0.01 if sound else 0.5)
-                values = pr.describe(shape, options.signature).values
-                label = None if kind == 2 else f"<kind {kind}>"
-                name = f"{kind}{number}"
-                store.put(
-                    Record(name, f"/{name}.off", name, label),
-                    Content(replace(shape, verdict=verdict), values),
-                )
+        for number, (kind, width) in enumerate(product(("a", None), (1, 1.08, 1.0801))):
+            shape = pr.process(shapes.ellipsoid((width, 1, 1.8 if kind else 2.3), 3))
+            verdict = pr.Verdict("doubtful", 0.5) if number == 5 else pr.Verdict("sound", 0.01)
+            content = Content(replace(shape, verdict=verdict), pr.describe(shape, options.signature).values)
+            store.put(Record(f"{number}", f"/{number}.off", f"hash {number}", kind), content)
     return location
 
 
 def test_duplicates_are_nearer_than_the_noise(near: Path) -> None:
-    pairs = pr.duplicates(near)
-    assert {(pair.first, pair.second) for pair in pairs} == {("02", "03"), ("12", "13")}
-    assert all(pair.limit == pytest.approx(0.01 * 2**0.5) for pair in pairs)
+    (pair,) = pr.duplicates(near)
+    assert (pair.first, pair.second) == ("1", "2")
+    assert pair.limit == pytest.approx(0.01 * 2**0.5)
     done = run("duplicates", "-c", near)
-    assert [line.split()[2:] for line in done.stdout.splitlines()[1:]] == [
-        [pair.first, pair.second] for pair in pairs
-    ]
-    assert done.stderr == "2 pairs\n"
-    assert result("duplicates", "-c", near) == [pair._asdict() for pair in pairs]
+    assert [line.split()[2:] for line in done.stdout.splitlines()[1:]] == [["1", "2"]]
+    assert done.stderr == "1 pair\n"
+    assert result("duplicates", "-c", near) == [pair._asdict()]
 
 
 def test_a_map_is_a_picture_or_a_page(near: Path, tmp_path: Path) -> None:
@@ -250,12 +226,12 @@ def test_a_map_is_a_picture_or_a_page(near: Path, tmp_path: Path) -> None:
     with Image.open(picture) as opened:
         assert opened.size[0] > 600
     text = page.read_text("utf-8")
-    assert len(re.findall(r'<path role="img" tabindex', text)) == 12
+    assert len(re.findall(r'<path role="img" tabindex', text)) == 6
     assert text.count("class unknown") == 1
     embedded = re.search(r'id="pictures">(.*?)</script>', text, re.DOTALL)
     assert embedded is not None
     pictures = json.loads(embedded[1])
-    assert len(pictures) == 12 and all(data.startswith("iVBOR") for data in pictures)
+    assert len(pictures) == 6 and all(data.startswith("iVBOR") for data in pictures)
     for name in ("again.html", "once_more.html"):  # with the thumbnails that the first one kept
         pr.draw_map(near, tmp_path / name)
     assert (tmp_path / "again.html").read_bytes() == (tmp_path / "once_more.html").read_bytes()

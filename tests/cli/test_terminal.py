@@ -179,9 +179,7 @@ def redirected(folder: Path, command: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize(
-    "redirection", ["2>&-", "0<&- 2>&-", ">&-", pytest.param(f"2>{FULL}", marks=needs_full)]
-)
+@pytest.mark.parametrize("redirection", ["0<&- 2>&-", ">&-", pytest.param(f"2>{FULL}", marks=needs_full)])
 def test_what_cannot_be_printed_ends_no_batch(redirection: str, tmp_path: Path) -> None:
     """Neither messages nor results, of one good scan and one that fails."""
     (tmp_path / "scans").mkdir()

@@ -13,7 +13,7 @@ import browsers
 import numpy as np
 import pytest
 import shapes
-from click.testing import CliRunner
+from commands import refusal, run
 from search_server import NASTY
 
 from pcretrieve import (
@@ -27,7 +27,6 @@ from pcretrieve import (
     search_many,
     write_mesh,
 )
-from pcretrieve.cli.main import cli
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation import evaluate
 
@@ -76,21 +75,14 @@ def written(catalogue: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def many(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A catalogue with as many shapes of a kind as scores need."""
-    heights = {f"kind{kind}": (at, at + 0.01, at + 0.02) for kind, at in enumerate((1.2, 1.5, 2.0, 2.7))}
-    return filled(tmp_path_factory.mktemp("many"), heights)
-
-
-@pytest.fixture(scope="module")
-def folder(many: Path) -> Path:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A new egg of kind 1, and scans that fail."""
-    bad = many.parent / "bad"
-    bad.mkdir()
-    (bad / "garbage.ply").write_bytes(b"\x00\xff" * 500)
-    (bad / "<b>&.ply").write_bytes(b"ply\n")
-    egg(1.515, many.parent / "new.off")
-    return many.parent
+    place = tmp_path_factory.mktemp("scans")
+    (place / "bad").mkdir()
+    (place / "bad" / "garbage.ply").write_bytes(b"\x00\xff" * 500)
+    (place / "bad" / "<b>&.ply").write_bytes(b"ply\n")
+    egg(1.8, place / "new.off", width=1.06)
+    return place
 
 
 def words_of(page: Path) -> str:
@@ -129,11 +121,10 @@ def test_no_page_needs_another_file_or_runs_what_a_name_says(eggs: Path, tmp_pat
     assert len(set(inlined)) == len(inlined) <= 12, "each picture is inlined once"
 
 
-def test_the_same_report_replaces_the_old_one_in_one_step(catalogue: Path, written: Path) -> None:
+def test_a_report_is_the_same_again_and_has_its_folder(catalogue: Path, written: Path) -> None:
     first = written.read_bytes()
-    with written.open("rb") as reader:  # of the old page, which is never cut short
-        assert report(catalogue, written, k=4) == written
-        assert reader.read() == first == written.read_bytes()
+    assert report(catalogue, written, k=4) == written
+    assert first == written.read_bytes()
     for place in ("missing/report.html", "eggs.sqlite/report.html"):
         with pytest.raises(InputError, match=r"cannot write .*; name a file in a folder"):
             report(catalogue, catalogue.parent / place)
@@ -156,12 +147,9 @@ def test_measures_and_curve_are_those_of_the_evaluation(catalogue: Path, written
 
 
 def test_two_results_are_compared(catalogue: Path, tmp_path: Path) -> None:
-    run, arguments = CliRunner().invoke, ["--catalogue", str(catalogue)]
-    made = run(cli, ["evaluate", *arguments, "--distance", "d2", "--csv", str(tmp_path / "d2")])
-    assert made.exit_code == 0, made.output
+    run("evaluate", "-c", catalogue, "--distance", "d2", "--csv", tmp_path / "d2")
     other, page = tmp_path / "d2" / "queries.csv", tmp_path / "compared.html"
-    made = run(cli, ["report", *arguments, "--versus", str(other), "-o", str(page)])
-    assert made.exit_code == 0, made.output
+    run("report", "-c", catalogue, "--versus", other, "-o", page)
     words = words_of(page)
     assert f"Compared with {other}" in words
     assert "Measure The other This Difference Interval This is NN" in words
@@ -184,47 +172,44 @@ def test_without_classes_there_is_nothing_to_compare(catalogue: Path, tmp_path: 
 # --- a search -----------------------------------------------------------------------------------------
 
 
-def test_the_page_of_one_scan_says_what_the_search_found(many: Path, folder: Path) -> None:
-    page = query_page(many, folder / "new.off", folder / "one.html", k=5)
-    answer, words = answer_of(many, folder / "new.off", 5), words_of(page)
-    assert answer.vote is not None and answer.vote.label == "kind1"
-    assert f"kind1 , by {100 * answer.vote.share:.0f} % of the votes of 5 results" in words
+def test_the_page_of_one_scan_says_what_the_search_found(eggs: Path, folder: Path) -> None:
+    page = query_page(eggs, folder / "new.off", folder / "one.html", k=4)
+    answer, words = answer_of(eggs, folder / "new.off", 4), words_of(page)
+    assert answer.vote is not None and answer.vote.label == "<kind 1>"
+    assert f"<kind 1> , by {100 * answer.vote.share:.0f} % of the votes of 4 results" in words
     assert "The signature is " in words
     assert re.findall(r'<b class="name">(.*?)</b>', page.read_text("utf-8")) == list(answer.neighbors.ids)
     assert answer.neighbors.scores is not None
     for gap, score in zip(answer.neighbors.distances, answer.neighbors.scores, strict=True):
         assert f"distance {f'{gap:#.3g}'.rstrip('.')} score {score:.2f}" in words
-    assert "12 shapes" in words and "10 values, of the form alone" in words
+    assert "12 shapes" in words and "20 values, of the form alone" in words
     assert "Overview" not in words and "failed" not in words
 
 
-def test_doubt_about_an_answer_is_said(many: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doubt_about_an_answer_is_said(eggs: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     egg(0.4, folder / "flat.off", width=3.0)
-    page = query_page(many, folder / "flat.off", folder / "none.html", min_score=0.99)
+    page = query_page(eggs, folder / "flat.off", folder / "none.html", min_score=0.99)
     assert "No match : no shape has a score of 0.99 or more" in words_of(page)
     assert "least score 0.99" in words_of(page) and '<ol class="results">' not in page.read_text("utf-8")
-    answer = answer_of(many, folder / "new.off", 4)
+    answer = answer_of(eggs, folder / "new.off", 4)
     far = replace(answer, neighbors=replace(answer.neighbors, scores=np.full(4, 0.25)))
     monkeypatch.setattr("pcretrieve.pages.queries_page.search_many", lambda *_, **__: [("new.off", far)])
-    page = query_page(many, [], folder / "doubt.html")
-    assert "Probably no match : the best score is 0.25. Nearest is kind1 , by " in words_of(page)
+    page = query_page(eggs, [], folder / "doubt.html")
+    assert "Probably no match : the best score is 0.25. Nearest is <kind 1> , by " in words_of(page)
 
 
-def test_the_command_prints_what_it_prints_and_writes_the_page(many: Path, folder: Path) -> None:
-    asked = ["query", "-c", str(many), str(folder / "new.off"), "-k", "2"]
-    plain, page = CliRunner().invoke(cli, asked), folder / "command.html"
-    both = CliRunner().invoke(cli, [*asked, "--html", str(page)])
-    assert (both.exit_code, plain.exit_code, both.stdout) == (0, 0, plain.stdout)
+def test_the_command_prints_what_it_prints_and_writes_the_page(eggs: Path, folder: Path) -> None:
+    asked = ("query", "-c", eggs, folder / "new.off", "-k", 2)
+    page = folder / "command.html"
+    both = run(*asked, "--html", page)
+    assert both.stdout == run(*asked).stdout
     assert f"page: {page}" in both.stderr
-    words = words_of(page)
-    assert words == words_of(query_page(many, folder / "new.off", page, k=2))
-    bad = folder / "bad" / "garbage.ply"
-    done = CliRunner().invoke(cli, ["query", "-c", str(many), str(bad), "--html", str(page)])
-    assert done.exit_code != 0 and "1 scan failed" in words_of(page)
-    for target in (many, folder / "new.off"):  # a page replaces no scan and no catalogue
+    refusal("query", "-c", eggs, folder / "bad" / "garbage.ply", "--html", page)
+    assert "1 scan failed" in words_of(page)
+    for target in (eggs, folder / "new.off"):  # a page replaces no scan and no catalogue
         before = target.read_bytes()
-        done = CliRunner().invoke(cli, [*asked, "--html", str(target)])
-        assert done.exit_code != 0 and target.read_bytes() == before
+        refusal(*asked, "--html", target)
+        assert target.read_bytes() == before
 
 
 # --- in a browser -------------------------------------------------------------------------------------
@@ -265,11 +250,11 @@ def test_queries_and_classes_are_searched_and_sorted_without_a_server(page: Page
 
 @pytest.mark.slow
 def test_pages_are_accessible_and_fit_a_phone(
-    browser: Browser, many: Path, folder: Path, written: Path
+    browser: Browser, eggs: Path, folder: Path, written: Path
 ) -> None:
-    queries: list[str | Path] = ["kind2-1", folder / "bad", folder / "new.off"]
-    search = query_page(many, queries, folder / "browser.html", k=4)
-    for file in (written, search, draw_map(many, folder / "map.html")):
+    queries: list[str | Path] = ["Egg21", folder / "bad", folder / "new.off"]
+    search = query_page(eggs, queries, folder / "browser.html", k=4)
+    for file in (written, search, draw_map(eggs, folder / "map.html")):
         for size, dark in ((browsers.DESKTOP, False), (browsers.PHONE, True)):
             with browsers.opened(browser, file.as_uri(), size, dark=dark) as page:
                 assert browsers.overflow(page) <= 0

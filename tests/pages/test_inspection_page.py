@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 import shapes
 from numpy.typing import NDArray
-from PIL import Image
 
 from pcretrieve.checks import Check, Inspection, graded
 from pcretrieve.checks.stages import fit_checks, surface_checks
 from pcretrieve.draw.pictures import Colour
-from pcretrieve.pages import write_inspection_page, write_inspection_png
+from pcretrieve.pages import write_inspection_page
 from pcretrieve.pages.inspection_pictures import DROPPED, KEPT, inspection_cameras, rows_of
 from pcretrieve.values import Failure, PointCloud, Signature
 
@@ -136,22 +135,6 @@ def test_the_page_needs_nothing_else_stays_small_and_no_name_can_break_it(tmp_pa
     assert text.count("<script") == text.count("</script>") == 2
     assert "default-src 'none'" in text
     assert not re.findall(r"""(?:src|href)=["'](?!data:)|https?:|url\(""", text)
-
-
-def test_a_scan_that_could_not_be_read_has_a_page_and_a_sheet(tmp_path: Path) -> None:
-    failure = Failure("gone.ply", "read", "ScanReadError", "not a complete PLY file")
-    none, flags = np.zeros((0, 3)), np.zeros(0, dtype=bool)
-    checks = (Check("The read stage", "failed", None, failure.error, failure.message),)
-    seen = replace(
-        inspection(), checks=checks, scan=None, cut_away=flags, dropped=flags, cloud=None, mesh=None,
-        filled=flags, cuts=none, bridges=none, signature=None, rescan_deviation=None, spread=None,
-        failure=failure,
-    )  # fmt: skip
-    text = write_inspection_page(seen, tmp_path / "page.html").read_text(encoding="utf-8")
-    assert "not a complete PLY file" in text
-    assert "<canvas" not in text and "<img" not in text
-    with Image.open(write_inspection_png(seen, tmp_path / "sheet.png")) as sheet:
-        assert np.asarray(sheet).min() < 100  # something is written
 
 
 def test_the_summary_compares_the_error_bar_with_the_next_body() -> None:

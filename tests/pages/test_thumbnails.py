@@ -13,13 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
-from click.testing import CliRunner
+from commands import run
 from PIL import Image
 
 import pcretrieve as pr
 from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.catalogue import find_defects
-from pcretrieve.cli.main import cli
 from pcretrieve.draw.thumbnail import THUMBNAIL_PIXELS, thumbnail
 from pcretrieve.errors import OptionError
 from pcretrieve.formats import write_mesh
@@ -110,11 +109,7 @@ def test_what_is_up_can_be_said_for_each_page(
     for words in (("report",), ("map",), ("query", "0", "-k", "3", "--html")):
         drawn.clear()
         output = () if "--html" in words else ("-o",)
-        page = tmp_path / f"{words[0]}.html"
-        done = CliRunner().invoke(
-            cli, [*words, *output, str(page), "--up", up, "-c", catalogue.location], catch_exceptions=False
-        )
-        assert done.exit_code == 0, done.output
+        run(*words, *output, tmp_path / f"{words[0]}.html", "--up", up, "-c", catalogue.location)
         np.testing.assert_array_equal(drawn, [direction] * 3, err_msg=words[0])
 
 
