@@ -1,4 +1,4 @@
-"""Depth images: the points that a pinhole camera saw, and where its parameters are found."""
+"""Depth images and PTX files: points, normals and sensors of grids of readings."""
 
 from __future__ import annotations
 
@@ -7,18 +7,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import open3d
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
 from scan_files import cloud
+from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud, read_scan
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats import is_scan, parts_of
+from pcretrieve.formats import is_scan, members_of, parts_of
 from pcretrieve.formats.depth import KINECTS, TUM_CAMERAS, camera_of
 from pcretrieve.formats.identity import content_hash
 from pcretrieve.formats.registry import read_raw
 from pcretrieve.ingestion.discover import discover
+from pcretrieve.ingestion.views import read_views
 
 WIDTH, HEIGHT = 80, 60
 FX, FY, CX, CY = 70.0, 72.0, 38.0, 31.0
@@ -27,16 +30,18 @@ FLAT = f"fx = {FX}\nfy = {FY}\ncx = {CX}\ncy = {CY}\n"
 OPEN3D = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [FX, 0, 0, 0, FY, 0, CX, CY, 1]}
 
 
-def depth(
-    camera: tuple[float, float, float, float] = (FX, FY, CX, CY), size: tuple[int, int] = (WIDTH, HEIGHT)
+def readings(
+    camera: tuple[float, float, float, float] = (FX, FY, CX, CY),
+    size: tuple[int, int] = (WIDTH, HEIGHT),
+    wall: float = 0.0,
 ) -> NDArray[np.float64]:
-    """(h, w) depth of a ball in metres; zero where there is none."""
+    """(h, w, 3) points of a ball before a wall of that depth, in metres; zero where there is none."""
     fx, fy, cx, cy = camera
     u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
     rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones(u.shape)], axis=2)  # with depth 1
     a, b = (rays**2).sum(axis=2), rays @ CENTER
     inside = b**2 - a * (CENTER @ CENTER - RADIUS**2)
-    return np.where(inside > 0, (b - np.sqrt(np.maximum(inside, 0))) / a, 0)
+    return rays * np.where(inside > 0, (b - np.sqrt(np.maximum(inside, 0))) / a, wall)[..., None]
 
 
 def write(path: Path, image: NDArray[Any]) -> None:
@@ -64,15 +69,16 @@ def is_ball(found: PointCloud, tolerance: float) -> bool:
     )
 
 
-MILLIMETRES = np.round(1000 * depth()).astype(np.uint16)
+DEPTH = readings()[..., 2]
+MILLIMETRES = np.round(1000 * DEPTH).astype(np.uint16)
 
 
 def test_millimetres_and_metres(tmp_path: Path) -> None:
     (tmp_path / "camera.toml").write_text(FLAT)
     for name, image in (
-        *(("a.png", MILLIMETRES), ("a.tif", MILLIMETRES), ("a.tiff", depth().astype(np.float32))),
-        *(("a.npy", MILLIMETRES), ("a.npy", depth())),
-        ("a.npy", np.where(depth() > 0, depth(), np.nan).astype(np.float32)),
+        *(("a.png", MILLIMETRES), ("a.tif", MILLIMETRES), ("a.tiff", DEPTH.astype(np.float32))),
+        *(("a.npy", MILLIMETRES), ("a.npy", DEPTH)),
+        ("a.npy", np.where(DEPTH > 0, DEPTH, np.nan).astype(np.float32)),
     ):
         write(tmp_path / name, image)
         assert is_ball(cloud(tmp_path / name), tolerance=1e-3), name
@@ -112,7 +118,7 @@ def test_the_folder_of_the_tum_benchmark(tmp_path: Path) -> None:
     (folder / "depth.txt").write_text("# depth maps\n1.0 depth/1.0.png\n")
     (folder / "groundtruth.txt").write_text("# timestamp tx ty tz qx qy qz qw\n" + "1 0 0 0 0 0 0 1\n" * 9)
     camera = TUM_CAMERAS["freiburg2"]
-    image = depth((*camera.focal, *camera.center), (640, 480))
+    image = readings((*camera.focal, *camera.center), (640, 480))[..., 2]
     write(folder / "depth" / "1.0.png", np.round(5000 * image).astype(np.uint16))
     assert discover([folder]) == [folder / "depth" / "1.0.png"]
     assert is_ball(cloud(folder / "depth" / "1.0.png"), tolerance=1e-3)
@@ -120,7 +126,7 @@ def test_the_folder_of_the_tum_benchmark(tmp_path: Path) -> None:
 
 def test_the_default_is_the_camera_of_a_kinect_for_images_of_its_size(tmp_path: Path) -> None:
     for size, camera in KINECTS.items():
-        image = depth((*camera.focal, *camera.center), size)
+        image = readings((*camera.focal, *camera.center), size)[..., 2]
         write(tmp_path / "a.png", np.round(1000 * image).astype(np.uint16))
         found = cloud(tmp_path / "a.png")
         assert is_ball(found, tolerance=1e-3)
@@ -181,9 +187,61 @@ def test_images_that_are_no_depth_images(tmp_path: Path) -> None:
     assert not is_scan(tmp_path / "text.png")
 
 
-@pytest.mark.slow
 def test_the_parameters_of_open3d_are_read_by_columns(tmp_path: Path) -> None:
-    open3d = pytest.importorskip("open3d")
     intrinsic = open3d.camera.PinholeCameraIntrinsic(WIDTH, HEIGHT, FX, FY, CX, CY)
-    open3d.io.write_pinhole_camera_intrinsic(str(tmp_path / "camera.json"), intrinsic)
+    open3d.io.write_pinhole_camera_intrinsic(tmp_path / "camera.json", intrinsic)
     assert camera_of(tmp_path / "camera.json") == ((FX, FY), (CX, CY), None, (WIDTH, HEIGHT), "")
+
+
+# --- PTX --------------------------------------------------------------------------------------------------
+
+SENSOR, TURN = np.array([10.0, -20.0, 3.0]), Rotation.from_euler("zyx", [0.4, -0.2, 1.1])
+WALL = 4.0  # depth; metres
+
+
+def ptx(turn: Rotation, sensor: NDArray[np.float64], grid: NDArray[np.float64]) -> str:
+    """A header of ten lines and the readings; points are rows, so that the matrix is transposed."""
+    axes = turn.as_matrix().T
+    rows = [*grid.shape[:2], sensor, *axes, *([*axis, 0] for axis in axes), [*sensor, 1]]
+    head = "".join(" ".join(f"{value:.9g}" for value in np.atleast_1d(row)) + "\n" for row in rows)
+    return head + "".join("{:.9g} {:.9g} {:.9g} 0.5 1 2 3\n".format(*row) for row in grid.reshape(-1, 3))
+
+
+def test_readings_of_ptx_in_the_common_frame(tmp_path: Path) -> None:
+    """Between a body and its background a sensor measures points on neither surface."""
+    grid = readings(wall=WALL)
+    grid[:5] = 0
+    grid[50, 60] *= 0.5  # stands alone
+    (tmp_path / "a.ptx").write_text(ptx(TURN, SENSOR, grid))
+    found = cloud(tmp_path / "a.ptx")
+    assert found.viewpoints is not None
+    assert found.normals is not None
+    own, normals = (found.points - SENSOR) @ TURN.as_matrix(), found.normals @ TURN.as_matrix()
+    on_wall = np.abs(own[:, 2] - WALL) < 1e-6
+    np.testing.assert_allclose(normals[on_wall], np.tile([0, 0, -1.0], (on_wall.sum(), 1)), atol=1e-6)
+    assert is_ball(PointCloud(own[~on_wall], normals[~on_wall], (found.viewpoints - SENSOR)[~on_wall]), 1e-6)
+    assert np.einsum("ij,ij->i", normals, -own).min() >= 0
+    missing, alone = found.provenance[0].notes
+    assert missing == f"dropped {5 * WIDTH} of {WIDTH * HEIGHT} readings without an answer"
+    assert "points without three neighbours on a surface" in alone
+
+
+def test_scans_of_one_file_are_joined_by_the_poses_of_their_sensors(tmp_path: Path) -> None:
+    one, other = ptx(TURN, SENSOR, readings()), ptx(Rotation.identity(), np.zeros(3), readings())
+    for name, text in (("one", one), ("both", one + other), ("loose", other + other)):
+        (tmp_path / f"{name}.ptx").write_text(text)
+    alone, both = cloud(tmp_path / "one.ptx"), cloud(tmp_path / "both.ptx")
+    n = len(alone.points)
+    assert both.viewpoints is not None
+    np.testing.assert_array_equal(both.points[:n], alone.points)
+    np.testing.assert_allclose(both.points[n:] @ TURN.as_matrix().T + SENSOR, alone.points, atol=1e-6)
+    np.testing.assert_array_equal(both.viewpoints, [SENSOR] * n + [np.zeros(3)] * n)
+    first, second = members_of(tmp_path / "both.ptx")
+    assert [path.name for path in (first, second)] == ["both.ptx#1", "both.ptx#2"]
+    np.testing.assert_array_equal(cloud(first).points, alone.points)
+    np.testing.assert_array_equal(cloud(second).points, both.points[n:])
+    assert members_of(tmp_path / "one.ptx") == ()
+    np.testing.assert_array_equal(read_views([tmp_path / "both.ptx"]).poses, [np.eye(4), np.eye(4)])
+    loose = read_views([tmp_path / "loose.ptx"])
+    assert len(loose.clouds) == 2
+    assert loose.poses is None
