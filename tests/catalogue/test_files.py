@@ -330,7 +330,7 @@ def store_pairs(path: Path, ended: Event) -> None:
 def test_a_backup_while_writing_goes_on_is_one_state(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pcretrieve.catalogue.copies.PAGES_AT_ONCE", 100)
+    monkeypatch.setattr("pcretrieve.catalogue.copies.PAGES_AT_ONCE", 1)
     sizes, ended = [20], Event()
     with ThreadPoolExecutor() as pool, Catalogue(path) as store:
         writing = pool.submit(store_pairs, path, ended)
