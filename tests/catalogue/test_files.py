@@ -98,6 +98,8 @@ def test_what_is_no_catalogue_is_left_as_it_is(tmp_path: Path) -> None:
             with pytest.raises(CatalogueError, match=words):
                 Catalogue(file, create=create)
             assert file.read_bytes() == before
+    with pytest.raises(CatalogueError, match="is a folder: name a file for --catalogue"):
+        Catalogue(tmp_path, create=True)
     with pytest.raises(CatalogueError, match=r"there is no folder .*nowhere to put a catalogue into"):
         Catalogue(tmp_path / "nowhere" / "c.sqlite", create=True)
 
