@@ -1,7 +1,8 @@
-"""Reconstruction by growth: bodies of several sizes, scans with holes, and contacts."""
+"""Reconstruction by growth: bodies with holes and contacts; the coarse surface, which closes the holes."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -12,11 +13,16 @@ from benchmarks.uniform import UniformOptions, scan_uniformly
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import ScanOptions, SurfaceOptions
 from pcretrieve.points import oriented_normals
-from pcretrieve.points.neighbors import neighborhoods, spacing
+from pcretrieve.points.density import local_spacings
+from pcretrieve.points.grid import Grid
+from pcretrieve.points.neighbors import SPACING_NEIGHBORS, neighborhoods, spacing
+from pcretrieve.points.outside import sampled
 from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.surface import SurfaceMarks, body_surfaces, defects
+from pcretrieve.surface.caps import NO_CAP
+from pcretrieve.surface.coarse import BESIDE, coarse_surface, filled, indicator
 from pcretrieve.surface.reconstruct import uniform_points
-from pcretrieve.values import PointCloud, TriangleMesh
+from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 CELL = 0.0045  # edge of the voxels for the torus; relative to the diagonal
 LIMB_RADIUS = 0.06  # of the limb of `limbed`
@@ -142,17 +148,11 @@ def test_a_scan_of_one_side_or_without_normals_is_refused(name: str) -> None:
         next(body_surfaces(PointCloud(cloud.points), SurfaceOptions()))
 
 
-# --- points of a surface ------------------------------------------------------------------------------
-
-# Two triangles in the plane z = 2, of areas 3 and 1.
-TRIANGLES = TriangleMesh(
-    np.array([[0.0, 0, 2], [3, 0, 2], [0, 2, 2], [10, 0, 2], [11, 0, 2], [10, 2, 2]]),
-    np.array([[0, 1, 2], [3, 4, 5]]),
-)
-
-
-def test_density_is_that_of_the_area() -> None:
-    points, faces = uniform_points(TRIANGLES, 40_000, np.random.default_rng(0))
+def test_density_of_points_is_that_of_the_area() -> None:
+    """On two triangles, of areas 3 and 1."""
+    corners = np.array([[0.0, 0, 2], [3, 0, 2], [0, 2, 2], [10, 0, 2], [11, 0, 2], [10, 2, 2]])
+    both = TriangleMesh(corners, np.array([[0, 1, 2], [3, 4, 5]]))
+    points, faces = uniform_points(both, 40_000, np.random.default_rng(0))
     second = points[:, 0] >= 10
     np.testing.assert_array_equal(faces, second)
     assert second.mean() == pytest.approx(1 / 4, abs=0.01)
@@ -162,3 +162,89 @@ def test_density_is_that_of_the_area() -> None:
     assert (x / 3 + y / 2).max() <= 1 + 1e-12
     # Halving the sides about a corner leaves a quarter of the area.
     assert (x / 3 + y / 2 <= 1 / 2).mean() == pytest.approx(1 / 4, abs=0.01)
+
+
+# --- the coarse surface -------------------------------------------------------------------------------
+
+EGG = shapes.ellipsoid((0.6, 0.7, 1.0), subdivisions=4)
+ON_EGG = shapes.oriented_points_on(EGG, 20_000)
+
+
+def volume_below(height: float) -> float:
+    """Of the ellipsoid x² / .36 + y² / .49 + z² = 1 below a plane."""
+    return np.pi * 0.6 * 0.7 * (1 + height - (1 + height**3) / 3)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-160, 1e100])
+def test_the_indicator_function_is_one_inside_and_zero_outside(unit: float) -> None:
+    points = unit * ON_EGG.points
+    grid = Grid.around(points, 0.04 * unit, 10)
+    assert ON_EGG.normals is not None
+    spacings = local_spacings(neighborhoods(points, SPACING_NEIGHBORS + 1))
+    values = indicator(points, ON_EGG.normals, spacings, grid)
+    for reach, expected, error in ((0.8, 1, 0.2), (1.2, 0, 0.1)):
+        at = grid.coordinates(unit * reach * EGG.vertices)
+        assert sampled(values, at) == pytest.approx(expected, abs=error)
+
+
+def test_small_holes_are_closed_and_large_ones_are_capped() -> None:
+    for height, expected, error in ((2.0, 1.0, 0.07), (0.996, 1.0, 0.07), (0.7, 0.7, 0.04)):
+        cloud = ON_EGG.select(ON_EGG.points[:, 2] < height)
+        found = coarse_surface(cloud, SurfaceOptions(), spacing=spacing(neighborhoods(cloud.points, 9)))
+        assert defects(found.surface).boundary_edges == 0
+        assert found.surface.volume == pytest.approx(volume_below(expected), rel=error)
+        assert (found.cap != NO_CAP).any() == (height == 0.7)
+
+
+@pytest.mark.parametrize("side", [1, -1], ids=["top", "base"])
+def test_a_cap_is_in_the_plane_of_its_rim(side: int) -> None:
+    """The Poisson surface alone bulges beyond the plane by a tenth of the diagonal."""
+    down = np.array([0, 0, side])
+    cloud = ON_EGG.select(ON_EGG.points @ down < 0.7)
+    if side < 0:
+        cloud = replace(cloud, viewpoints=5 * cloud.points)
+    mesh, marks = surface(cloud, reconstructions=1)
+    assert (mesh.vertices @ down).max() < 0.75  # the rim, by two voxels
+    assert np.median(marks.base @ down) == pytest.approx(0.7, abs=0.01)
+    assert mesh.volume == pytest.approx(volume_below(0.7), rel=0.02)
+
+
+# --- what is inside -----------------------------------------------------------------------------------
+
+GRID = Grid(np.array([1.0, -2.0, 3.0]), 0.5, (24, 24, 24))
+RADIUS = 8.234  # voxels
+
+
+def octahedron(centre: FloatArray) -> tuple[TriangleMesh, np.ndarray]:
+    """The mesh, and the voxels whose centres it contains."""
+    corners = np.concatenate([np.eye(3), -np.eye(3)]) * RADIUS + centre
+    faces = [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
+    solid = np.abs(np.moveaxis(np.indices(GRID.shape), 0, -1) - centre).sum(axis=-1) < RADIUS
+    return TriangleMesh(GRID.centres(corners), np.array(faces, dtype=np.int32)), solid
+
+
+def test_voxels_inside_are_those_of_the_solid_but_for_the_border_of_the_grid() -> None:
+    for centre in (
+        [12.31, 11.62, 12.27],
+        [12 + BESIDE[0], 12 + BESIDE[1], 12.3],  # edges on lines
+        [12 + BESIDE[0], 12 + BESIDE[0], 12 + BESIDE[1]],  # vertices on lines
+        [12.0, 12.0, 12.0],  # vertices on voxels
+        # What sticks out of the grid is cut off.
+        *(np.where(np.arange(3) == axis, end, 12.27) for axis in range(3) for end in (3.31, 19.62)),
+    ):
+        mesh, solid = octahedron(np.array(centre))
+        solid = np.pad(solid[1:-1, 1:-1, 1:-1], 1)
+        np.testing.assert_array_equal(filled(mesh, GRID)[0], solid)
+
+
+def test_crossings_lie_on_the_surface() -> None:
+    centre = np.array([12.31, 11.62, 12.27])
+    inside, crossings = filled(octahedron(centre)[0], GRID)
+    for axis in range(3):
+        here = np.argwhere(np.isfinite(crossings[axis]))
+        turns = np.argwhere(np.diff(inside.astype(int), axis=axis))
+        # A line near an edge may cross the mesh twice between two voxels.
+        assert set(map(tuple, turns)) <= set(map(tuple, here))
+        places = here.astype(float)
+        places[:, axis] += crossings[axis][tuple(here.T)]
+        np.testing.assert_allclose(np.abs(places - centre).sum(axis=1), RADIUS, atol=1e-3)

@@ -178,9 +178,6 @@ def test_an_answer_that_cannot_be_used_is_refused_and_said_so(
 
 def test_without_an_answer_a_surface_with_holes_is_an_error() -> None:
     pricked = TriangleMesh(BODY.vertices, BODY.faces[1:])
-    message = (
-        r"the surface has defects \(3 boundary edges\) and could not be remeshed: fTetWild did not finish "
-        r"within 0\.001 s and was stopped"
-    )
+    message = r"the surface has defects \(3 boundary edges\) and could not be remeshed: fTetWild did not"
     with pytest.raises(RemeshError, match=message):
         remesh(pricked, RemeshOptions(method="tetwild", timeout=1e-3))
