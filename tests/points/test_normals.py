@@ -1,4 +1,4 @@
-"""Normals point out of the body, with every method of orientation, in every unit."""
+"""Neighbours are those of a k-d tree, their planes those of LAPACK; spacing, noise, density; normals."""
 
 from __future__ import annotations
 
@@ -7,13 +7,161 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapes
+from scipy.spatial import cKDTree
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import ScanOptions
 from pcretrieve.points import oriented_normals
+from pcretrieve.points.density import interpolated, local_spacings, sparse_points
+from pcretrieve.points.neighbors import (
+    Neighborhoods,
+    guided_planes,
+    nearest,
+    neighborhoods,
+    noise,
+    plane_deviations,
+    spacing,
+)
 from pcretrieve.points.normals import estimate_normals, orient_by_tangent_planes
 from pcretrieve.points.register.groups import feature_histograms
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
+
+RNG = np.random.default_rng(0)
+
+
+def on_sphere(n: int, seed: int = 1) -> FloatArray:
+    """Random points on the unit sphere."""
+    points = np.random.default_rng(seed).normal(size=(n, 3))
+    return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
+
+
+ON_SPHERE = on_sphere(4000)
+CLOUDS = {
+    "sphere": ON_SPHERE,
+    "far from the origin": ON_SPHERE + 1e6,
+    "cube": RNG.random((3000, 3)),
+    "plane": np.pad(RNG.random((2000, 2)), ((0, 0), (0, 1))),
+    "line": np.pad(RNG.random((500, 1)), ((0, 0), (0, 2))),
+    "of very different density": RNG.normal(size=(3000, 3)) ** 5,
+    "with strays": np.concatenate([ON_SPHERE, [[1e5, 0, 0], [0, -1e7, 3]]]),
+}
+
+
+@pytest.mark.parametrize("points", CLOUDS.values(), ids=CLOUDS)
+def test_the_nearest_points_are_those_of_a_tree(points: FloatArray) -> None:
+    beside = points.mean(axis=0) + 1.5 * (points[::7] - points.mean(axis=0))
+    for places in (points, beside):
+        distance, near = nearest(points, places, 9)
+        expected, numbers = cKDTree(points).query(places, k=np.arange(1, 10))
+        np.testing.assert_array_equal(distance, expected)
+        np.testing.assert_array_equal(near, numbers)
+
+
+def test_points_that_coincide_are_neighbours_at_distance_zero() -> None:
+    points = np.repeat(CLOUDS["cube"][:100], 3, axis=0)
+    distance, near = nearest(points, points, 3)
+    assert (distance == 0).all()
+    assert (np.sort(near, axis=1) // 3 == np.arange(300)[:, None] // 3).all()
+
+
+# --- planes -------------------------------------------------------------------------------------------
+
+K = 9
+GROUPS = RNG.normal(size=(200, K, 3)) * [1.0, 0.7, 0.05] @ np.linalg.qr(RNG.normal(size=(3, 3)))[0] + 5
+OF_GROUP = np.arange(200 * K).reshape(200, K)
+
+
+def test_deviations_are_the_smallest_singular_values() -> None:
+    centred = GROUPS - GROUPS.mean(axis=1, keepdims=True)
+    expected = np.linalg.svd(centred, compute_uv=False)[:, 2] / np.sqrt(K - 3)
+    np.testing.assert_allclose(plane_deviations(GROUPS.reshape(-1, 3), OF_GROUP), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("unit", [1.0, 2.0**-80])
+def test_normals_are_the_last_eigenvectors_with_the_orientation_of_the_guide(unit: float) -> None:
+    points = unit * GROUPS.reshape(-1, 3)
+    near = np.repeat(OF_GROUP, K, axis=0)  # of each point, all points of its group
+    distance = np.zeros(near.shape)
+    distance[:, -1] = unit  # no weight depends on the distance, except that of the last neighbour
+    guide = np.tile([0.6, 0.0, 0.8], (len(points), 1))
+    normals = guided_planes(points, guide, near, distance, 0.2, 0.7)
+    weight = np.append(np.ones(K - 1), np.exp(-(0.7**-2)))
+    for group, normal in zip(GROUPS, normals[::K], strict=True):
+        centred = group - weight @ group / weight.sum()
+        axis = np.linalg.eigh(centred.T @ (weight[:, None] * centred))[1][:, 0]
+        np.testing.assert_allclose(normal, axis * np.sign(axis @ guide[0]), atol=1e-10)
+
+
+def test_a_neighbourhood_without_a_plane_has_a_unit_normal() -> None:
+    near, distance = np.tile(np.arange(K), (K, 1)), np.ones((K, K))
+    normals = guided_planes(np.ones((K, 3)), np.zeros((K, 3)), near, distance, 0.2, 0.7)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
+
+
+# --- spacing, noise and density -----------------------------------------------------------------------
+
+
+def test_regular_and_random_samplings_have_the_same_spacing() -> None:
+    side, n = 0.02, 50
+    i, j = np.indices((n, n)).reshape(2, -1)
+    regular = side * np.column_stack([i, j, np.zeros(n * n)])
+    scattered = np.random.default_rng(0).random((n * n, 3)) * [side * n, side * n, 0]
+    for points in (regular, scattered):
+        neighbors = neighborhoods(points, 9)
+        assert spacing(neighbors) == pytest.approx(side, rel=0.15)
+        assert np.median(local_spacings(neighbors)) == pytest.approx(spacing(neighbors))
+
+
+def test_noise_is_what_was_added_however_many_points_there_are() -> None:
+    for n_points in (10_000, 40_000):
+        points = shapes.oriented_points_on(shapes.ellipsoid(), n_points).points
+        for share in (0.0005, 0.002):
+            deviation = share * float(np.linalg.norm(np.ptp(points, axis=0)))
+            noisy = points + np.random.default_rng(0).normal(0, deviation, points.shape)
+            found = noise(noisy, neighborhoods(noisy, 9, of_some=True))
+            assert found == pytest.approx(0.8 * deviation, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("n", "ratio", "error"), [(20_000, 10, 0.003), (20_000, 30, 0.006), (80_000, 100, 0.006)]
+)
+def test_interpolated_points_are_on_the_surface_and_leave_no_gap(n: int, ratio: float, error: float) -> None:
+    """On a sphere of whose upper half one point in `ratio` is left; 20,000 points are .025 apart."""
+    points, cell = on_sphere(n), 0.02
+    points = points[(points[:, 2] < 0) | (np.random.default_rng(2).random(n) < 1 / ratio)]
+    some = neighborhoods(points, 9, of_some=True)
+    dense = interpolated(
+        PointCloud(points, points, viewpoints=2 * points), some, cell=max(cell, spacing(some))
+    )
+    np.testing.assert_array_equal(dense.points[: len(points)], points)
+    added, normals = dense.points[len(points) :], dense.normals
+    assert normals is not None and dense.viewpoints is not None
+    np.testing.assert_allclose(np.linalg.norm(added, axis=1), 1, atol=error)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
+    assert np.einsum("ij,ij->i", normals[len(points) :], added).min() > 0.9
+    # The sensor of each is that of a sparse point nearby.
+    assert np.einsum("ij,ij->i", dense.viewpoints, dense.points).min() > 0
+    # Every place of the sphere has a point as near as at the density of the dense half.
+    gaps, _ = cKDTree(dense.points).query(on_sphere(3000, seed=9))
+    assert np.quantile(gaps, 0.9) < 1.5 * cell
+
+
+def test_sparse_points_are_many_on_a_surface_and_not_isolated() -> None:
+    for n_sparse, spacing_, exponent, expected in (
+        (2, 0.04, 1 / 2, 0),  # too few
+        (100, 0.04, 1 / 2, 100),
+        (100, 0.04, 1 / 3, 0),  # in a volume
+        (100, 0.4, 1 / 2, 0),  # isolated
+    ):
+        spacings = np.where(np.arange(1000) < n_sparse, spacing_, 0.01)
+        # The distance of neighbour k grows like k^exponent.
+        growth = np.concatenate([[0], (np.arange(1, 21) / 6) ** exponent])
+        distance = np.sqrt(6 / np.pi) * spacings[:, None] * growth
+        neighbors = Neighborhoods(distance, np.zeros(distance.shape, dtype=np.intp))
+        assert sparse_points(neighbors, cell=0.01, diagonal=1).sum() == expected
+
+
+# --- normals ------------------------------------------------------------------------------------------
 
 SURFACES = {"ball": shapes.icosphere(3), "torus": shapes.torus(), "body": shapes.body()}
 
