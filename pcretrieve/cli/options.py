@@ -44,6 +44,7 @@ SIGNATURE_FLAGS = ("method", "n_values", "scale", "size_weight")
 RETRIEVAL_FLAGS = ("distance", "whitening", "rerank")
 COMPARISON = ("config", *SIGNATURE_FLAGS, *RETRIEVAL_FLAGS)
 
+MATCHERS = ("heat-hausdorff", "hks-bow-gallery", "mds-cm-bof", "meshsift")
 WHITENING_NAMES = ("auto", "none", "resolution", "neighbours", "pca", "within-class")
 
 # Ratio of the largest to the smallest area, from which files probably have different units: the areas of a
@@ -368,6 +369,11 @@ def compared(store: pr.Catalogue, values: dict[str, Any]) -> pr.PipelineOptions:
 def changes(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """The changed options of a comparison by table, taken from the values of a command."""
     signature, retrieval = taken(values, *SIGNATURE_FLAGS), taken(values, *RETRIEVAL_FLAGS)
+    if (method := signature.get("method")) in MATCHERS:
+        raise click.UsageError(
+            f"{method} compares pairs of surfaces, and has no signatures: write the distances of a catalogue by "
+            f"`pcretrieve matrix --matcher {method} -o FILE`, and give `query` or `report` --matrix FILE"
+        )
     # A whitening by name replaces a file that the configuration names, and vice versa.
     if "whitening" in retrieval:
         is_name = retrieval["whitening"] in WHITENING_NAMES

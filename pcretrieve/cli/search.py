@@ -173,11 +173,7 @@ def _write_csv(outcomes: Outcomes) -> None:
 @opt.option(
     "--output -o FILE", "Write the distances to this file: .npy, or plain text.", opt.PATH, required=True
 )
-@opt.option(
-    "--matcher",
-    "Compare pairs of surfaces, not signatures.",
-    click.Choice(["heat-hausdorff", "hks-bow-gallery", "mds-cm-bof", "meshsift"]),
-)
+@opt.option("--matcher", "Compare pairs of surfaces, not signatures.", opt.MATCHERS)
 @opt.on_catalogue
 def matrix_command(
     store: pr.Catalogue, options: pr.PipelineOptions, output: Path, matcher: str | None

@@ -64,6 +64,7 @@ CASES = (
     ("ingest egg.off -c new.sqlite --log-file no/night.log", 1, "cannot write the log file"),
     ("ingest -c good.sqlite", 2, "name at least one scan"),
     ("query egg.off", 2, "Missing option"),
+    ("query egg -c good.sqlite --method meshsift", 2, "pcretrieve matrix --matcher meshsift -o FILE"),
     ("evaluate -c good.sqlite", 1, "give --labels"),
     ("remove egg nobody -c good.sqlite", 1, "holds no shape 'nobody'"),
     ("signature", 2, "name at least one scan"),
