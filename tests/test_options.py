@@ -57,7 +57,6 @@ OTHER: dict[str, dict[str, Any]] = {
     "merge": {
         "refine": False,
         "sensor": "origin",
-        "max_range": 4.5,
         "background": "planes",
         "keep_largest": True,
         "voxel": 0.01,

@@ -371,7 +371,7 @@ def changes(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
     signature, retrieval = taken(values, *SIGNATURE_FLAGS), taken(values, *RETRIEVAL_FLAGS)
     if (method := signature.get("method")) in MATCHERS:
         raise click.UsageError(
-            f"{method} compares pairs of surfaces, and has no signatures: write the distances of a catalogue by "
+            f"{method} compares pairs of surfaces, and has no signatures: write its distances by "
             f"`pcretrieve matrix --matcher {method} -o FILE`, and give `query` or `report` --matrix FILE"
         )
     # A whitening by name replaces a file that the configuration names, and vice versa.

@@ -88,9 +88,10 @@ def merge_command(paths: tuple[str, ...], output: Path, **values: Any) -> out.Re
     """
     if not paths:
         raise click.UsageError("name at least two views, or one .conf")
-    merge = opt.taken(values, "refine", "sensor", "max_range", "background", "keep_largest")
-    options = opt.load_options(values).changed(merge=merge)
-    merged = pr.merge_views(paths, options.merge, output=output, **values)
+    scan = opt.taken(values, "max_range")
+    merge = opt.taken(values, "refine", "sensor", "background", "keep_largest")
+    options = opt.load_options(values).changed(scan=scan, merge=merge)
+    merged = pr.merge_views(paths, options, output=output, **values)
     (step,) = merged.cloud.provenance
     views: list[dict[str, object]] = []
     say(f"{'view':<8}  {'overlap':>7}  {'rms':>10}  file")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from pcretrieve.formats.identity import printable
 from pcretrieve.formats.write import check_output
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.pool import alone
-from pcretrieve.options import MergeOptions, PipelineOptions
+from pcretrieve.options import MergeOptions, OptionsLike, PipelineOptions
 from pcretrieve.points.register import Merged, merge_views as merge_clouds
 from pcretrieve.values import FloatArray, PointCloud
 from pcretrieve.values.conversion import as_cloud
@@ -34,7 +34,7 @@ class Views(NamedTuple):
 
 def merge_views(
     views: str | Path | Sequence[ScanLike],
-    options: MergeOptions | Mapping[str, object] | str | Path | None = None,
+    options: MergeOptions | OptionsLike = None,
     *,
     output: str | Path | None = None,
     timeout: float | None = None,
@@ -46,9 +46,9 @@ def merge_views(
     ----------
     views : str, Path, or a sequence of ScanLike
         A folder, a glob or a Stanford ``.conf`` file; or the views, each a file, an array or geometry.
-    options : MergeOptions, mapping, str or Path, optional
-        The parameters of the registration, or the name of a preset or of a TOML file that has them in the
-        table ``[merge]``. By default the defaults.
+    options : MergeOptions or OptionsLike, optional
+        The parameters of the registration, or options that have them in the table ``[merge]``, and
+        ``max_range`` in the table ``[scan]``. By default the defaults.
     output : str or Path, optional
         A file to which the cloud is written.
     timeout : float, optional
@@ -70,16 +70,14 @@ def merge_views(
     ReconstructionError
         If no two views share a surface.
     """
-    if isinstance(options, (str, Path)):
-        options = PipelineOptions.of(options).merge
-    chosen = options if isinstance(options, MergeOptions) else MergeOptions(**(options or {}))
+    chosen = PipelineOptions.of({"merge": options} if isinstance(options, MergeOptions) else options)
     named = [views] if isinstance(views, (str, Path)) else views
     paths = [view for view in named if isinstance(view, (str, Path))]
     files = view_files(paths)[0] if len(paths) == len(named) else []
     if output is not None:
         check_output(Path(output), files, "point")
     if not files:
-        merged = merge_clouds([as_cloud(as_scan(view)) for view in named], chosen)
+        merged = merge_clouds([as_cloud(as_scan(view)) for view in named], chosen.merge, chosen.scan)
     elif timeout is None:
         merged = _merged(paths, chosen)
     else:
@@ -89,9 +87,9 @@ def merge_views(
     return replace(merged, names=tuple(map(printable, files)))
 
 
-def _merged(paths: Sequence[str | Path], options: MergeOptions) -> Merged:
+def _merged(paths: Sequence[str | Path], options: PipelineOptions) -> Merged:
     read = read_views(paths)
-    return merge_clouds(read.clouds, options, poses=read.poses)
+    return merge_clouds(read.clouds, options.merge, options.scan, poses=read.poses)
 
 
 def view_files(paths: Sequence[str | Path]) -> tuple[list[Path], FloatArray | None]:

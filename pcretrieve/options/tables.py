@@ -336,8 +336,6 @@ class MergeOptions(Options):
     sensor: Literal["front", "origin"] = "front"
     """Position of the sensor of a view whose file has none. front: far along the z axis of the frame of the
     view, the convention of range scanners; origin: at its origin, the convention of depth cameras."""
-    max_range: Annotated[float, Field(gt=0)] | None = None
-    """Distance from the sensor beyond which points are removed as background; unit of the file."""
     background: Literal["none", "planes"] = "none"
     """planes: remove floors and walls: planes with a tenth of the points or more, and with nothing behind."""
     keep_largest: bool = False

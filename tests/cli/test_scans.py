@@ -215,8 +215,10 @@ def test_the_poses_of_a_conf_and_the_largest_range_are_kept(
             assert kept.viewpoints is not None
             np.testing.assert_allclose(kept.viewpoints, direct.viewpoints, atol=1e-4)
     reach = np.quantile(np.linalg.norm(direct.points - direct.viewpoints, axis=1), 0.75)
-    found = result("merge", "body.conf", "--no-refine", "-o", "near.ply", "--max-range", reach)
-    assert found["points"] == pytest.approx(0.75 * len(direct.points), rel=0.01)
+    Path("near.toml").write_text(f"[scan]\nmax_range = {reach}\n")
+    for given in (("--max-range", reach), ("--config", "near.toml")):
+        found = result("merge", "body.conf", "--no-refine", "-o", "near.ply", *given)
+        assert found["points"] == pytest.approx(0.75 * len(direct.points), rel=0.01)
 
 
 # --- demo -----------------------------------------------------------------------------------------------

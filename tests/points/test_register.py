@@ -15,13 +15,14 @@ from scipy.spatial.transform import Rotation
 from pcretrieve import PointCloud
 from pcretrieve.errors import InputError, OptionError, ReconstructionError
 from pcretrieve.ingestion.views import read_views
-from pcretrieve.options import MergeOptions
+from pcretrieve.options import MergeOptions, ScanOptions
 from pcretrieve.points.register import merge_views
 from pcretrieve.points.register.alignment import moved
 from pcretrieve.points.register.views import RangeImage
 from pcretrieve.simulation import RigOptions, scan_views
 from pcretrieve.values import FloatArray
 
+FAR = ScanOptions()
 RIG = RigOptions(n_views=6, pixels=120, n_points=None)
 
 # Largest distance of any point from its true place, relative to the diagonal of the body; half the distance
@@ -68,7 +69,7 @@ def error(poses: FloatArray, truth: FloatArray, clouds: Sequence[PointCloud]) ->
 @pytest.mark.parametrize("step", [1, -1], ids=["forwards", "backwards"])
 def test_views_come_back_from_anywhere(step: int) -> None:
     clouds, motions = views()[0][::step], views()[1][::step]
-    merged = merge_views(clouds, MergeOptions())
+    merged = merge_views(clouds, MergeOptions(), FAR)
     assert merged.left_out == ()
     np.testing.assert_allclose(merged.poses[0], np.eye(4), atol=1e-12)
     assert error(merged.poses, motions[0] @ np.linalg.inv(motions), clouds) < TOLERANCE
@@ -81,7 +82,7 @@ def test_a_foreign_view_is_left_out_and_said_so() -> None:
     clouds, motions = views()[0][2:4], views()[1][2:4]
     rng = np.random.default_rng(1)
     foreign, _ = apart(scan_views(shapes.torus(major=2.0), RIG, rng)[:1], rng)
-    found = merge_views([*clouds, *foreign], MergeOptions())
+    found = merge_views([*clouds, *foreign], MergeOptions(), FAR)
     assert found.left_out == (2,)
     assert error(found.poses[:2], motions[0] @ np.linalg.inv(motions), clouds) < TOLERANCE
     assert np.isnan(found.poses[2]).all() and found.shares[2] == 0
@@ -97,9 +98,9 @@ def test_given_poses_are_refined_or_kept() -> None:
     diagonal = shapes.body().diagonal
     truth = np.linalg.inv(motions)
     rough = np.array([motion(rng, angle=np.radians(2), shift=0.01 * diagonal) @ pose for pose in truth])
-    kept = merge_views(clouds, MergeOptions(refine=False), poses=rough)
+    kept = merge_views(clouds, MergeOptions(refine=False), FAR, poses=rough)
     np.testing.assert_array_equal(kept.poses, rough)
-    refined = merge_views(clouds, MergeOptions(), poses=rough)
+    refined = merge_views(clouds, MergeOptions(), FAR, poses=rough)
     np.testing.assert_array_equal(refined.poses[0], rough[0])
     assert refined.rms() < 0.7 * kept.rms()
     back = rough[0] @ np.linalg.inv(truth[0])  # to where the first view, which stays, was put
@@ -121,13 +122,13 @@ def test_background_is_dropped_before_views_are_matched() -> None:
         wall = sensor + 3 * distance * ahead + rng.normal(0, 0.2 * diagonal, (500, 3))
         lamp = rng.normal(cloud.points.mean(axis=0) + diagonal, 0.01 * diagonal, (50, 3))
         dirty.append(PointCloud(np.concatenate([wall, cloud.points, lamp]), viewpoints=sensor))
-    options = MergeOptions(max_range=1.7 * distance, keep_largest=True, refine=False)
-    found = merge_views(dirty, options, poses=poses)
+    options, near = MergeOptions(keep_largest=True, refine=False), ScanOptions(max_range=1.7 * distance)
+    found = merge_views(dirty, options, near, poses=poses)
     n_clean = sum(len(cloud.points) for cloud in clouds)
     # Outliers of the simulated cameras are components too.
     assert 0.98 * n_clean < len(found.cloud.points) <= n_clean
     assert np.linalg.norm(found.cloud.points - shapes.body().vertices.mean(axis=0), axis=1).max() < diagonal
-    left = merge_views(dirty, MergeOptions(refine=False), poses=poses)
+    left = merge_views(dirty, MergeOptions(refine=False), FAR, poses=poses)
     assert len(left.cloud.points) == n_clean + 6 * 550
 
 
@@ -136,7 +137,7 @@ MOVING = PointCloud(CLOUD.points, viewpoints=2 * CLOUD.points)
 FRONT = CLOUD.select(CLOUD.points[:, 2] > 0.3)
 FLAT = PointCloud(4 * shapes.points_on(shapes.square(1), 500))
 STILL = np.tile(np.eye(4), (2, 1, 1))
-CLOSE = {"max_range": 0.1, "sensor": "origin"}
+CLOSE: dict[str, Any] = {"max_range": 0.1, "sensor": "origin"}
 
 
 @pytest.mark.parametrize(
@@ -160,7 +161,9 @@ def test_what_cannot_be_merged_says_why(
     clouds: list[PointCloud], options: dict[str, Any], poses: FloatArray | None, raised: type, words: str
 ) -> None:
     with pytest.raises(raised, match=words):
-        merge_views(clouds, MergeOptions(**options), poses=poses)
+        near = ScanOptions(max_range=options.get("max_range", "none"))
+        merge = {name: value for name, value in options.items() if name != "max_range"}
+        merge_views(clouds, MergeOptions(**merge), near, poses=poses)
 
 
 def test_a_range_image_of_a_square_seen_from_above() -> None:
@@ -192,7 +195,7 @@ DATA = Path(__file__).parents[3] / "shared" / "data"
 def test_the_views_of_the_bunny_are_registered() -> None:
     """Ten scans without poses; where two of them are one surface, they are so to a third of a millimetre."""
     clouds = read_views([DATA / "stanford_bunny"]).clouds
-    found = merge_views(clouds, MergeOptions())
+    found = merge_views(clouds, MergeOptions(), FAR)
     assert len(clouds) == 10 and found.left_out == ()
     assert found.rms() < 4e-4
     assert found.shares.min() > 0.7

@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from pcretrieve.errors import InputError
-from pcretrieve.options import MergeOptions
+from pcretrieve.options import MergeOptions, ScanOptions
 from pcretrieve.points.clean import averaged
 from pcretrieve.points.register.alignment import Overlap, adjusted, moved, overlap, shared, turned
 from pcretrieve.points.register.groups import COARSE, FINE, largest_group
@@ -53,10 +53,11 @@ class Merged:
 
 
 def merge_views(
-    views: Sequence[PointCloud], options: MergeOptions, *, poses: FloatArray | None = None
+    views: Sequence[PointCloud], options: MergeOptions, near: ScanOptions, *, poses: FloatArray | None = None
 ) -> Merged:
     """Register range scans, each in a frame of its own and all in one unit, and merge them into one cloud.
 
+    near: of its options, max_range is that of the views.
     poses: (v, 4, 4) float64, optional, rigid motions of the views into a common frame. They are refined if
         ``options.refine`` is set, by key frames if views hardly differ, and no view is left out. Without them
         all poses are searched, and views that are not in the largest group are left out, with a note in the
@@ -69,7 +70,7 @@ def merge_views(
     if poses is not None:
         _check_poses(poses, len(views))
     rng = np.random.default_rng(options.seed)
-    ready, scale = prepared(views, options, rng)
+    ready, scale = prepared(views, options, near, rng)
     cell, reach = options.cell * scale, options.reach * scale
     notes = []
     if poses is None:

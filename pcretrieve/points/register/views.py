@@ -67,12 +67,12 @@ class View(NamedTuple):
 
 
 def prepared(
-    clouds: Sequence[PointCloud], options: MergeOptions, rng: np.random.Generator
+    clouds: Sequence[PointCloud], options: MergeOptions, near: ScanOptions, rng: np.random.Generator
 ) -> tuple[list[View], float]:
     """The views, and the median of their diagonals, to which relative options refer; unit of the files."""
-    sensors = [_sensor(cloud, number, options) for number, cloud in enumerate(clouds)]
+    sensors = [_sensor(cloud, number, options, near) for number, cloud in enumerate(clouds)]
     fronts = [
-        _foreground(cloud, sensor, number, options)
+        _foreground(cloud, sensor, number, options, near)
         for number, (cloud, sensor) in enumerate(zip(clouds, sensors, strict=True))
     ]
     scale = float(np.median([bounding_diagonal(points) for points in fronts]))
@@ -83,7 +83,7 @@ def prepared(
     return views, scale
 
 
-def _sensor(view: PointCloud, number: int, options: MergeOptions) -> FloatArray:
+def _sensor(view: PointCloud, number: int, options: MergeOptions, near: ScanOptions) -> FloatArray:
     """(3,) position of the sensor; a conventional one, if the view has none."""
     if not len(view.points):
         raise ReconstructionError(f"view {number} has no points: leave it out", stage=Stage.MERGE)
@@ -96,7 +96,7 @@ def _sensor(view: PointCloud, number: int, options: MergeOptions) -> FloatArray:
         return np.asarray(view.viewpoints.mean(axis=0))
     if options.sensor == "origin":
         return np.zeros(3)
-    if options.max_range is not None:
+    if near.max_range != "none":
         raise InputError(
             f"max_range is measured from the sensor, and view {number} does not say where that is: take "
             "sensor 'origin' if it is the origin of its frame"
@@ -105,10 +105,12 @@ def _sensor(view: PointCloud, number: int, options: MergeOptions) -> FloatArray:
     return np.asarray(middle + np.array([0, 0, SENSOR_DISTANCE * view.diagonal]))
 
 
-def _foreground(cloud: PointCloud, sensor: FloatArray, number: int, options: MergeOptions) -> FloatArray:
+def _foreground(
+    cloud: PointCloud, sensor: FloatArray, number: int, options: MergeOptions, near: ScanOptions
+) -> FloatArray:
     """The (n, 3) points within `max_range`, in front of the background, and of the largest component."""
-    near = ScanOptions(max_range="none" if options.max_range is None else options.max_range)
-    kept = kept_points(PointCloud(cloud.points, viewpoints=sensor), near, of_view=True)
+    within = ScanOptions(max_range=near.max_range)
+    kept = kept_points(PointCloud(cloud.points, viewpoints=sensor), within, of_view=True)
     points: FloatArray = cloud.points[kept.points]
     if options.background == "planes":
         rng = np.random.default_rng(0)
