@@ -222,7 +222,7 @@ def signature_command(
     """
     changes = {"signature": opt.taken(values, "n_modes", *opt.SIGNATURE_FLAGS)}
     if from_catalogue is not None:
-        opt.refuse("a catalogue has options of its own", "config", "surface", "unit")
+        opt.refuse("a catalogue has options of its own", "config", "surface", "unit", "workers", "memory")
         store = opt.opened(from_catalogue)
         options = store.options.changed(**changes)
         rows = _of_catalogue(store, paths, options)

@@ -84,6 +84,8 @@ def query_command(
     if out.prints_json() and as_csv:
         raise click.UsageError("choose one of --json and --csv")
     asked["labels"] = asked["labels"] or None
+    if asked["matrix"] is not None:
+        opt.refuse("a matrix ranks stored shapes, and no scan is read", "unit", "memory")
     found = pr.search_many(store, queries, options=options, **asked)
     if page is not None:
         known: list[tuple[str, pr.Answer | ShapeError]] = []

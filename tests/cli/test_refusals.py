@@ -41,6 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     write_mesh(shapes.ellipsoid(), place / "egg.off")
     write_mesh(shapes.icosphere(3), place / "ball.off")
     assert run("ingest", place / "egg.off", place / "ball.off", "-c", place / "good.sqlite") == 0
+    assert run("matrix", "-c", place / "good.sqlite", "-o", place / "m.txt") == 0
     (place / "value.toml").write_text("[surface]\npoisson_depth = 80\n")
     (place / "empty").mkdir()
     (place / "folder.ply").mkdir()
@@ -69,6 +70,8 @@ CASES = (
     ("remove egg nobody -c good.sqlite", 1, "holds no shape 'nobody'"),
     ("signature", 2, "name at least one scan"),
     ("signature --from-catalogue good.sqlite --surface keep", 2, "own: leave out --surface"),
+    ("signature --from-catalogue good.sqlite --workers 2", 2, "own: leave out --workers"),
+    ("query egg -c good.sqlite --matrix m.txt --unit mm", 2, "no scan is read: leave out --unit"),
     ("reconstruct egg.off -o egg.doc", 1, ".ply .obj .off .stl .glb"),
     ("reconstruct egg.off -o nowhere/egg.ply", 1, "no folder nowhere"),
     ("reconstruct egg.off -o a.ply --suffix .ply", 2, "--suffix is for folders"),
