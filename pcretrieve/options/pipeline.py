@@ -32,7 +32,7 @@ else:
 # Version of the numerical results, part of the digest. It is incremented when a change of the code, not of an
 # option, changes a signature, because signatures of different versions must not be compared. The changes are
 # listed in CHANGELOG.md under "Changed numbers".
-NUMBERS_VERSION = 12
+NUMBERS_VERSION = 13
 
 #: What public functions take for options: see `PipelineOptions.of`.
 OptionsLike: TypeAlias = "PipelineOptions | Mapping[str, Any] | str | Path | None"

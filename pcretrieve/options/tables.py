@@ -93,7 +93,7 @@ class ScanOptions(Options):
     outlier_neighbors: ClassVar[int] = 20
     outlier_std: Annotated[float, Field(gt=0)] = 2.0
     """Statistical outlier removal: largest mean distance that is kept; standard deviations above the mean of
-    the cloud."""
+    the cloud. 1.8 times the median is always kept."""
     normal_neighbors: Annotated[int, Field(ge=3)] = 16
     """Number of neighbours to which the tangent plane of a point is fitted."""
     orientation: Literal["auto", "viewpoint", "flood", "tangent-plane", "given"] = "auto"

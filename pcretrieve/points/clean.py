@@ -29,6 +29,11 @@ DENSE_VOXEL = 0.003
 DENSE = 1.6
 VOXEL = 0.0015
 
+# Smallest mean distance of an outlier to its neighbours, in medians of it: 2.9 spacings of a surface.
+# On a clean surface the deviations are small, and a limit by them alone cuts points of it in patches, which
+# become dents. See docs/decisions.md, LEAST_OUTLYING.
+LEAST_OUTLYING = 1.8
+
 
 def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
     """Filter a cloud: average the points in each voxel, and remove statistical outliers."""
@@ -64,7 +69,8 @@ def _inliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.bool_]:
     apart = distance[distance > 0]  # not of points that coincide with all their neighbours
     if len(apart) < 2:
         return np.ones(len(distance), dtype=np.bool_)
-    limit = apart.mean() + options.outlier_std * apart.std(ddof=1)
+    usual = apart.mean() + options.outlier_std * apart.std(ddof=1)
+    limit = max(usual, LEAST_OUTLYING * np.median(apart))
     # Where the points are sparse, distances are exceptional, and no points are outliers for that reason.
     sparse = is_of_surface(neighbors, cell=DENSE_VOXEL * cloud.diagonal)
     return np.asarray((distance > 0) & ((distance < limit) | sparse))

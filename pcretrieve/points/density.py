@@ -53,7 +53,7 @@ FEWEST = 5
 FITTED = 16
 ROUNDS = 2
 
-# Smallest cosine of the angle between normals of one side of a thin part.
+# Smallest cosine of the angle between normals, or guide directions, of points on one side of a thin part.
 SAME_SIDE = 0.2
 
 # Smallest distance of an interpolated point from a measured one, in voxels.
@@ -63,9 +63,12 @@ APART = 0.7
 GOLDEN = np.pi * (3 - np.sqrt(5))
 
 
-def local_spacings(neighbors: Neighborhoods) -> FloatArray:
-    """(m,) square roots of the area of surface for one point near each point; `spacing` is the median."""
-    k = min(SPACING_NEIGHBORS, neighbors.distance.shape[1] - 1)
+def local_spacings(neighbors: Neighborhoods, k: int = SPACING_NEIGHBORS) -> FloatArray:
+    """(m,) square roots of the area of surface for one point near each point; `spacing` is the median.
+
+    k: the neighbour by whose distance the area is estimated.
+    """
+    k = min(k, neighbors.distance.shape[1] - 1)
     return np.asarray(np.sqrt(np.pi / k) * neighbors.distance[:, k])
 
 
@@ -96,16 +99,10 @@ def _growth(neighbors: Neighborhoods) -> FloatArray:
     return np.asarray(np.log(np.maximum(ratio, 1)) / np.log(far / near))
 
 
-def _wide_spacings(neighbors: Neighborhoods) -> FloatArray:
-    """(n,) spacings by the distance of the neighbour `FARTHER`."""
-    far = min(FARTHER, neighbors.distance.shape[1] - 1)
-    return np.asarray(np.sqrt(np.pi / far) * neighbors.distance[:, far])
-
-
 def _is_surface(neighbors: Neighborhoods, *, least: float) -> bool:
     """Whether the points with at least some spacing are, in the median, on a surface."""
     # By the farther distance: a nearer one would select points whose distances grow slowly.
-    sparse = _wide_spacings(neighbors) > least
+    sparse = local_spacings(neighbors, FARTHER) > least
     return bool(sparse.sum() >= FEWEST and np.median(_growth(neighbors)[sparse]) > LEAST_GROWTH)
 
 
@@ -117,7 +114,7 @@ def is_of_surface(neighbors: Neighborhoods, *, cell: float) -> Mask:
 
     cell: smallest edge of later voxels.
     """
-    median = float(np.median(_wide_spacings(neighbors)))
+    median = float(np.median(local_spacings(neighbors, FARTHER)))
     if not _is_surface(neighbors, least=UNCOMMON * max(cell, median)):
         return np.zeros(len(neighbors.distance), dtype=np.bool_)
     return np.asarray(_growth(neighbors) > LEAST_OF_ONE)

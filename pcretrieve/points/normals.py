@@ -12,7 +12,7 @@ from pcretrieve.arrays import DOUBLE_OFFSET, Frame
 from pcretrieve.draw.open3d import library, open3d_cloud
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
-from pcretrieve.points.density import disks, local_spacings, sparse_points
+from pcretrieve.points.density import SAME_SIDE, disks, local_spacings, sparse_points
 from pcretrieve.points.neighbors import (
     SPACING_NEIGHBORS,
     Neighborhoods,
@@ -22,9 +22,6 @@ from pcretrieve.points.neighbors import (
 )
 from pcretrieve.points.outside import Outside, flood
 from pcretrieve.values import FloatArray, PointCloud, Step
-
-# Smallest cosine of the angle between the guide directions of two points on the same side of a thin part.
-SAME_SIDE = 0.2
 
 # Width of the Gaussian weight of neighbours, relative to the distance of the farthest one.
 NEIGHBOR_SPREAD = 0.7
@@ -50,7 +47,6 @@ MOST_OPPOSED = 0.05
 
 # Number of neighbours with which each point is compared.
 N_COMPARED = 8
-
 
 Oriented = tuple[FloatArray, tuple[str, ...]]  # normals and notes
 

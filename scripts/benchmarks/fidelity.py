@@ -22,11 +22,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from functools import partial
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from benchmarks.measuring import (
@@ -44,6 +46,7 @@ from benchmarks.measuring import (
 )
 from benchmarks.sets import CONDITIONS, DEFECTS, SETS, Item, spread, write_scan
 from benchmarks.spectral import lapy_eigenvalues
+from benchmarks.uniform import BODIES, feet, points_of
 from pcretrieve.arrays import DOUBLE_OFFSET, Frame
 from pcretrieve.descriptors import describe
 from pcretrieve.draw.open3d import RayScene, open3d_cloud
@@ -68,6 +71,7 @@ from pcretrieve.values.files import write_file
 EPILOG = """example:
   scripts/benchmark_fidelity --set humans --limit 10
   scripts/benchmark_fidelity --conditions typical-uniform harsh-rig --config mine.toml --name mine --csv f.csv
+  scripts/benchmark_fidelity --bodies 30000 1000000
 
 --conditions:
   easy|typical|harsh - uniform|rig          points only, uniform or seen by nine cameras
@@ -103,7 +107,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given.workers == 1:
         use_one_core()
     try:
-        print_lines(_run(given, _configurations(given)))
+        print_lines(_of_bodies(given.bodies) if given.bodies else _run(given, _configurations(given)))
     except PcretrieveError as error:
         sys.exit(str(error))
 
@@ -118,6 +122,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--name", action="append", help="names of the configurations (default: those of the files)")
     add("--limit", type=positive, metavar="N", help="scan N meshes only, evenly spread over the set")
     add("--rescans", type=positive, default=0, metavar="N", help="scan a few meshes N times, for the spread")
+    add("--bodies", nargs="+", type=positive, metavar="N", help="only scan analytic bodies, with N points")
     add("--textbook", type=positive, default=0, metavar="K", help="time the textbook pipeline on K scans")
     add("--csv", type=Path, metavar="FILE", help="append the rows to this file")
     add("--workers", type=positive, default=1, metavar="N", help="processes; more than 1 spoil times")
@@ -153,6 +158,38 @@ def _run(given: argparse.Namespace, configurations: dict[str, PipelineOptions]) 
                     yield from lines_of(row)
                     if given.csv:
                         append(given.csv, row)
+
+
+TURNED = Table(
+    Column("body", 10, align="<"),
+    *(Column(title, 9, form) for title, form in (("points", ",d"), ("turned", ""), ("dropped", ",d"))),
+    *(Column(title, 9, ".3%") for title in ("median", "99 %", "largest")),
+    *(Column(title, 9, form) for title, form in (("signature", ".4f"), ("time/s", ".1f"))),
+)
+
+
+def _of_bodies(numbers: Sequence[int]) -> Iterator[str]:
+    """Lines of analytic bodies, exact and turned: dropped points; distances of the vertices of their surfaces
+    from the bodies, relative to the diagonal; and of the signature of the turned one from the other.
+    """
+    yield TURNED.head
+    options, turn = PipelineOptions(), Rotation.random(random_state=1).as_matrix()
+    for n, (name, body) in product(numbers, BODIES.items()):
+        points = points_of(body, n, np.random.default_rng(0))
+        logs: list[FloatArray] = []
+        for axes in (np.eye(3), turn):
+            started = time.process_time()
+            shape = process(PointCloud(points @ axes.T), options)
+            logs.append(coordinates(describe(shape, options.signature).values[None])[0])
+            seconds = time.process_time() - started
+            cleaned = next(step for step in shape.provenance if step.stage == "clean")
+            meshes = [surface.mesh for surface in shape.surfaces if surface.mesh is not None]
+            vertices = np.concatenate([mesh.vertices for mesh in meshes]) @ axes
+            apart = np.linalg.norm(vertices - feet(body, vertices), axis=1) / PointCloud(points).diagonal
+            measured = (int(cleaned.sizes["outliers"]), *np.quantile(apart, (0.5, 0.99, 1)).tolist())
+            is_turned = "no" if len(logs) == 1 else "yes"
+            moved = float(np.linalg.norm(logs[-1] - logs[0]))
+            yield TURNED.row(name, n, is_turned, *measured, moved, seconds)
 
 
 def _truth(name: str, items: list[Item], options: PipelineOptions, workers: int) -> Signatures:

@@ -1,7 +1,11 @@
-"""Uniform scans of surfaces, of a quality that is set: random points with noise, holes and outliers."""
+"""Uniform scans of surfaces, of a quality that is set: random points with noise, holes and outliers.
+
+Also exact points of analytic bodies, functions of (n, 3) points that are 0 on a surface and negative inside.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -81,3 +85,57 @@ def _around(mesh: TriangleMesh, n: int, rng: np.random.Generator) -> FloatArray:
     directions = rng.standard_normal((n, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return np.asarray(box_centre(mesh) + RigOptions().distance * mesh.diagonal * directions)
+
+
+def _blob(points: FloatArray) -> FloatArray:
+    """Radii that are a sum of spherical harmonics."""
+    radius = np.linalg.norm(points, axis=1)
+    x, y, z = points.T / radius
+    low = 0.1 * (3 * z * z - 1) / 2 + 0.6 * x * y * z + 0.225 * (x * x - y * y) * z
+    return np.asarray(radius - 1 - low - 0.06 * (x**4 - 6 * x * x * y * y + y**4))
+
+
+Body = Callable[[FloatArray], FloatArray]
+
+BODIES: dict[str, Body] = {
+    "sphere": lambda p: np.linalg.norm(p, axis=1) - 1,
+    "ellipsoid": lambda p: ((p / [1, 0.7, 0.5]) ** 2).sum(axis=1) - 1,
+    "torus": lambda p: np.hypot(np.hypot(p[:, 0], p[:, 1]) - 1, p[:, 2]) - 0.4,
+    "capsule": lambda p: np.linalg.norm(p - np.clip(p, [-0.8, 0, 0], [0.8, 0, 0]), axis=1) - 0.35,
+    "blob": _blob,
+    # An oval of Cassini, turned about the line through its foci.
+    "dumbbell": lambda p: ((p * p).sum(axis=1) + 1) ** 2 - 4 * p[:, 0] ** 2 - 1.1**4,
+}
+
+# Half the side of a cube around each body, and half the thickness of the layer around its surface in which
+# points are drawn. The density of their feet varies by the square of the thickness, 2 % at a radius of .2.
+HALF_SIDE, LAYER = 1.6, 0.05
+
+
+def points_of(body: Body, n: int, rng: np.random.Generator) -> FloatArray:
+    """(n, 3) random points of the surface of a body, uniform by area."""
+    found = np.zeros((0, 3))
+    while len(found) < n:
+        places = rng.uniform(-HALF_SIDE, HALF_SIDE, (500_000, 3))
+        places = places[np.linalg.norm(places, axis=1) > LAYER]  # a blob has no radius at its centre
+        places = places[np.abs(_above(body, places)[1][:, 0]) < LAYER]
+        found = np.concatenate([found, feet(body, places)])
+    return found[:n]
+
+
+def feet(body: Body, points: FloatArray) -> FloatArray:
+    """The points of the surface of a body that are nearest to (n, 3) points near it."""
+    found = points
+    for _ in range(5):  # to the foot in the tangent plane, then down to the surface
+        normals, height = _above(body, found)
+        apart = points - found
+        found = points - (apart * normals).sum(axis=1, keepdims=True) * normals - height * normals
+    return found
+
+
+def _above(body: Body, points: FloatArray, step: float = 1e-5) -> tuple[FloatArray, FloatArray]:
+    """Unit normals (n, 3) and heights (n, 1) above the surface, to first order."""
+    steps = step * np.eye(3)
+    slope = np.column_stack([body(points + by) - body(points - by) for by in steps]) / (2 * step)
+    steepness = np.linalg.norm(slope, axis=1, keepdims=True)
+    return slope / steepness, body(points)[:, None] / steepness

@@ -42,6 +42,7 @@ def test_outliers_go_and_the_body_stays() -> None:
     assert gaps(BODY.points, cleaned.points).max() < 0.02 * BODY.diagonal
     assert gaps(cleaned.points, BODY.points).max() < 0.02 * BODY.diagonal
     assert any("as outliers" in note for note in cleaned.provenance[-1].notes)
+    assert clean(BODY, OPTIONS).provenance[-1].sizes["outliers"] == 0  # of an exact surface, none
 
 
 def test_each_point_keeps_a_sensor_that_saw_its_voxel() -> None:
