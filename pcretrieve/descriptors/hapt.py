@@ -13,6 +13,7 @@ the surface in space, and not on its intrinsic geometry alone, so that its error
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.descriptors.descriptor import Descriptor
@@ -68,18 +69,50 @@ def projected_areas(mesh: TriangleMesh, radii: FloatArray, spread: float) -> Flo
             f"hapt needs a body with an interior, got a surface that encloses no voxel of {CELL:g} √area: "
             "close its holes, or choose a descriptor of surfaces"
         )
-    points, normals, areas = _samples(framed)
+    samples = _samples(framed)
     steps = np.array([grid.shape[1] * grid.shape[2], grid.shape[2], 1])
-    transform = np.zeros((len(radii), len(inside)))
+    transform = np.empty((len(radii), len(inside)))
     for row, radius in zip(transform, radii, strict=True):
-        voxels = np.column_stack(grid.index(points - radius * normals))  # (p, 3)
-        held = ((voxels >= 0) & (voxels < grid.shape)).all(axis=1)
-        arrived = np.bincount(voxels[held] @ steps, areas[held], int(np.prod(grid.shape)))
+        arrived = _arrived(*samples, radius, grid.origin, grid.cell, grid.shape)
         offsets, shares = _ball(spread * radius / CELL)
-        for offset, share in zip(offsets @ steps, shares, strict=True):
-            row += share * arrived[inside + offset]
-        row /= 4 * np.pi * radius**2
+        row[:] = _gathered(arrived, inside, offsets @ steps, shares) / (4 * np.pi * radius**2)
     return transform
+
+
+@njit(cache=True)
+def _arrived(
+    points: FloatArray,
+    normals: FloatArray,
+    areas: FloatArray,
+    radius: float,
+    origin: FloatArray,
+    cell: float,
+    shape: tuple[int, int, int],
+) -> FloatArray:
+    """The area that arrives in each voxel of a grid, in C order, from a surface that moves inwards."""
+    arrived = np.zeros(shape[0] * shape[1] * shape[2])
+    for point in range(len(points)):
+        place, is_held = 0, True
+        for axis in range(3):
+            moved = points[point, axis] - radius * normals[point, axis]
+            voxel = int(np.rint((moved - origin[axis]) / cell))
+            is_held &= 0 <= voxel < shape[axis]
+            place = place * shape[axis] + voxel
+        if is_held:
+            arrived[place] += areas[point]
+    return arrived
+
+
+@njit(cache=True)
+def _gathered(
+    arrived: FloatArray, inside: NDArray[np.intp], offsets: NDArray[np.intp], shares: FloatArray
+) -> FloatArray:
+    """(k,) sums of the areas round each of k voxels, each area with the share of its voxel in the ball."""
+    gathered = np.zeros(len(inside))
+    for row in range(len(inside)):
+        for number in range(len(offsets)):
+            gathered[row] += shares[number] * arrived[inside[row] + offsets[number]]
+    return gathered
 
 
 def _framed(mesh: TriangleMesh) -> TriangleMesh:
