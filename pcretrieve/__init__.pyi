@@ -34,7 +34,7 @@ from .errors import (
 from .estimators import (
     NeighbourWhitening as NeighbourWhitening,
     PCAWhitening as PCAWhitening,
-    ResolutionWhitening as ResolutionWhitening,
+    PeopleWhitening as PeopleWhitening,
     SignatureNeighbors as SignatureNeighbors,
     SignatureTransformer as SignatureTransformer,
     WithinClassWhitening as WithinClassWhitening,

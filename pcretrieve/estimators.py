@@ -27,7 +27,7 @@ from typing_extensions import Self
 from pcretrieve.descriptors import signature_length
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.formats import ScanLike
-from pcretrieve.options import OptionsLike, PipelineOptions, Scale, Shrinkage, SignatureOptions
+from pcretrieve.options import OptionsLike, PipelineOptions, Shrinkage, SignatureOptions
 from pcretrieve.pipeline.process import signature
 from pcretrieve.retrieval import (
     Positions,
@@ -35,7 +35,7 @@ from pcretrieve.retrieval import (
     coordinates,
     fit_whitening,
     pairwise,
-    resolution_whitening,
+    people,
 )
 from pcretrieve.retrieval.distances import BLOCK_DISTANCES, known_distance
 from pcretrieve.values import FloatArray
@@ -74,18 +74,11 @@ class NeighbourWhitening(_Whitener):
     Parameters
     ----------
     shrinkage : float or "auto", default "auto"
-        Shrinkage in (0, 1] of the covariance towards its mean variance times the identity. auto: .2, with a
-        prior .03.
-    prior : (L, L) float64, optional
-        A covariance of trace 1 of what should be ignored in any gallery: 30 % of the covariance.
+        Shrinkage in (0, 1] of the covariance towards its mean variance times the identity. auto: .2.
     """
 
     _kind = "neighbours"
     _least_samples = 1
-
-    def __init__(self, shrinkage: Shrinkage = "auto", prior: FloatArray | None = None) -> None:
-        self.shrinkage = shrinkage
-        self.prior = prior
 
 
 class PCAWhitening(_Whitener):
@@ -130,28 +123,35 @@ class WithinClassWhitening(_Whitener):
         return tags
 
 
-class ResolutionWhitening(_Whitener):
-    """Whitening by the changes that the resolution of a surface causes; ``resolution`` of `RetrievalOptions`.
+class PeopleWhitening(_Whitener):
+    """Whitening by the metric that was learned from simulated people; ``people`` of `RetrievalOptions`.
 
-    Nothing is estimated from the signatures, which must be R-BiHDM with 60 modes, at most 60 values.
+    The signatures must be by area, with 60 modes. The less they are like those of simulated people, the more
+    their own neighbours count.
 
     Parameters
     ----------
-    scale : {"area", "relative"}, default "area"
-        Normalisation of the signatures, as in `SignatureOptions`.
+    method : {"hapt+r-bihdm", "r-bihdm", "hapt"}, default "hapt+r-bihdm"
+        The descriptor of the signatures.
     shrinkage : float or "auto", default "auto"
-        Regularisation in (0, 1], times the largest eigenvalue of the covariance. auto: .03.
+        As for `NeighbourWhitening`.
     """
 
-    def __init__(self, scale: Scale = "area", shrinkage: Shrinkage = "auto") -> None:
-        self.scale = scale
+    def __init__(self, method: str = "hapt+r-bihdm", shrinkage: Shrinkage = "auto") -> None:
+        self.method = method
         self.shrinkage = shrinkage
 
     def fit(self, X: ArrayLike, y: object = None) -> Self:
-        """Note how many values the signatures have."""
-        n_values = validate_data(self, X, dtype=np.float64).shape[1]
-        options = SignatureOptions(method="r-bihdm", n_values=n_values, scale=self.scale)
-        self.whitening_ = resolution_whitening(options, shrinkage=self.shrinkage)
+        """Weigh the metric of simulated people against what near signatures X differ by."""
+        logs = validate_data(self, X, dtype=np.float64)
+        n_others = signature_length(SignatureOptions(method=self.method, n_values=1)) - 1
+        options = SignatureOptions(method=self.method, n_values=max(1, logs.shape[1] - n_others))
+        known = people(options)
+        if known is None or len(known.mean) != logs.shape[1]:
+            raise InputError(
+                f"X must be signatures by area of {self.method}, with at most 59 values of r-bihdm"
+            )
+        self.whitening_ = fit_whitening("people", logs, shrinkage=self.shrinkage, people=known)
         return self
 
 
@@ -249,7 +249,7 @@ class SignatureTransformer(ClassNamePrefixFeaturesOutMixin, TransformerMixin, Ba
         The descriptor; by default that of `options`.
     n_values : int, optional
         The number of values; by default that of `options`.
-    scale : {"auto", "area", "relative", "absolute"}, optional
+    scale : {"area", "relative", "absolute"}, optional
         The normalisation; by default that of `options`.
 
     Examples
@@ -298,8 +298,7 @@ class SignatureTransformer(ClassNamePrefixFeaturesOutMixin, TransformerMixin, Ba
         """The options, with the parameters that were given in their place."""
         given = {"method": self.method, "n_values": self.n_values, "scale": self.scale}
         chosen = {name: value for name, value in given.items() if value is not None}
-        options = PipelineOptions.of(self.options).changed(signature=chosen)
-        return options.model_copy(update={"signature": options.compared})
+        return PipelineOptions.of(self.options).changed(signature=chosen)
 
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()

@@ -69,7 +69,6 @@ METHODS: dict[str, bool] = {
     "csd": False,
     "ispm": False,
     "hapt": False,
-    "combined": True,
 }
 
 #: The names of the descriptors, of pcretrieve and of other packages.

@@ -26,15 +26,20 @@ from pcretrieve.retrieval import SignatureIndex
 from pcretrieve.retrieval.clusters import NearPair, cluster_numbers, near_pairs
 from pcretrieve.retrieval.covariances import LEAST_SHAPES
 from pcretrieve.retrieval.distances import checked_k, nearest_of, position_of
-from pcretrieve.values import FloatArray, Neighbors, Signature, Verdict
+from pcretrieve.values import Neighbors, Signature, Verdict
 from pcretrieve.values.base import Value
 
 if TYPE_CHECKING:
     from pcretrieve.formats import ScanLike
     from pcretrieve.matching import DistanceMatrix
+    from pcretrieve.retrieval.scores import MatchScores
 
-# Pairs with a smaller score are of two classes more often than of one (a convention).
-LIKELY_SCORE = 0.5
+# How often an answer is right that is called sure, and below which nobody in the collection is meant:
+# measured on classes that were left out, see docs/decisions.md, sure.
+SURE, UNLIKELY = 0.9, 0.5
+
+# Number of results, or more, among which the next class is looked for.
+LOOKED_AT = 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,15 +62,18 @@ class Question:
     memory: float | None = None
     has_picture: bool = False
     up: str | None = None
+    far: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "k", checked_k(self.k))
         if self.min_score is not None and not 0 <= self.min_score <= 1:
             raise OptionError(f"min_score must be between 0 and 1, got {self.min_score}")
+        if self.far is not None and not 0 < self.far < 1:
+            raise OptionError(f"far must be between 0 and 1, got {self.far}")
 
     def scan_options(self, catalogue: Catalogue) -> PipelineOptions:
         """The options by which a scan that the catalogue does not have is processed."""
-        own = catalogue.options.model_copy(update={"signature": self.options.compared})
+        own = catalogue.options.model_copy(update={"signature": self.options.signature})
         return own if self.unit is None else own.changed(scan={"unit": self.unit})
 
 
@@ -79,13 +87,26 @@ class Described:
 
 
 @dataclass(frozen=True, slots=True)
-class Vote:
-    """The class with the largest share of the weight of all voters, and its lead over the next class."""
+class Match:
+    """Who a query is.
+
+    label, other: the class of the nearest shape, and the next class, if results have one.
+    certainty: how often such an answer is right, estimated from the labelled shapes of the catalogue; 0
+        beyond the false-match rate that is asked for; None if there are too few labels.
+    """
 
     label: str
-    share: float
-    margin: float
-    n_voters: int
+    other: str | None
+    certainty: float | None
+
+    def __str__(self) -> str:
+        if self.certainty is None:
+            return f"nearest class {self.label}"
+        if self.certainty < UNLIKELY:
+            return f"not in this collection; the nearest class is {self.label}"
+        if self.certainty >= SURE:
+            return f"{self.label}, sure"
+        return f"{self.label}, not sure" if self.other is None else f"{self.label} or {self.other}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,15 +119,15 @@ class Answer(Value):
         The neighbours, nearest first.
     records : tuple of Record, length k
         The record of each neighbour.
-    vote : Vote, optional
-        The class that the neighbours but the query itself vote for, weighted by their scores.
+    match : Match, optional
+        Who the query is, itself left out; None without labels.
     query : str or Described, optional
         The query: its id in the catalogue, or its signature.
     """
 
     neighbors: Neighbors
     records: tuple[Record, ...]
-    vote: Vote | None = None
+    match: Match | None = None
     query: str | Described | None = None
 
     @property
@@ -114,29 +135,11 @@ class Answer(Value):
         """Class of each neighbour; None if unknown."""
         return tuple(record.label for record in self.records)
 
-    @property
-    def best_score(self) -> float | None:
-        """The greatest score of a neighbour, between 0 and 1; None if scores are not known."""
-        known = self.neighbors.scores
-        return None if known is None or not len(known) else float(known.max())
-
-    @property
-    def is_unlikely(self) -> bool:
-        """Whether classes are known, and each neighbour is probably of another class than the query."""
-        return self.vote is not None and self.best_score is not None and self.best_score < LIKELY_SCORE
-
     def __str__(self) -> str:
-        """The verdict, in one line: the class, and how sure it is."""
+        """The verdict, in one line."""
         if not self.records:
             return "no match"
-        parts = [f"probably no match: the best score is {self.best_score:.2f}"] if self.is_unlikely else []
-        if self.vote is not None:
-            nearest = "nearest class" if self.is_unlikely else "class"
-            parts.append(
-                f"{nearest} {self.vote.label} by {self.vote.share:.0%} of {self.vote.n_voters} votes, "
-                f"margin {self.vote.margin:.0%}"
-            )
-        return "; ".join(parts) or f"nearest {self.records[0].id}"
+        return f"nearest {self.records[0].id}" if self.match is None else str(self.match)
 
     def rows(self) -> list[dict[str, Any]]:
         """The results, with the names that commands and the search page give their columns."""
@@ -233,6 +236,7 @@ def search_many(
     memory: float | None = None,
     has_pictures: bool = False,
     up: str | None = None,
+    far: float | None = None,
 ) -> Iterator[tuple[str, Answer | ShapeError]]:
     """Answer several queries, in their order.
 
@@ -252,6 +256,9 @@ def search_many(
         Whether `Answer.query` has a picture of a scan that is processed.
     up : {"x", "-x", "y", "-y", "z", "-z"}, optional
         The axis of the files that points upwards on it; by default found for each scan.
+    far : float, optional
+        The false-match rate: a query is "not in this collection" if a larger share of pairs of two classes
+        is as near as its nearest shape.
 
     Yields
     ------
@@ -266,7 +273,7 @@ def search_many(
     """
     with opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
-        how = (matrix, timeout, memory, has_pictures, up)
+        how = (matrix, timeout, memory, has_pictures, up, far)
         question = Question(chosen, k, labels, exclude_self, min_score, unit, *how)
         yield from _answers(store, queries, question)
 
@@ -296,27 +303,30 @@ def _answers(
 
 def answer_to(catalogue: Catalogue, query: str | Described, question: Question) -> Answer:
     """Answer one query that is known already. No file is read, whatever the query is called."""
-    found = _cut(_ranked(catalogue, query, question), question)
-    records = tuple(catalogue.record(shape_id) for shape_id in found.ids)
-    weights = np.ones(len(records)) if found.scores is None else found.scores
-    voters = [None if record.id == query else record.label for record in records]
-    return Answer(found, records, class_vote(voters, weights), query)
+    ranked = _ranked(catalogue, query, question, LOOKED_AT)
+    known = {record.id: record for record in catalogue.several(ranked.ids)}
+    labelled = [
+        (float(distance), label)
+        for shape_id, distance in zip(ranked.ids, ranked.distances, strict=True)
+        if shape_id != query and (label := known[shape_id].label) is not None
+    ]
+    scores = None if question.matrix is not None else catalogue.index(question.options).scores
+    found = _cut(ranked, question)
+    return Answer(found, tuple(known[i] for i in found.ids), _match(labelled, scores, question.far), query)
 
 
-def class_vote(labels: Sequence[str | None], weights: FloatArray) -> Vote | None:
-    """The class that the neighbours of a query vote for, with weights (k,) such as their scores."""
-    total: dict[str, float] = {}
-    for label, weight in zip(labels, weights.tolist(), strict=True):
-        if label is not None:
-            total[label] = total.get(label, 0.0) + weight
-    everything = sum(total.values())
-    if not everything:
+def _match(found: list[tuple[float, str]], scores: MatchScores | None, far: float | None) -> Match | None:
+    """Who a query is, by the distances and the classes of its neighbours."""
+    if not found:
         return None
-    ranked = sorted(total.items(), key=lambda item: (-item[1], item[0]))
-    next_best = ranked[1][1] if len(ranked) > 1 else 0.0
-    n_voters = sum(label is not None for label in labels)
-    label, best = ranked[0]
-    return Vote(label, best / everything, (best - next_best) / everything, n_voters)
+    nearest, label = min(found)
+    others = [one for one in found if one[1] != label]
+    # Without another class among the neighbours, the next one is at least as far as the last of them.
+    distance, other = min(others) if others else (max(found)[0], None)
+    certainty = None if scores is None else scores.sureness(nearest, distance)
+    if scores is not None and far is not None and nearest > scores.reach(far):
+        certainty = 0.0
+    return Match(label, other, certainty)
 
 
 def duplicates(
@@ -331,8 +341,8 @@ def duplicates(
     options : OptionsLike, optional
         The signatures, with a `threshold` also distance and whitening; by default those of the catalogue.
     threshold : float, optional
-        The largest distance of a pair. By default that of the uncertainties of both shapes, for the distance
-        ``log`` without whitening; doubtful and unusable shapes, which are near to many, are then left out.
+        The largest distance of a pair. By default that of the uncertainties of both shapes, for R-BiHDM and
+        the distance ``log`` without whitening; incomplete shapes, which are near to many, are then left out.
 
     Returns
     -------
@@ -342,7 +352,7 @@ def duplicates(
     Raises
     ------
     CatalogueError, InputError
-        As by `search`; and without `threshold`, if the signatures are not compared by logarithms.
+        As by `search`.
     """
     with opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
@@ -352,18 +362,16 @@ def duplicates(
             index = store.index(chosen)
             # Each of two equal errors is the part of the threshold that adds up to it.
             return near_pairs(index, np.full(len(index), threshold / np.sqrt(2)))
-        plain = chosen.changed(retrieval={"distance": "log", "whitening": "none", "calibration": None})
+        plain = chosen.changed(
+            signature={"method": "r-bihdm", "n_values": 23, "scale": "area", "size_weight": 0},
+            retrieval={"distance": "log", "whitening": "none", "calibration": None},
+        )
         table = store.signatures(plain)
-        if table.metric != "logarithms":
-            raise InputError(
-                f"uncertainties are those of logarithms, as which {table.kind} is not compared: give a "
-                "threshold"
-            )
         errors = {
             record.id: 0.0 if record.verdict is None else record.verdict.uncertainty
             for page in store.pages(status="done")
             for record in page
-            if not record.is_doubtful
+            if not record.is_incomplete
         }
         ids = [shape_id for shape_id in table.ids if shape_id in errors]
         if not ids:
@@ -499,11 +507,11 @@ def _stored(catalogue: Catalogue, shape_id: str) -> str:
     return shape_id
 
 
-def _ranked(catalogue: Catalogue, query: str | Described, question: Question) -> Neighbors:
-    """The first results, without the query if it is to be left out."""
+def _ranked(catalogue: Catalogue, query: str | Described, question: Question, least: int = 0) -> Neighbors:
+    """The first results, at least so many, without the query if it is to be left out."""
     among = None if question.labels is None else _labelled(catalogue, question.labels)
     # A query that is left out of its results is one of them before.
-    most = question.k + question.exclude_self
+    most = max(question.k, least) + question.exclude_self
     matrix = question.matrix
     if matrix is not None and isinstance(query, str):
         row = matrix.values[position_of(matrix.ids, query)]
@@ -514,11 +522,10 @@ def _ranked(catalogue: Catalogue, query: str | Described, question: Question) ->
         index = catalogue.index(question.options)
         found = index.ranked(compared, most, among=among, rerank=question.options.retrieval.rerank)
     left_out = query if question.exclude_self else None
-    return _some(found, [row for row, name in enumerate(found.ids) if name != left_out][: question.k])
+    return _some(found, [row for row, name in enumerate(found.ids) if name != left_out])
 
 
 def _labelled(catalogue: Catalogue, labels: Collection[str]) -> set[str]:
-    """The shapes of some classes."""
     among = set(catalogue.labelled(labels))
     if not among:
         known = {one.label for one in catalogue.origins() if one.label is not None}
@@ -532,18 +539,18 @@ def _labelled(catalogue: Catalogue, labels: Collection[str]) -> set[str]:
 
 def _cut(found: Neighbors, question: Question) -> Neighbors:
     """The first results, as far as their scores are large enough."""
+    rows = range(min(question.k, len(found)))
     if question.min_score is None:
-        return found
+        return _some(found, rows)
     if found.scores is None:
         raise InputError(
             "a least score needs calibrated scores, which are estimated from distances of signatures, of "
             f"labelled shapes or of {LEAST_SHAPES} or more: label shapes, or leave out the least score"
         )
-    return _some(found, np.flatnonzero(found.scores >= question.min_score).tolist())
+    return _some(found, [row for row in rows if found.scores[row] >= question.min_score])
 
 
 def _some(found: Neighbors, rows: Sequence[int]) -> Neighbors:
-    """Some of the results, in their order."""
     chosen = list(rows)
     scores = None if found.scores is None else found.scores[chosen]
     return Neighbors(tuple(found.ids[row] for row in chosen), found.distances[chosen], scores)

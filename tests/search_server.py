@@ -35,13 +35,15 @@ SECRETS = (
 
 
 def write_eggs(path: Path) -> None:
-    """A catalogue of four eggs of each of three kinds, one of which is doubtful, and of a failure."""
+    """A catalogue of four eggs of each of three kinds, one of which is incomplete, and of a failure."""
     with Catalogue(path, OPTIONS, create=True) as store:
         for kind in range(3):
             for number, width in enumerate((1, 1.04, 1.08, 1.12)):
                 shape = process(shapes.ellipsoid((width, 1, 1.3 + 0.5 * kind), 3), OPTIONS)
-                doubtful = (kind, number) == (2, 3)
-                verdict = Verdict("doubtful", 0.5, ("a large hole",)) if doubtful else Verdict("sound", 0.01)
+                incomplete = (kind, number) == (2, 3)
+                verdict = (
+                    Verdict("incomplete", 0.5, ("a large hole",)) if incomplete else Verdict("good", 0.01)
+                )
                 name = NASTY if (kind, number) == (2, 2) else f"Egg{kind}{number}"
                 values = describe(shape, OPTIONS.signature).values
                 record = Record(name, f"/secret/folder/{kind}{number}.off", name, f"<kind {kind}>")

@@ -18,7 +18,7 @@ from pcretrieve.errors import InputError, OptionError, ShapeError
 from pcretrieve.estimators import (
     NeighbourWhitening,
     PCAWhitening,
-    ResolutionWhitening,
+    PeopleWhitening,
     SignatureNeighbors,
     SignatureTransformer,
     WithinClassWhitening,
@@ -30,10 +30,10 @@ from pcretrieve.retrieval import (
     coordinates,
     fit_whitening,
     pairwise,
-    resolution_whitening,
+    people,
 )
 
-WHITENINGS = (NeighbourWhitening(), PCAWhitening(), WithinClassWhitening(), ResolutionWhitening())
+WHITENINGS = (NeighbourWhitening(), PCAWhitening(), WithinClassWhitening(), PeopleWhitening("r-bihdm"))
 
 
 @pytest.mark.parametrize("estimator", [*WHITENINGS, SignatureNeighbors(n_neighbors=1)], ids=str)
@@ -43,21 +43,20 @@ def test_checks_of_scikit_learn(estimator: BaseEstimator) -> None:
 
 def test_whitenings_are_those_of_the_functions() -> None:
     logs, labels = posed_logs(), classes_of(60, 6)
-    relative = SignatureOptions(method="r-bihdm", n_values=8, scale="relative")
+    known = people(SignatureOptions(method="r-bihdm", n_values=8))
     for estimator, whitening in (
         (NeighbourWhitening(0.2), fit_whitening("neighbours", logs, shrinkage=0.2)),
-        (NeighbourWhitening(prior=np.eye(8) / 8), fit_whitening("neighbours", logs, prior=np.eye(8) / 8)),
         (PCAWhitening(0.2), fit_whitening("pca", logs, shrinkage=0.2)),
         (WithinClassWhitening(), fit_whitening("within-class", logs, labels)),
-        (ResolutionWhitening("relative"), resolution_whitening(relative)),
+        (PeopleWhitening("r-bihdm"), fit_whitening("people", logs, people=known)),
     ):
         assert estimator.fit(logs, labels).whitening_ == whitening
         np.testing.assert_array_equal(estimator.transform(logs[:5]), whitening.apply(logs[:5]))
     for estimator in WHITENINGS:
         with pytest.raises(OptionError, match=r"shrinkage must lie in \(0, 1\], got 2"):
             clone(estimator).set_params(shrinkage=2).fit(logs, labels)
-    with pytest.raises(OptionError, match="has been measured for r-bihdm with n_modes = 60, by area or"):
-        ResolutionWhitening("absolute").fit(logs)
+    with pytest.raises(InputError, match="X must be signatures by area of hapt"):
+        PeopleWhitening().fit(logs)
 
 
 @pytest.mark.parametrize("distance", DISTANCES)
@@ -127,11 +126,11 @@ def test_from_scans_to_neighbours_in_one_pipeline() -> None:
     meshes = [shapes.ellipsoid(size, subdivisions=2) for size in sizes]
     kinds = classes_of(12, 3)
     keep = {"surface": {"mode": "keep"}}
-    scans = SignatureTransformer(keep, n_values=9)
+    scans = SignatureTransformer(keep, method="r-bihdm", n_values=9)
     search = make_pipeline(scans, WithinClassWhitening(), SignatureNeighbors(n_neighbors=2))
     search.fit(meshes, kinds)
     new = shapes.ellipsoid((1.05, 1, 1.6), subdivisions=2)
     rows = search[-1].kneighbors(search[:-1].transform([new]), return_distance=False)
     assert {kinds[row] for row in rows[0]} == {"class 002"}
-    values = pr.signature(new, {**keep, "signature": {"n_values": 9}}).values
+    values = pr.signature(new, {**keep, "signature": {"method": "r-bihdm", "n_values": 9}}).values
     np.testing.assert_allclose(scans.transform([new]), [np.log(values)], rtol=1e-9)

@@ -33,13 +33,13 @@ ROOMS = {
     "surface": 3000,  # planned 2900: two coarse surfaces, simplification that keeps the topology
     "spectral": 1010,  # planned 1000
     "descriptors": 1500,
-    "retrieval": 2070,  # planned 1800: an exact compiled scan, which small tables do not wait for
+    "retrieval": 2200,  # planned 1800: an exact compiled scan; the metric of people; how sure an answer is
     "matching": 1080,  # planned 900: three published methods written out
     "catalogue": 2490,  # planned 1700: two stores, network file systems, locks, checksums, kept indexes
     "checks": 710,
     "pipeline": 580,  # planned 450: an inspection survives any stage that fails
     "ingestion": 2870,  # planned 1700: workers that may be killed, Dask, files that have not changed
-    "query": 550,
+    "query": 560,
     "evaluation": 1240,  # planned 1100: intervals, grouped folds and the published tables
     "estimators": 310,  # planned 250: six public classes with their documentation
     "pages": 2720,  # planned 2200
@@ -48,7 +48,7 @@ ROOMS = {
     "cli": 2830,  # planned 2300: 1,100 lines are help and options of 28 commands
 }
 MOST_LINES, MOST_MODULES, MOST_ARROWS, MOST_OPTIONS = 35_000, 180, 117, 45
-MOST_TEST_LINES = 18_450  # planned 16,000: those of today, which may shrink and not grow
+MOST_TEST_LINES = 16_000
 
 # Rooms that faces use beside the front door, and no more than these: `demo` writes simulated scans.
 BEHIND = {"cli": {"simulation"}, "pages": {"pipeline"}, "web": {"ingestion", "query"}}

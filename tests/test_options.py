@@ -163,22 +163,6 @@ def test_every_option_that_moves_a_spectrum_has_a_digest_of_its_own() -> None:
     assert options == PipelineOptions()  # `changed` returns a copy
 
 
-def test_pca_whitened_signatures_are_relative_unless_a_scale_is_named() -> None:
-    for scale, whitening, expected in (
-        ("auto", "none", "area"),
-        ("auto", "resolution", "area"),
-        ("auto", "pca", "relative"),
-        ("auto", "within-class", "area"),
-        ("area", "pca", "area"),
-        ("relative", "none", "relative"),
-        ("absolute", "pca", "absolute"),
-    ):
-        options = PipelineOptions().changed(signature={"scale": scale}, retrieval={"whitening": whitening})
-        assert options.compared == options.signature.model_copy(update={"scale": expected})
-        named = options.changed(signature={"scale": expected})
-        assert options.compared_digest == named.compared_digest == named.signature_digest
-
-
 def test_a_name_is_a_preset_unless_there_is_such_a_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -110,8 +110,9 @@ def test_signatures_that_were_computed_are_kept(catalogue: Path, tmp_path: Path)
 
 @pytest.mark.parametrize("distance", ["log", "d1", "d2"])
 def test_ranks_in_some_classes_are_those_among_all_shapes(distance: str, catalogue: Path) -> None:
-    options = {"retrieval": {"distance": distance}}
-    signature = pr.signature(shapes.ellipsoid((1.02, 1, 1.3), subdivisions=3))
+    options = {"retrieval": {"distance": distance}, "signature": {"method": "r-bihdm"}}
+    new = shapes.ellipsoid((1.02, 1, 1.3), subdivisions=3)
+    signature = pr.signature(new, {"signature": {"method": "r-bihdm"}})
     some = [f"{kind}{number}" for kind in (0, 2) for number in range(N_EACH)]
     for query in ("11", "01", signature):
         everything = pr.search(catalogue, query, k=N_KINDS * N_EACH, options=options)
@@ -278,7 +279,7 @@ def test_signatures_are_exported(catalogue: Path, tmp_path: Path) -> None:
         if suffix == ".npz":
             with np.load(path, allow_pickle=False) as file:
                 ids, labels, values = file["ids"].tolist(), file["labels"].tolist(), file["values"]
-                assert str(file["kind"]) == "combined"
+                assert str(file["kind"]) == "hapt+r-bihdm"
         elif suffix == ".parquet":
             pandas = pytest.importorskip("pandas")
             frame = pandas.read_parquet(path)

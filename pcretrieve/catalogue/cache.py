@@ -58,10 +58,10 @@ def signatures_digest(options: PipelineOptions) -> str:
     # With the version of the package of the descriptor, because other versions may give other values.
     method = options.signature.method
     if method in METHODS:
-        return options.compared_digest
+        return options.signature_digest
     from pcretrieve.descriptors import DESCRIPTORS
 
-    return options.compared_digest + DESCRIPTORS.version(method)
+    return options.signature_digest + DESCRIPTORS.version(method)
 
 
 class IndexCache:

@@ -39,8 +39,7 @@ from pcretrieve.options import PipelineOptions, options_difference
 from pcretrieve.retrieval import (
     SignatureIndex,
     Whitening,
-    resolution_covariance,
-    resolution_whitening,
+    people,
     table_whitening,
 )
 from pcretrieve.retrieval.scores import fit_scores
@@ -262,7 +261,7 @@ class Catalogue(Rows):
         catalogue. Options and errors are those of `index`.
         """
         options = self._fitting(options)
-        return _made_before(options) or self.index(options).whitening
+        return _calibrated(options) or self.index(options).whitening
 
     # --- inside -----------------------------------------------------------------------------------------
 
@@ -315,7 +314,7 @@ class Catalogue(Rows):
 
         descriptor = DESCRIPTORS[options.signature.method]
         unit = self._unit_of_sizes(options)
-        is_own = options.compared_digest == self.options.signature_digest
+        is_own = options.signature_digest == self.options.signature_digest
         digest = OWN if is_own else signatures_digest(options)
         n_values = signature_length(options.signature)
         with intact(self.location, "a signature"):
@@ -328,7 +327,7 @@ class Catalogue(Rows):
             made = self._described(digest, options, [ids[row] for row in missing])
             for row, values_now in zip(missing, made, strict=True):
                 values[row] = values_now
-        made_by = descriptor.name, options.compared_digest
+        made_by = descriptor.name, options.signature_digest
         table = SignatureTable(tuple(ids), values, *made_by, tuple(labels), descriptor.metric, unit)
         return table, revision
 
@@ -344,7 +343,7 @@ class Catalogue(Rows):
                 for shape_id in ids[start : start + KEPT_AT_ONCE]:
                     record, shape = self._read(shape_id, needs)
                     try:
-                        made.append(describe(shape, options.compared).values)
+                        made.append(describe(shape, options.signature).values)
                     except ShapeError as error:
                         error.shape_id = shape_id
                         raise
@@ -373,24 +372,19 @@ class Catalogue(Rows):
     def _made_index(self, options: PipelineOptions) -> tuple[SignatureIndex, str]:
         """Compute the index of the signatures by some options, and name the state that it belongs to."""
         table, revision = self._table(options)
-        if not len(table):
-            raise InputError("an index needs at least 1 shape, got an empty table; ingest shapes first")
-        retrieval, prior = options.retrieval, resolution_covariance(options.compared)
-        whitening = _made_before(options) or table_whitening(table, retrieval, prior=prior)
+        retrieval, known = options.retrieval, people(options.signature)
+        whitening = _calibrated(options) or table_whitening(table, retrieval, people=known)
         scores = fit_scores(table, whitening, retrieval)
         return SignatureIndex(table, retrieval, whitening=whitening, scores=scores), revision
 
 
-def _made_before(options: PipelineOptions) -> Whitening | None:
-    """The whitening ``resolution``, or one of a file, which are not fitted to the shapes of the catalogue."""
-    retrieval, digest = options.retrieval, options.compared_digest
-    if retrieval.calibration is not None:
-        whitening = read_whitening(Path(retrieval.calibration))
-        whitening.check_made_for(digest)
-        return whitening
-    if retrieval.whitening != "resolution":
+def _calibrated(options: PipelineOptions) -> Whitening | None:
+    """The whitening of a file, which is not fitted to the shapes of the catalogue."""
+    if options.retrieval.calibration is None:
         return None
-    return resolution_whitening(options.compared, shrinkage=retrieval.shrinkage, options_digest=digest)
+    whitening = read_whitening(Path(options.retrieval.calibration))
+    whitening.check_made_for(options.signature_digest)
+    return whitening
 
 
 def _with_overlaps(surface: Surface, element: str) -> Surface:

@@ -48,7 +48,7 @@ TABLES = {
         "n_vertices": "bigint",  # of the first surface, as the next two
         "n_faces": "bigint",
         "euler": "bigint",
-        "judgement": "{text}",  # sound, doubtful or unusable; NULL: not judged
+        "judgement": "{text}",  # good or incomplete; NULL: not judged
         "uncertainty": "double precision",  # log-signature error that the checks let expect
         "metres_per_unit": "double precision",  # length of the unit of the area; NULL: unknown
         "stamp": "{text}",  # by which an unchanged file is known without reading it; NULL: unknown
@@ -86,7 +86,7 @@ KEYS = {"signatures": ("digest", "shape")}
 INDEXES = (
     "CREATE INDEX shapes_by_content ON shapes (content_hash)",
     "CREATE INDEX shapes_by_status ON shapes (status, id)",
-    "CREATE INDEX doubtful_shapes ON shapes (id) WHERE judgement <> 'sound'",
+    "CREATE INDEX incomplete_shapes ON shapes (id) WHERE judgement <> 'good'",
 )
 
 # Number of rows that are read at a time.
@@ -200,9 +200,9 @@ class Record:
     stamp: str | None = None
 
     @property
-    def is_doubtful(self) -> bool:
-        """Whether the verdict is "doubtful" or "unusable"; false if the shape was not judged."""
-        return self.verdict is not None and not self.verdict.is_sound
+    def is_incomplete(self) -> bool:
+        """Whether the verdict is "incomplete"; false if the shape was not judged."""
+        return self.verdict is not None and not self.verdict.is_good
 
     @property
     def metres_per_unit(self) -> float | None:

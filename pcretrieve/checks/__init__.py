@@ -6,15 +6,13 @@ checked; an inspection adds rescans, and shows the findings.
 """
 
 from pcretrieve.checks.findings import findings_of
-from pcretrieve.checks.grading import NEXT_BODY, OUTCOMES, Check, graded, verdict_of
-from pcretrieve.checks.inspection import Inspection, NextBody
+from pcretrieve.checks.grading import OUTCOMES, Check, graded, verdict_of
+from pcretrieve.checks.inspection import Inspection
 
 __all__ = [
-    "NEXT_BODY",
     "OUTCOMES",
     "Check",
     "Inspection",
-    "NextBody",
     "findings_of",
     "graded",
     "verdict_of",

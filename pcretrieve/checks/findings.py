@@ -47,8 +47,9 @@ FILLED_OF_SPARSE = 2
 # at which the face closes a cut end. In a hole of a smooth surface the normals agree.
 TURNED = 0.3
 
-# Fraction of the surface that is nearer to a point than the distance in the check "Gaps".
-COVERED = 0.95
+# Fractions of the surface that are nearer to a point than the distances in the checks "Gaps" and "Largest
+# hole".
+COVERED, NEARLY_ALL = 0.95, 0.9999
 
 # Largest distance of voxels that belong to one cut or bridge, relative to the diagonal.
 PLACE = 0.02
@@ -131,7 +132,8 @@ def _fit(
         lean = np.einsum("ij,ij->i", vectors, cloud.normals[near])  # area times cosine
         ends = float(areas[filled & (lean < TURNED * areas)].sum() / area)
     order = np.argsort(apart)
-    covered = int(np.searchsorted(np.cumsum(areas[order]), COVERED * areas.sum()))
+    covered = np.searchsorted(np.cumsum(areas[order]), np.array([COVERED, NEARLY_ALL]) * areas.sum())
+    gaps, hole = apart[order[np.minimum(covered, len(order) - 1)]] / cloud.diagonal
     # Open3D computes these distances in single precision, so the points are moved near the origin.
     origin = some.mean(axis=0)
     gap = RayScene(mesh.vertices - origin, mesh.faces).distance(some - origin)
@@ -139,7 +141,8 @@ def _fit(
     checks += fit_checks(
         filled=float(areas[filled].sum() / area),
         ends=ends,
-        gaps=float(apart[order[min(covered, len(order) - 1)]]) / cloud.diagonal,
+        gaps=float(gaps),
+        hole=float(hole),
         lost=float(lost.mean()),
         noise=float(np.sqrt((gap[~lost] ** 2).sum() / max((~lost).sum(), 1))) / cloud.diagonal,
     )

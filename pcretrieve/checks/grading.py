@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from pcretrieve.values import Judgement, Verdict
+from pcretrieve.values import Verdict
 
 Outcome = Literal["passed", "look", "failed"]
 
@@ -20,12 +20,12 @@ OUTCOMES: tuple[Outcome, ...] = ("failed", "look", "passed")
 #: Of a check, the largest value with which it is passed, and the largest with which it is not failed.
 Limits = tuple[float, float]
 
-#: Distance ``log`` of a body to the most similar other body, as of people.
-NEXT_BODY = 0.5
+# Largest uncertainty of a good scan: with a larger one, the signature may be that of another body. Within it
+# the uncertainty does not tell which answers are wrong. See docs/decisions.md, incomplete.
+GROSS = 1.0
 
-# Largest uncertainty of a sound shape, and of a doubtful one, relative to the distance to the next body.
-DOUBTFUL = 0.5
-UNUSABLE = 1.5
+# Checks that say that a part is missing or invented, or that there are two bodies, whatever the error.
+GRAVE = ("Closed surface", "Welds", "Closed base", "One body")
 
 # Smallest part in the squared uncertainty of a check that is named as a reason.
 REASON = 0.1
@@ -108,7 +108,7 @@ MEASURES = {
         "The orange surface is interpolated, because there are no points: scan these places too.",
     ),
     "Closed ends": Measure(
-        (0.005, 0.03),
+        (0.005, 0.006),
         "The filled parts continue the surface around them.",
         "The surface was closed across a limb that ends in a hole: scan the part that is missing.",
     ),
@@ -116,6 +116,11 @@ MEASURES = {
         (0.008, 0.025),
         "Points are dense everywhere.",
         "Parts of the body have few points: scan these parts more densely, or from nearer.",
+    ),
+    "Largest hole": Measure(
+        (0.0225, 0.0225),
+        "No part of the surface is far from all points.",
+        "A part of the body was not seen: scan it too, and merge the views.",
     ),
     "Left out": Measure(
         (0.005, 0.05),
@@ -179,9 +184,7 @@ def percent(share: float) -> str:
     return f"{100 * share:.2g} %" if share < 0.995 else "100 %"
 
 
-def verdict_of(
-    checks: Sequence[Check], *, spread: float | None = None, next_body: float = NEXT_BODY
-) -> Verdict:
+def verdict_of(checks: Sequence[Check], *, spread: float | None = None) -> Verdict:
     """The verdict on a shape.
 
     The errors of the checks are assumed to be independent, so that the uncertainty is the root of the sum of
@@ -189,13 +192,14 @@ def verdict_of(
     """
     squared = float(sum(check.error**2 for check in checks))
     uncertainty = max(float(np.sqrt(squared)), spread or 0.0)
-    failed = [check for check in checks if check.verdict == "failed"]
-    if not failed and uncertainty <= DOUBTFUL * next_body:
-        return Verdict("sound", uncertainty)
+    failed = [
+        check for check in checks if check.verdict in ("failed", "look" if check.name in GRAVE else "failed")
+    ]
+    if not failed and uncertainty <= GROSS:
+        return Verdict("good", uncertainty)
     grave = [check for check in checks if check in failed or check.error**2 > REASON * uncertainty**2]
     grave.sort(key=lambda check: (check not in failed, -check.error))
     reasons = [f"{check.name.lower()}: {check.shown}" for check in grave]
     if spread and spread**2 > squared and all(check.name != "Signature" for check in failed):
         reasons.append(f"rescans: ± {spread:.2g}")
-    judgement: Judgement = "unusable" if failed or uncertainty > UNUSABLE * next_body else "doubtful"
-    return Verdict(judgement, uncertainty, tuple(reasons))
+    return Verdict("incomplete", uncertainty, tuple(reasons))

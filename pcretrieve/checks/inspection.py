@@ -1,28 +1,15 @@
-"""The result of inspecting one scan: a value, with the next body that its error bar is compared with."""
+"""The result of inspecting one scan."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.checks.grading import NEXT_BODY, Check, Outcome, percent, verdict_of
+from pcretrieve.checks.grading import Check, Outcome, verdict_of
 from pcretrieve.values import Failure, FloatArray, PointCloud, Signature, Step, TriangleMesh, Verdict
-
-
-@dataclass(frozen=True, slots=True)
-class NextBody:
-    """The most similar other body."""
-
-    distance: float = NEXT_BODY
-    id: str | None = None
-    label: str | None = None
-    source: str = (
-        f"The distance to the next body, {NEXT_BODY:g}, is that of people: simulated ones are "
-        "that far from the most similar other person. Name a catalogue to have it measured there."
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +41,7 @@ class Inspection:
     cuts, bridges : (k, 3) float64
         Places where parts of the surface that touch were separated, and where a loose part was connected.
     signature : Signature or None
-        Without the size of the body.
+        That of `r_bihdm`, L = 23, which the error bar is of.
     rescan_deviation : (L,) float64 or None
         Standard deviation (ddof 0) of the logarithm of each value of the signature over simulated rescans. It
         is not `Signature.deviation`, which is over surfaces reconstructed from one scan.
@@ -64,8 +51,6 @@ class Inspection:
         The stage that failed, and its error; None if there is a signature.
     steps : tuple of Step
         The provenance of the last result.
-    next_body : NextBody
-        The distance with which the error bar of the signature is compared.
     """
 
     name: str
@@ -85,25 +70,22 @@ class Inspection:
     spread: float | None
     failure: Failure | None
     steps: tuple[Step, ...]
-    next_body: NextBody = field(default_factory=NextBody)
 
     @property
     def verdict(self) -> Outcome:
-        """That of the shape: "passed" if it is sound, "look" if doubtful, "failed" if unusable or none."""
+        """That of the shape: "passed" if it is good, "look" if incomplete, "failed" if there is none."""
         judged = self.shape_verdict
-        if judged is None:
-            return "failed"
-        return "passed" if judged.is_sound else "look" if judged.judgement == "doubtful" else "failed"
+        return "failed" if judged is None else "passed" if judged.is_good else "look"
 
     @property
     def shape_verdict(self) -> Verdict | None:
-        """The verdict on the shape by all checks, the rescans and the next body; None without a signature.
+        """The verdict on the shape by all checks and the rescans; None without a signature.
 
         Its uncertainty is the error bar of the signature.
         """
         if self.signature is None:
             return None
-        return verdict_of(self.checks, spread=self.spread, next_body=self.next_body.distance)
+        return verdict_of(self.checks, spread=self.spread)
 
     @property
     def summary(self) -> str:
@@ -118,13 +100,10 @@ class Inspection:
             causes = [name for name in failed if stage not in name] or look
             because = f"; look at: {', '.join(causes)}" if causes else ""
             return f"No signature, the {stage} stage failed{because}."
-        ratio = judged.uncertainty / self.next_body.distance if self.next_body.distance else np.inf
-        times = f"{percent(ratio)} of" if ratio <= 1 else f"{min(ratio, 100):.2g} times"
-        size = f"± {judged.uncertainty:.2g}, is {times} the distance to the next body."
-        words = {"sound": "A good scan", "doubtful": "A doubtful scan", "unusable": "Do not trust this scan"}
         before = f"{', '.join(failed)} failed; by the other checks, " if failed else ""
         after = f" Look at: {', '.join(look)}." if look else ""
-        return f"{words[judged.judgement]}: {before}its error bar, {size}{after}"
+        size = f"the error bar of its signature is ± {judged.uncertainty:.2g}."
+        return f"{'A good' if judged.is_good else 'An incomplete'} scan: {before}{size}{after}"
 
     @cached_property
     def body(self) -> FloatArray:

@@ -32,7 +32,7 @@ ERROR_OF_HOLES = 0.3
 ERROR_OF_WELDS = 0.3
 
 # Number of welds whose errors are added, as independent ones. Where a mesh has more, most of them join
-# neighbours and have no effect: the mesh is doubtful, and not unusable for that reason alone.
+# neighbours and have no effect: the mesh is not incomplete for that reason alone.
 WELDS_OF_PARTS = 5
 
 # Smallest ratio of the first two positive eigenvalues of one body.
@@ -130,7 +130,9 @@ def mesh_check(provenance: Sequence[Step]) -> list[Check]:
     ]
 
 
-def fit_checks(*, filled: float, ends: float, gaps: float, lost: float, noise: float) -> list[Check]:
+def fit_checks(
+    *, filled: float, ends: float, gaps: float, lost: float, noise: float, hole: float = 0.0
+) -> list[Check]:
     """Check how well points and surface fit each other."""
     near = f"95 % of the surface lie within {percent(gaps)} of the diagonal of a point"
     beyond_noise = max(0.0, ends - ENDS_OF_NOISE)
@@ -142,6 +144,7 @@ def fit_checks(*, filled: float, ends: float, gaps: float, lost: float, noise: f
         graded("Filled in", filled, f"{percent(filled)} of the surface", error=ERROR_OF_FILLED * filled),
         graded("Closed ends", ends, f"{percent(ends)} of the surface", error=ERROR_OF_ENDS * beyond_noise),
         graded("Gaps", gaps, near, error=ERROR_OF_GAPS * gaps**2),
+        graded("Largest hole", hole, f"a radius of {percent(hole)} of the diagonal"),
         graded("Left out", lost, off, error=ERROR_OF_LOST * lost),
         graded("Noise", noise, scatter, error=ERROR_OF_NOISE * noise),
     ]

@@ -264,12 +264,9 @@ def _say_summary(summary: pr.Summary, catalogue: str, labels: str | None = None)
         f"{done}, {len(failures)} failed, {len(_known(summary))} known already, {len(summary.duplicates)} "
         f"duplicates: {catalogue}{'; --retry-failed processes the failed shapes again' if failures else ''}"
     )
-    if doubts := _doubts(summary):
-        n_unusable = sum(record.verdict.judgement == "unusable" for record in doubts if record.verdict)
-        say(
-            f"{len(doubts) - n_unusable} doubtful, {n_unusable} unusable by the checks of their scans: "
-            f"`pcretrieve list --doubtful -c {quote(catalogue)}` gives the reasons"
-        )
+    if incomplete := _incomplete(summary):
+        listed = f"`pcretrieve list --incomplete -c {quote(catalogue)}`"
+        say(f"{len(incomplete)} incomplete: {listed} gives the reasons")
 
 
 def _result(summary: pr.Summary, catalogue: str, options: pr.PipelineOptions | None = None) -> out.Result:
@@ -282,7 +279,7 @@ def _result(summary: pr.Summary, catalogue: str, options: pr.PipelineOptions | N
         "planned": [record.id for record in summary.planned],
         "done": [record.id for record in summary.done],
         "held": [record.id for record in _known(summary)],
-        "doubtful": [record.id for record in _doubts(summary)],
+        "incomplete": [record.id for record in _incomplete(summary)],
         "duplicates": [{"path": path, "id": original.id} for path, original in summary.duplicates],
         "failed": [_facts(record) for record in _failures(summary)],
         "unknown_labels": summary.unknown_labels,
@@ -299,8 +296,8 @@ def _known(summary: pr.Summary) -> list[pr.Record]:
     return [record for record in summary.held if record.status == "done"]
 
 
-def _doubts(summary: pr.Summary) -> list[pr.Record]:
-    return [record for record in (*summary.done, *summary.held) if record.is_doubtful]
+def _incomplete(summary: pr.Summary) -> list[pr.Record]:
+    return [record for record in (*summary.done, *summary.held) if record.is_incomplete]
 
 
 @opt.command("demo", has_json=False)
@@ -337,7 +334,7 @@ def demo_command(folder: Path) -> None:
             ["ingest", scans, "--labels", scans / "labels.csv", *inside],
         ),
         (
-            "Find the scans most similar to the new scan, and the class that they vote for.",
+            "Find the scans most similar to the new scan, and whether its class is sure.",
             ["query", *inside, folder / "new" / new, "-k", "5"],
         ),
         (

@@ -19,20 +19,20 @@ MIB = 1 << 20
 
 START = {"ID": "text", "VERDICT": "text", "CLASS": "text"}
 ALL = START | {"EULER": "number", "SECONDS": "number", "FILE": "path"}
-DOUBTFUL = START | {"FILE": "path", "REASON": "words"}
-FAILED = {"STAGE" if name == "VERDICT" else name: kind for name, kind in DOUBTFUL.items()}
+INCOMPLETE = START | {"FILE": "path", "REASON": "words"}
+FAILED = {"STAGE" if name == "VERDICT" else name: kind for name, kind in INCOMPLETE.items()}
 
 
 @opt.command("list")
 @opt.catalogue_option
 @opt.option("--failed", "Only shapes that failed, with the reason.")
-@opt.option("--doubtful", "Only shapes that are doubtful or unusable, with the reasons.")
+@opt.option("--incomplete", "Only incomplete scans, with the reasons.")
 @opt.option("--limit N", "List at most N shapes.", opt.COUNT)
 @opt.option("--offset N", "Skip N shapes.", opt.NUMBER, default=0)
 def list_command(catalogue: str, failed: bool, **chosen: Any) -> out.Result:
     """List shapes: id, verdict, class, Euler characteristic, seconds, path.
 
-    The verdict is sound, doubtful, unusable or failed; done means that the shape was not judged.
+    The verdict is good, incomplete or failed; done means that the shape was not judged.
 
     \b
     pcretrieve list --catalogue bodies.sqlite --failed
@@ -43,10 +43,10 @@ def list_command(catalogue: str, failed: bool, **chosen: Any) -> out.Result:
 
     def show() -> None:
         counts: Counter[str] = Counter()
-        columns = FAILED if failed else DOUBTFUL if chosen["doubtful"] else ALL
+        columns = FAILED if failed else INCOMPLETE if chosen["incomplete"] else ALL
         row = partial(_row, columns=columns, counts=counts)
         if not out.write_table(columns, map(row, records)):
-            which = "failed" if failed else "doubtful" if chosen["doubtful"] else "stored"
+            which = "failed" if failed else "incomplete" if chosen["incomplete"] else "stored"
             after = f" after the first {chosen['offset']}" if chosen["offset"] else ""
             say(f"no shape is {which} in {catalogue}{after}")
         if columns is ALL and counts:
@@ -62,8 +62,8 @@ def _facts(record: pr.Record) -> dict[str, object]:
 
 def _row(record: pr.Record, columns: out.Columns, counts: Counter[str]) -> list[str]:
     """The cells of a shape; shapes that have reasons are counted by the option that lists them."""
-    if record.status == "failed" or record.is_doubtful:
-        counts["failed" if record.status == "failed" else "doubtful"] += 1
+    if record.status == "failed" or record.is_incomplete:
+        counts["failed" if record.status == "failed" else "incomplete"] += 1
     cells = {
         "ID": record.id,
         "VERDICT": record.verdict.judgement if record.verdict else record.status,

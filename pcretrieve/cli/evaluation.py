@@ -30,7 +30,7 @@ PRECISIONS = {"ID": "text", "CLASS": "text", "A": "number", "B": "number"}
 )
 @opt.labels_option
 @opt.matrix_option
-@opt.option("--sound-only", "Leave out shapes that are doubtful or unusable.")
+@opt.option("--good-only", "Leave out incomplete scans.")
 @opt.option("--per-class", "Add the means of each class, and which classes are confused with it.")
 @opt.option(
     "--csv FOLDER",
@@ -58,7 +58,7 @@ def evaluate_command(
     pcretrieve evaluate --catalogue shrec11.sqlite --labels shrec11
     pcretrieve evaluate --matrix run1.txt --labels shrec11.cla
     """
-    file, rerank, sound_only = values["matrix"], values["rerank"], values["sound_only"]
+    file, rerank, good_only = values["matrix"], values["rerank"], values["good_only"]
     matrix = opt.read_distances(values, *(name for name in opt.COMPARISON if name != "rerank"))
     options = None
     if catalogue is None and (matrix is None or labels is None):
@@ -66,11 +66,11 @@ def evaluate_command(
     if catalogue is not None:
         store = opt.opened(catalogue)
         options = opt.compared(store, values)
-        found = pr.evaluate(store, options=options, labels=labels, matrix=matrix, sound_only=sound_only)
+        found = pr.evaluate(store, options=options, labels=labels, matrix=matrix, good_only=good_only)
     elif matrix is None or labels is None:
         raise click.UsageError("give --catalogue, or both --matrix and --labels")
-    elif sound_only:
-        raise click.UsageError("--sound-only needs --catalogue, which has the verdicts")
+    elif good_only:
+        raise click.UsageError("--good-only needs --catalogue, which has the verdicts")
     else:
         found = pr.evaluate(matrix, options=opt.changes(values), labels=labels)
     how = _how(found, options, file, rerank)
@@ -92,7 +92,7 @@ def _how(
     return {
         "method": found.ranked.table.kind,
         "n_values": found.ranked.table.values.shape[1],
-        "scale": options.compared.scale,
+        "scale": options.signature.scale,
         "size_weight": options.signature.size_weight,
         "distance": options.retrieval.distance,
         "whitening": options.retrieval.whitening,

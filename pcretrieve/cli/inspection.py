@@ -29,18 +29,10 @@ from pcretrieve.cli.scans import each_scan
     into="n_rescans",
     default=4,
 )
-@opt.option(
-    "--catalogue -c FILE|URL",
-    "Compare the error bar with the distance to the next body in this catalogue, and use its "
-    "settings.  [default: the distance of people]",
-    opt.CATALOGUE,
-)
 @opt.config_option
 @opt.surface_option
 @opt.process_options
-def inspect_command(
-    scan: Path, output: Path | None, png: Path | None, catalogue: str | None, **run: Any
-) -> out.Result:
+def inspect_command(scan: Path, output: Path | None, png: Path | None, **run: Any) -> out.Result:
     """Show what is wrong with a scan, and what to do about it, on an HTML page.
 
     The page shows points, normals and surface from all sides and in 3D; points that were removed; gaps that
@@ -55,12 +47,8 @@ def inspect_command(
     is_alone = not scan.is_dir()
     if not is_alone and (output is None or png is not None):
         raise click.UsageError("name a folder for the pages of the scans with -o, and leave out --png")
-    base = None
-    if catalogue is not None:
-        with pr.Catalogue(catalogue) as store:
-            base = store.options
-    options = opt.load_options(run, base)
-    asked = {"options": options, "n_rescans": run.pop("n_rescans"), "catalogue": catalogue, "png": png}
+    options = opt.load_options(run)
+    asked = {"options": options, "n_rescans": run.pop("n_rescans"), "png": png}
     run |= {"output": output or Path(scan.stem + ".html"), "suffix": ".html", "is_alone": is_alone}
     run["timeout"] *= 1 + asked["n_rescans"]
     found = [
@@ -90,7 +78,6 @@ def _inspected(scan: Path, page: Path, **asked: Any) -> dict[str, Any]:
         "verdict": found.verdict,
         "summary": found.summary,
         "shape_verdict": found.shape_verdict,
-        "next_body": found.next_body,
         "checks": found.checks,
         "cuts": found.cuts,
         "bridges": found.bridges,
@@ -108,7 +95,6 @@ def _say_checks(found: dict[str, Any]) -> None:
         say(f"{check.verdict:<6}  {check.name:<16}  {check.shown}{advice}", indent=26)
     if found["shape_verdict"] is not None:
         say(f"The shape is {found['shape_verdict']}.")
-        say(found["next_body"].source)
     say(found["summary"])
 
 

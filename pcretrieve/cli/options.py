@@ -45,7 +45,7 @@ RETRIEVAL_FLAGS = ("distance", "whitening", "rerank")
 COMPARISON = ("config", *SIGNATURE_FLAGS, *RETRIEVAL_FLAGS)
 
 MATCHERS = ("heat-hausdorff", "hks-bow-gallery", "mds-cm-bof", "meshsift")
-WHITENING_NAMES = ("auto", "none", "resolution", "neighbours", "pca", "within-class")
+WHITENING_NAMES = ("auto", "unsupervised", "none", "people", "neighbours", "pca", "within-class")
 
 # Ratio of the largest to the smallest area, from which files probably have different units: the areas of a
 # horse and a mouse have a smaller ratio, those of one body in centimetres and in metres a larger one (1e4).
@@ -266,11 +266,11 @@ def settings_options(command: Decorated) -> Decorated:
     return config_option(surface_option(unit_option(command)))
 
 
-def load_options(values: dict[str, Any], base: pr.PipelineOptions | None = None) -> pr.PipelineOptions:
+def load_options(values: dict[str, Any]) -> pr.PipelineOptions:
     """Take ``--config``, ``--surface`` and ``--unit`` from the values of a command."""
     given = {"surface": {"mode": values.pop("surface", None)}, "scan": {"unit": values.pop("unit", None)}}
     changed = {table: chosen for table, chosen in given.items() if None not in chosen.values()}
-    return pr.PipelineOptions.of(values.pop("config"), base).changed(**changed)
+    return pr.PipelineOptions.of(values.pop("config")).changed(**changed)
 
 
 # --- options of commands that compare shapes -----------------------------------------------------------
@@ -280,18 +280,17 @@ matrix_option = option(
 )
 method_option = rare_option(
     "--method NAME",
-    f"Descriptor, or several joined by +: {', '.join(METHODS)}.  [default: combined, or the catalogue's]",
+    f"Descriptor, or several joined by +: {', '.join(METHODS)}.  [default: hapt+r-bihdm, or the catalogue's]",
     shell_complete=complete_methods,
 )
 n_values_option = rare_option(
-    "--n-values L", "Number of values of the descriptor.  [default: 59, or the catalogue's]", COUNT
+    "--n-values L", "Number of values of the descriptor.  [default: 23, or the catalogue's]", COUNT
 )
 scale_option = rare_option(
     "--scale",
     "Divide values by the area of the surface (area), by the first value (relative), or leave them, so that "
-    "they depend on the size of bodies (absolute). auto is relative with --whitening pca, else area.  "
-    "[default: auto, or the catalogue's]",
-    ("auto", "area", "relative", "absolute"),
+    "they depend on the size of bodies (absolute).  [default: area, or the catalogue's]",
+    ("area", "relative", "absolute"),
 )
 size_weight_option = rare_option(
     "--size-weight W",
@@ -314,10 +313,10 @@ _rerank_option = rare_option(
 )
 _whitening_option = rare_option(
     "--whitening NAME|FILE",
-    "Differences that count less: those between near shapes (neighbours), within classes (within-class), "
-    "between all shapes (pca), those that come from the resolution (resolution), those in a FILE of "
-    "`calibrate`, or none. auto is within-class if there are enough labels, else neighbours; `evaluate` does "
-    "not fit auto to labels.  [default: auto, or the catalogue's]",
+    "Differences that count less: those between scans of one person (people), near shapes (neighbours), "
+    "within classes (within-class), between all shapes (pca), those in a FILE of `calibrate`, or none. auto "
+    "is people for scans of people; else within-class if there are enough labels, else neighbours; "
+    "unsupervised is auto without labels, as in `evaluate`.  [default: auto, or the catalogue's]",
 )
 _distance_option = rare_option(
     "--distance",

@@ -47,7 +47,7 @@ GAP = "  "
 NARROWED = (("path", 24), ("words", 24), ("path", 12), ("text", 8))
 
 # Colours of the words that say that something is wrong.
-COLOURS = {"doubtful": "yellow", "unusable": "red", "failed": "red"}
+COLOURS = {"incomplete": "yellow", "failed": "red"}
 
 
 def print_text(text: str, *, nl: bool = True, color: bool | None = None) -> None:

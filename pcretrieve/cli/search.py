@@ -29,8 +29,8 @@ CSV_COLUMNS = ("query", "rank", "id", "label", "distance", "score", "path")
 
 COLUMNS = {"RANK": "number", "DISTANCE": "number", "SCORE": "number"}
 COLUMNS |= {"CLASS": "text", "ID": "text", "FILE": "path"}
-# Of a result whose signature is doubtful or unusable; `show` and --json give the reasons.
-DOUBT = {"VERDICT": "text"}
+# Of a result whose scan is incomplete; `show` and --json give the reasons.
+SCAN = {"SCAN": "text"}
 
 PAIR = {"DISTANCE": "number", "LIMIT": "number", "FIRST": "text", "SECOND": "text"}
 
@@ -54,6 +54,11 @@ PAIR = {"DISTANCE": "number", "LIMIT": "number", "FIRST": "text", "SECOND": "tex
 @opt.option(
     "--min-score SHARE", 'Hide results below this score; "no match" if none is left.', click.FloatRange(0, 1)
 )
+@opt.rare_option(
+    "--far RATE",
+    "Name a class only if so few pairs of two classes are as near (false-match rate).",
+    click.FloatRange(0, 1, min_open=True, max_open=True),
+)
 @opt.matrix_option
 @opt.on_catalogue
 @opt.unit_option
@@ -73,8 +78,8 @@ def query_command(
     """Find the shapes most similar to a scan, nearest first.
 
     A query is a scan, a folder of scans, or the id of a stored shape. The score tells how often two shapes so
-    near are of one class. The last line is the verdict: the class that the results vote for, and its margin
-    over the next class.
+    near are of one class. The last line is the verdict: the class that the scan is of, and whether that is
+    sure, or "not in this collection".
 
     \b
     pcretrieve query --catalogue bodies.sqlite scan.ply -k 5
@@ -114,7 +119,7 @@ def query_command(
 
 
 def _told(failures: list[ShapeError], is_alone: bool, found: Outcome) -> Outcome:
-    """An outcome; messages tell of failures and doubtful queries, and a failure alone is raised."""
+    """An outcome; messages tell of failures and incomplete queries, and a failure alone is raised."""
     name, outcome = found
     if isinstance(outcome, ShapeError):
         if is_alone:
@@ -123,7 +128,7 @@ def _told(failures: list[ShapeError], is_alone: bool, found: Outcome) -> Outcome
         say(f"failed: {outcome}")
     else:
         verdict = getattr(outcome.query, "verdict", None)  # of a scan that the catalogue does not have
-        if verdict and not verdict.is_sound:
+        if verdict and not verdict.is_good:
             say(f"{shown_path(name)} is {verdict}")
     return found
 
@@ -139,8 +144,8 @@ def _documents(
         if isinstance(outcome, ShapeError):
             yield {"query": name} | out.failure_facts(outcome)
         else:
-            vote = None if outcome.vote is None else asdict(outcome.vote)
-            found = {"results": outcome.rows(), "vote": vote, "verdict": str(outcome)}
+            match = None if outcome.match is None else asdict(outcome.match)
+            found = {"results": outcome.rows(), "match": match, "verdict": str(outcome)}
             yield {"query": name} | found | how
 
 
@@ -148,14 +153,13 @@ def _write_table(answer: pr.Answer, name: str | None) -> None:
     """A table of the results, below a line with the query if there are several, and the verdict."""
     if name is not None:
         out.write_lines(shown_path(name))
-    columns = COLUMNS | (DOUBT if any(record.is_doubtful for record in answer.records) else {})
+    columns = COLUMNS | (SCAN if any(record.is_incomplete for record in answer.records) else {})
     rows = []
     for row, record in zip(answer.rows(), answer.records, strict=True):
         score = "-" if row["score"] is None else f"{row['score']:.2f}"
-        # Without the reasons, which are longer than the other columns together.
-        doubt = str(record.verdict).partition(":")[0] if record.is_doubtful else ""
+        scan = record.verdict.judgement if record.verdict and record.is_incomplete else ""
         label, path = row["label"] or "-", shown_path(row["path"])
-        cells = (str(row["rank"]), f"{row['distance']:#.4g}", score, label, row["id"], path, doubt)
+        cells = (str(row["rank"]), f"{row['distance']:#.4g}", score, label, row["id"], path, scan)
         rows.append(cells[: len(columns)])
     out.write_table(columns, rows)
     out.write_words(str(answer))
@@ -219,7 +223,7 @@ def duplicates_command(
     """Find shapes that look the same, such as two scans of one body in one pose.
 
     The table has the distance, its limit and both ids, nearest first. Without --threshold, distances are
-    those of log-signatures without whitening, and doubtful shapes are left out.
+    those of log-signatures without whitening, and incomplete scans are left out.
 
     \b
     pcretrieve duplicates --catalogue bodies.sqlite

@@ -6,7 +6,7 @@ and of other packages by name, and `describe` applies the one that the options n
 
 from pcretrieve.descriptors.bags import hks_bow
 from pcretrieve.descriptors.bihdm import bihdm, bihdm_sampled, full_matrix, sd_gdm
-from pcretrieve.descriptors.csd import combined, csd, wks
+from pcretrieve.descriptors.csd import csd, wks
 from pcretrieve.descriptors.describe import DESCRIPTORS, describe, signature_length
 from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.descriptors.dl import dl
@@ -20,7 +20,6 @@ __all__ = [
     "Descriptor",
     "bihdm",
     "bihdm_sampled",
-    "combined",
     "csd",
     "describe",
     "dl",

@@ -17,7 +17,7 @@ from pcretrieve.values import Eigenpairs, FloatArray, ModalSpectrum, Shape, Sign
 
 
 def bihdm(
-    pairs: Eigenpairs | ModalSpectrum, n_values: int = 59, n_modes: int = 60, *, scale: Scale = "area"
+    pairs: Eigenpairs | ModalSpectrum, n_values: int = 23, n_modes: int = 60, *, scale: Scale = "area"
 ) -> Signature:
     """The BiHDM signature of a surface: equation (8), with the sum over m modes.
 
@@ -32,14 +32,14 @@ def bihdm(
 
 BIHDM = Descriptor(
     name="bihdm",
-    make=lambda shape, o: bihdm(spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.measured_by),
+    make=lambda shape, o: bihdm(spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.scale),
     needs=("spectrum", "overlaps"),
     spread=1.04,
 )
 
 
 def bihdm_sampled(
-    pairs: Eigenpairs, n_values: int = 59, n_modes: int = 60, *, scale: Scale = "area"
+    pairs: Eigenpairs, n_values: int = 23, n_modes: int = 60, *, scale: Scale = "area"
 ) -> Signature:
     """The BiHDM signature by the matrix of distances between sample points, without weights.
 
@@ -56,9 +56,9 @@ def bihdm_sampled(
 
 
 def _bihdm_sampled(shape: Shape, o: SignatureOptions) -> Signature:
-    made = bihdm_sampled(shape.eigenpairs, o.n_values, o.n_modes, scale=o.measured_by)
+    made = bihdm_sampled(shape.eigenpairs, o.n_values, o.n_modes, scale=o.scale)
     # The eigenpairs of a shape are those at unit area, and the matrix scales as length⁴.
-    return replace(made, values=made.values * shape.area**2) if o.measured_by == "absolute" else made
+    return replace(made, values=made.values * shape.area**2) if o.scale == "absolute" else made
 
 
 BIHDM_SAMPLED = Descriptor(name="bihdm-sampled", make=_bihdm_sampled, needs=("eigenvectors",), spread=1.01)
@@ -114,7 +114,7 @@ N_FACES = 1000
 
 
 def sd_gdm(
-    mesh: TriangleMesh, n_values: int = 59, *, scale: Scale = "area", weighted: bool = True
+    mesh: TriangleMesh, n_values: int = 23, *, scale: Scale = "area", weighted: bool = True
 ) -> Signature:
     """The SD-GDM signature of a surface [1]_; requires the extra ``pcretrieve[geodesic]``.
 
@@ -143,7 +143,7 @@ def sd_gdm(
 def _sd_gdm(name: str, spread: float, *, weighted: bool) -> Descriptor:
     return Descriptor(
         name=name,
-        make=lambda shape, o: sd_gdm(shape.mesh, o.n_values, scale=o.measured_by, weighted=weighted),
+        make=lambda shape, o: sd_gdm(shape.mesh, o.n_values, scale=o.scale, weighted=weighted),
         needs=("mesh",),
         spread=spread,
     )

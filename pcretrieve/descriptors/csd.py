@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pcretrieve.descriptors.bags import scale_invariant_heat
-from pcretrieve.descriptors.descriptor import Descriptor, check_modes, spectrum_of
-from pcretrieve.descriptors.r_bihdm import r_bihdm
+from pcretrieve.descriptors.descriptor import Descriptor, check_modes
 from pcretrieve.errors import OptionError
-from pcretrieve.options import Scale
 from pcretrieve.values import Eigenpairs, FloatArray, ModalSpectrum, Signature
 
 # One value in three is of the heat kernel: Chiotellis et al. take 50 and 100.
@@ -18,7 +16,7 @@ HEAT_SHARE = 3
 MOST_VALUES = 3 * 49
 
 
-def csd(pairs: Eigenpairs, n_values: int = 59, n_modes: int = 60) -> Signature:
+def csd(pairs: Eigenpairs, n_values: int = 23, n_modes: int = 60) -> Signature:
     """The mean over a surface of two point descriptors, each scaled to unit length at every point [1]_.
 
     Two thirds of the values are the wave kernel signature [2]_, equation (4), at energies that are evenly
@@ -68,7 +66,7 @@ CSD = Descriptor(
 WIDTH = 0.07
 
 
-def wks(pairs: Eigenpairs | ModalSpectrum, n_values: int = 59, n_modes: int = 60) -> Signature:
+def wks(pairs: Eigenpairs | ModalSpectrum, n_values: int = 23, n_modes: int = 60) -> Signature:
     """The second moment of the wave kernel signature over a surface, at L energies.
 
     The wave kernel signature of a point x at energy e [1]_, equations (4) and (5), is
@@ -114,45 +112,4 @@ WKS = Descriptor(
     needs=("spectrum", "overlaps"),
     has_size=False,
     spread=0.44,
-)
-
-
-# A power of a value is a factor of its logarithm. The ratio of the two powers balances the variances of the
-# two parts; their size makes distances between shapes as large as those of R-BiHDM alone.
-R_BIHDM_POWER = 0.6
-CSD_POWER = 3.0
-
-
-def combined(
-    spectrum: ModalSpectrum,
-    pairs: Eigenpairs,
-    n_values: int = 59,
-    n_modes: int = 60,
-    *,
-    scale: Scale = "area",
-) -> Signature:
-    """The values of `r_bihdm` to the power .6, followed by those of `csd` to the power 3.
-
-    R-BiHDM describes how modes interact over the whole surface, the compact shape descriptor what the
-    neighbourhood of a point is like on average. Their errors are only partly correlated, so that whitened
-    retrieval by both is better than by either of them.
-
-    pairs: at least `n_modes` + 1 eigenpairs of the surface on unit area.
-    Returns Signature: values : (2 L,) float64. Dimensionless; for ``absolute`` the first L are in unit
-        length^2.4 of the spectrum.
-    """
-    interaction = r_bihdm(spectrum, n_values, n_modes, scale=scale).values
-    average = csd(pairs, n_values, n_modes).values
-    values = np.concatenate([interaction**R_BIHDM_POWER, average**CSD_POWER])
-    return Signature(values, kind="combined", digest=f"L={n_values} m={n_modes} {scale}")
-
-
-COMBINED = Descriptor(
-    name="combined",
-    make=lambda shape, o: combined(
-        spectrum_of(shape, o), shape.eigenpairs, o.n_values, o.n_modes, scale=o.measured_by
-    ),
-    needs=("spectrum", "eigenvectors"),
-    length=lambda o: 2 * o.n_values,
-    spread=0.83,
 )

@@ -16,7 +16,7 @@ import numpy as np
 
 from pcretrieve.descriptors.bags import HEAT_KERNEL_BAGS
 from pcretrieve.descriptors.bihdm import BIHDM, BIHDM_SAMPLED, SD_GDM, SD_GDM_SAMPLED
-from pcretrieve.descriptors.csd import COMBINED, CSD, WKS
+from pcretrieve.descriptors.csd import CSD, WKS
 from pcretrieve.descriptors.descriptor import Descriptor, fused
 from pcretrieve.descriptors.dl import DL, DL_SUPERVISED
 from pcretrieve.descriptors.hapt import HAPT
@@ -65,7 +65,7 @@ DESCRIPTORS: Registry[Descriptor] = _Descriptors(
         record.name: record
         for record in (
             *(R_BIHDM, BIHDM, BIHDM_SAMPLED, SHAPE_DNA, SHAPE_DNA_NORM1, SHAPE_DNA_VALUES),
-            *(SD_GDM, SD_GDM_SAMPLED, *HEAT_KERNEL_BAGS, DL, DL_SUPERVISED, WKS, CSD, ISPM, HAPT, COMBINED),
+            *(SD_GDM, SD_GDM_SAMPLED, *HEAT_KERNEL_BAGS, DL, DL_SUPERVISED, WKS, CSD, ISPM, HAPT),
         )
     },
     _checked,

@@ -87,7 +87,7 @@ def shipped(name: str) -> FloatArray:
 
 def spectrum_of(shape: Shape, options: SignatureOptions) -> ModalSpectrum:
     """The spectrum of the surface on unit area; for the scale ``absolute``, in the unit of the file."""
-    return shape.spectrum.scaled(shape.area) if options.measured_by == "absolute" else shape.spectrum
+    return shape.spectrum.scaled(shape.area) if options.scale == "absolute" else shape.spectrum
 
 
 #: What distances compare, of values with each metric, as in `pcretrieve.retrieval.distances`.

@@ -38,7 +38,7 @@ from pcretrieve.values import Eigenpairs, FloatArray, ModalSpectrum, Signature
 
 
 def r_bihdm(
-    pairs: Eigenpairs | ModalSpectrum, n_values: int = 59, n_modes: int = 60, *, scale: Scale = "area"
+    pairs: Eigenpairs | ModalSpectrum, n_values: int = 23, n_modes: int = 60, *, scale: Scale = "area"
 ) -> Signature:
     """The R-BiHDM signature of a surface, equation (10).
 
@@ -46,7 +46,7 @@ def r_bihdm(
     ----------
     pairs : Eigenpairs or ModalSpectrum
         At least `n_modes` + 1 eigenpairs of a connected surface.
-    n_values : int, default 59
+    n_values : int, default 23
         L, the number of values, at most `n_modes`. The paper takes 10 to 30; see docs/decisions.md, n_values.
     n_modes : int, default 60
         m, the number of modes at which the matrix is truncated. The paper asks for m > max(60, 2 L).
@@ -76,7 +76,7 @@ def r_bihdm(
 
 R_BIHDM = Descriptor(
     name="r-bihdm",
-    make=lambda shape, o: r_bihdm(spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.measured_by),
+    make=lambda shape, o: r_bihdm(spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.scale),
     needs=("spectrum",),
     spread=1.04,
 )

@@ -13,7 +13,7 @@ from pcretrieve.values import Eigenpairs, ModalSpectrum, Signature
 
 def shape_dna(
     pairs: Eigenpairs | ModalSpectrum,
-    n_values: int = 59,
+    n_values: int = 23,
     *,
     normalized_by: Literal["area", "first", "nothing"] = "area",
 ) -> Signature:
@@ -23,7 +23,7 @@ def shape_dna(
     ----------
     pairs : Eigenpairs or ModalSpectrum
         At least `n_values` + 1 eigenpairs of a connected surface; `n_values` + 2 for ``first``.
-    n_values : int, default 59
+    n_values : int, default 23
         L, the number of values.
     normalized_by : {"area", "first", "nothing"}, default "area"
         Normalisation of the eigenvalues: by the area A, by λ_1, or none. ``first`` leaves λ_1 itself out,
@@ -59,7 +59,7 @@ def shape_dna(
     return Signature(values, kind=kind, digest=f"L={n_values} {normalized_by}")
 
 
-def shape_dna_values(pairs: Eigenpairs | ModalSpectrum, n_values: int = 59) -> Signature:
+def shape_dna_values(pairs: Eigenpairs | ModalSpectrum, n_values: int = 23) -> Signature:
     """Shape-DNA as it was entered for SHREC'11, to be compared by the Euclidean distance of its values.
 
     With 11 values it is the run OrigM-n12-norm1 [1]_, the best of Shape-DNA: 12 eigenvalues of the original
@@ -81,7 +81,7 @@ SHAPE_DNA = Descriptor(
     make=lambda shape, o: shape_dna(
         spectrum_of(shape, o),
         o.n_values,
-        normalized_by="nothing" if o.measured_by == "absolute" else "area",  # the same for `relative`
+        normalized_by="nothing" if o.scale == "absolute" else "area",  # the same for `relative`
     ),
     needs=("spectrum",),
     spread=0.52,

@@ -17,7 +17,7 @@ from pcretrieve.evaluation.rankings import NO_FAILURES, Rankings, Subset, rank_s
 from pcretrieve.ingestion.labels import labels_of, match_labels
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import OptionsLike, PipelineOptions, RerankKind, RetrievalOptions
-from pcretrieve.retrieval import DistanceBlock, Whitening, resolution_covariance, table_whitening
+from pcretrieve.retrieval import DistanceBlock, Whitening, people, table_whitening
 from pcretrieve.values import SignatureTable
 
 logger = logging.getLogger(__name__)
@@ -43,7 +43,7 @@ def rank_shapes(
     labels: str | Path | None = None,
     *,
     matrix: DistanceMatrix | None = None,
-    sound_only: bool = False,
+    good_only: bool = False,
 ) -> RankedShapes:
     """Rank shapes for each labelled shape among them."""
     if isinstance(shapes, SignatureTable):
@@ -55,7 +55,7 @@ def rank_shapes(
         return _of_matrix(shapes, classes, {}, PipelineOptions.of(options).retrieval.rerank)
     with opened(shapes) as store:
         chosen = PipelineOptions.of(options, store.options)
-        return _of_catalogue(store, chosen, labels, matrix, sound_only)._replace(options=chosen)
+        return _of_catalogue(store, chosen, labels, matrix, good_only)._replace(options=chosen)
 
 
 def _of_catalogue(
@@ -63,10 +63,10 @@ def _of_catalogue(
     options: PipelineOptions,
     labels: str | Path | None,
     matrix: DistanceMatrix | None,
-    sound_only: bool,
+    good_only: bool,
 ) -> RankedShapes:
     everything = catalogue.records()
-    left = {record.id for record in everything if sound_only and record.is_doubtful}
+    left = {record.id for record in everything if good_only and record.is_incomplete}
     records = {record.id: record for record in everything if record.id not in left}
     if labels is None:
         classes = {shape_id: record.label for shape_id, record in records.items()}
@@ -97,10 +97,8 @@ def _of_catalogue(
         if retrieval.rerank != "none":
             reason += ", and the gallery is the fold"
     else:
-        prior = resolution_covariance(options.compared)
-        is_measured = retrieval.whitening == "resolution" or retrieval.calibration is not None
-        made = catalogue.whitening(options) if is_measured else None
-        whitening = made or table_whitening(table, retrieval, prior=prior)
+        made = catalogue.whitening(options) if retrieval.calibration is not None else None
+        whitening = made or table_whitening(table, retrieval, people=people(options.signature))
         reason = whitening.reason
         if options.retrieval.whitening == "auto" and whitening.kind in ("none", "neighbours"):
             reason += ", without labels"

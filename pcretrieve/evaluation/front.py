@@ -137,7 +137,7 @@ def evaluate(
     options: OptionsLike = None,
     labels: str | Path | None = None,
     matrix: DistanceMatrix | None = None,
-    sound_only: bool = False,
+    good_only: bool = False,
 ) -> Evaluation:
     """Retrieval measures of labelled shapes, each of which is a query in all other shapes.
 
@@ -152,8 +152,8 @@ def evaluate(
         A label file or the name of a layout, whose classes replace the classes of the catalogue.
     matrix : DistanceMatrix, optional
         Distances that replace the distances of signatures.
-    sound_only : bool, default False
-        Leave out the shapes of a catalogue whose verdict is "doubtful" or "unusable".
+    good_only : bool, default False
+        Leave out the shapes of a catalogue whose verdict is "incomplete".
 
     Returns
     -------
@@ -169,7 +169,7 @@ def evaluate(
     CatalogueError
         If the options require other spectra than the catalogue has.
     """
-    ranked = rank_shapes(shapes, options, labels, matrix=matrix, sound_only=sound_only)
+    ranked = rank_shapes(shapes, options, labels, matrix=matrix, good_only=good_only)
     return Evaluation(**asdict(evaluate_rankings(ranked.rankings)), ranked=ranked, layout=str(labels or ""))
 
 

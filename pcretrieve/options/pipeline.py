@@ -17,7 +17,6 @@ from pcretrieve.options.tables import (
     Options,
     RemeshOptions,
     RetrievalOptions,
-    Scale,
     ScanOptions,
     SignatureOptions,
     SpectralOptions,
@@ -70,7 +69,7 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
         "surface": {"method": "poisson"},
         "remesh": {"method": "tetwild"},
         "spectral": {"element": "linear"},
-        "signature": {"method": "r-bihdm"},
+        "signature": {"method": "r-bihdm", "scale": "relative"},
         "retrieval": {"whitening": "pca"},
     },
 }
@@ -178,38 +177,14 @@ class PipelineOptions(Options):
     @property
     def signature_digest(self) -> str:
         """Hash of everything that a signature depends on: signatures are comparable only if it is equal."""
-        return self._digest_of(self.signature.measured_by)
+        # Without the unit, which a signature that depends on it has itself (`Signature.unit`).
+        unitless = self.model_copy(update={"scan": self.scan.model_copy(update={"unit": "none"})})
+        return hashlib.sha256((unitless.digest + self.signature.model_dump_json()).encode()).hexdigest()[:16]
 
     @property
     def without_labels(self) -> PipelineOptions:
         """The options, in which the whitening auto is not fitted to labels, as in an evaluation."""
         return self.model_copy(update={"retrieval": self.retrieval.without_labels})
-
-    @property
-    def compared(self) -> SignatureOptions:
-        """The options of the signatures that are compared, with the normalisation that auto stands for."""
-        return self.signature.model_copy(update={"scale": self._compared_by})
-
-    @property
-    def compared_digest(self) -> str:
-        """Hash of everything that the signatures that are compared depend on.
-
-        It differs from `signature_digest` only where the scale auto means another normalisation. A table of
-        signatures, the whitening applied to it and a query must have the same one.
-        """
-        return self._digest_of(self._compared_by)
-
-    @property
-    def _compared_by(self) -> Scale:
-        if self.signature.scale == "auto" and self.retrieval.whitening == "pca":
-            return "relative"
-        return self.signature.measured_by
-
-    def _digest_of(self, scale: Scale) -> str:
-        signature = self.signature.model_copy(update={"scale": scale}).model_dump_json()
-        # Without the unit, which a signature that depends on it has itself (`Signature.unit`).
-        unitless = self.model_copy(update={"scan": self.scan.model_copy(update={"unit": "none"})})
-        return hashlib.sha256((unitless.digest + signature).encode()).hexdigest()[:16]
 
 
 def options_difference(stored: PipelineOptions, given: PipelineOptions) -> list[str]:

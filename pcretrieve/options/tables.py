@@ -230,27 +230,21 @@ def _known_method(method: str) -> str:
 class SignatureOptions(Options):
     """Spectrum and surface → descriptor."""
 
-    method: Annotated[str, AfterValidator(_known_method)] = "combined"
+    method: Annotated[str, AfterValidator(_known_method)] = "hapt+r-bihdm"
     """The descriptor; `pcretrieve signature --help` lists all of them. Names joined by + fuse descriptors."""
-    n_values: Count = 59
-    """Number L of values of the descriptor; by default the most that R-BiHDM and Shape-DNA have with 61
-    eigenpairs. For combined, of each of its two parts; for bags of features, the number of words."""
+    n_values: Count = 23
+    """Number L of values of the descriptor, or of each that is fused; of bags of features, of words.
+    Higher values depend more on how finely a surface is triangulated."""
     n_modes: Annotated[int, Field(ge=2)] = 60
     """Number m of modes at which R-BiHDM, BiHDM, and the heat and wave kernels are truncated."""
-    scale: Literal["auto", "relative", "area", "absolute"] = "auto"
+    scale: Scale = "area"
     """Normalisation of the values: by the area of the surface (area), by the first value of the descriptor
     (relative, as in the papers), or none (absolute). area and relative are invariant to scaling; absolute
-    compares sizes too, for files in one unit or whose units are all known. auto: relative if signatures are
-    compared after PCA whitening, area otherwise, which for R-BiHDM gives the better rankings."""
+    compares sizes too, for files in one unit or whose units are all known. By area, rankings are better."""
     size_weight: Annotated[float, Field(ge=0, le=20)] = 0.0
     """Weight w of the size of a body relative to its form: area^w is appended to the values, if w > 0. In log
     distances, bodies whose areas differ by a factor of exp(1/w) are then 1 apart. For files in one unit or
     whose units are all known. Gives better rankings than the scale absolute."""
-
-    @property
-    def measured_by(self) -> Scale:
-        """The normalisation of a signature by itself: `scale`, with area for auto."""
-        return "area" if self.scale == "auto" else self.scale
 
     @property
     def compares_sizes(self) -> bool:
@@ -268,7 +262,7 @@ class SignatureOptions(Options):
         return self
 
 
-WhiteningKind = Literal["auto", "none", "resolution", "neighbours", "pca", "within-class"]
+WhiteningKind = Literal["auto", "unsupervised", "none", "people", "neighbours", "pca", "within-class"]
 RerankKind = Literal["none", "local", "k-reciprocal"]
 Shrinkage = Literal["auto"] | Annotated[float, Field(gt=0, le=1)]
 
@@ -280,18 +274,18 @@ class RetrievalOptions(Options):
     """Distance of two signatures: the Euclidean distance of their logarithms (log), or the dissimilarities D1
     and D2 of Ye and Yu."""
     whitening: WhiteningKind = "auto"
-    """Linear map of log-signatures before they are compared: none; the whitening of the changes that the
-    resolution of a surface causes, measured on simulated bodies (resolution, for r-bihdm only); or that of
-    the covariance of the gallery: of the differences of shapes that are among each other's nearest
-    (neighbours), of all shapes (pca), or pooled within classes (within-class). auto: within-class if labels
-    suffice, else neighbours; none for few shapes. In an evaluation auto does not use labels."""
+    """Linear map of log-signatures before they are compared: none; the metric of people, learned from
+    simulated ones (people, for hapt, r-bihdm and both); or that of the covariance of the gallery: of the
+    differences of shapes that are among each other's nearest (neighbours), of all shapes (pca), or pooled
+    within classes (within-class). auto: people if most shapes are like people; else within-class if labels
+    suffice, else neighbours; none for few shapes. unsupervised: auto without labels, as in an evaluation."""
     calibration: str | None = None
     """File of a whitening that `pcretrieve calibrate` has fitted to labelled scans, which replaces that of
     the option whitening; none by default."""
     shrinkage: Shrinkage = "auto"
-    """Regularisation of the covariance of a whitening: for pca and resolution relative to its largest
-    eigenvalue, for others the shrinkage intensity. auto: .01, .03, and .2 for neighbours, .03 with r-bihdm;
-    for within-class the likeliest on classes that are left out."""
+    """Regularisation of the covariance of a whitening: for pca relative to its largest
+    eigenvalue, for others the shrinkage intensity. auto: .01, and .2 for neighbours; for within-class the
+    likeliest on classes that are left out."""
     rerank: RerankKind = "none"
     """Re-ranking of the first hundred results of a query, of which the first keeps its rank: by distances
     relative to the distances of near shapes (local), or by the overlap of k-reciprocal neighbourhoods
@@ -304,7 +298,7 @@ class RetrievalOptions(Options):
     @property
     def without_labels(self) -> RetrievalOptions:
         """The options, in which the whitening auto is not fitted to labels, as in an evaluation."""
-        return self.model_copy(update={"whitening": "neighbours"}) if self.whitening == "auto" else self
+        return self.model_copy(update={"whitening": "unsupervised"}) if self.whitening == "auto" else self
 
 
 Kept = Literal["meshes", "overlaps"]

@@ -6,7 +6,6 @@ requests. A server has styles and scripts at addresses of their own, because its
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from pcretrieve import Catalogue, Inspection, PointCloud
+from pcretrieve import Inspection, PointCloud
 from pcretrieve.draw.pictures import CLAY, Colour, rgb
 from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import encoded, line_of, page_of, write_page
@@ -59,7 +58,6 @@ def inspect(
     n_rescans: int = 4,
     page: str | Path | None = None,
     png: str | Path | None = None,
-    catalogue: Catalogue | str | Path | None = None,
 ) -> Inspection:
     """Process a scan, and check the result of each stage.
 
@@ -76,21 +74,17 @@ def inspect(
         An HTML file to which a page with the results is written.
     png : str or Path, optional
         A PNG file to which the pictures of the page are written.
-    catalogue : Catalogue, str or Path, optional
-        Where the next body is looked for, with whose distance the error bar of the signature is compared; its
-        options are then the defaults. Without a catalogue, this distance is that of people.
 
     Returns
     -------
     Inspection
-        Points, normals, surface, checks and signature; those of the earlier stages if a stage fails.
+        Points, normals, surface, checks and signature, which is that of `r_bihdm`; those of the earlier
+        stages if a stage fails.
 
     Raises
     ------
     InputError
         If `scan` cannot be converted to a cloud or a mesh, or a file cannot be written.
-    CatalogueError
-        If the options require other spectra than the catalogue has.
     """
     from pcretrieve.pipeline.inspecting import inspect_scan
 
@@ -103,8 +97,7 @@ def inspect(
     for target in (page, png):
         if target is not None:
             check_target(Path(target), read)
-    with nullcontext() if catalogue is None else Catalogue.opened(catalogue) as store:
-        found = inspect_scan(scan, options, n_rescans=n_rescans, catalogue=store)
+    found = inspect_scan(scan, options, n_rescans=n_rescans)
     if page is not None:
         write_inspection_page(found, page)
     if png is not None:

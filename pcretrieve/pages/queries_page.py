@@ -117,7 +117,7 @@ def settings_in_words(
     if matrix is not None:
         return {"searched": f"{classes}{len(matrix)} shapes", "distance": "that of a matrix"} | least
     index = catalogue.index(options)
-    compared, retrieval = options.compared, options.retrieval
+    compared, retrieval = options.signature, options.retrieval
     size = compared.size_weight
     return {
         "searched": f"{classes}{len(index)} shapes",

@@ -189,7 +189,7 @@ def _facts(
     for left_out in ("searched", "score"):
         facts.pop(left_out, None)
     if matrix is None:
-        facts["scale"] = options.compared.scale
+        facts["scale"] = options.signature.scale
     else:
         facts["distance"] = f"that of a matrix of {len(matrix)} shapes"
     if measured is not None and measured["whitening"]:

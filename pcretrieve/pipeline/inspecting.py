@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from pcretrieve.checks import NEXT_BODY, OUTCOMES, Check, Inspection, NextBody, findings_of, graded
-from pcretrieve.errors import InputError, OptionError, ShapeError
+from pcretrieve.checks import OUTCOMES, Check, Inspection, findings_of, graded
+from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.formats import ScanLike
-from pcretrieve.formats.identity import content_hash, printable
+from pcretrieve.formats.identity import printable
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pipeline.process import Seen, placed, shape_of, signature, signature_of, stages
 from pcretrieve.points import outliers
-from pcretrieve.values import Failure, FloatArray, PointCloud, Signature
+from pcretrieve.values import Failure, FloatArray, PointCloud
 
-if TYPE_CHECKING:
-    from pcretrieve.catalogue import Catalogue
+# The signature that has the error bar: that of the paper, of the form alone.
+JUDGED = {"method": "r-bihdm", "n_values": 23, "scale": "area", "size_weight": 0.0}
 
 # Number of points in each rescan, relative to all points.
 RESCAN_SHARE = 0.9
@@ -34,7 +33,6 @@ def inspect_scan(
     options: OptionsLike = None,
     *,
     n_rescans: int = 4,
-    catalogue: Catalogue | None = None,
 ) -> Inspection:
     """Process a scan, and check the result of each stage.
 
@@ -43,16 +41,13 @@ def inspect_scan(
 
     Returns Inspection: lengths are in the unit of the scan.
     """
-    # Without the size: in the plot, it would be orders of magnitude larger than the other values.
-    options = PipelineOptions.of(options, None if catalogue is None else catalogue.options)
-    options = options.changed(signature={"size_weight": 0})
+    options = PipelineOptions.of(options).changed(signature=JUDGED)
     if n_rescans == 1 or n_rescans < 0:
         raise OptionError(f"a spread needs at least 2 rescans, got {n_rescans}")
-    file = Path(scan) if isinstance(scan, (str, Path)) else None
-    path = "" if file is None else printable(file)
+    path = printable(Path(scan)) if isinstance(scan, (str, Path)) else ""
     name = Path(path).name or "scan"
     seen, shape, described, failure = Seen(), None, None, None
-    deviation, spread, next_body = None, None, NextBody()
+    deviation, spread = None, None
     try:
         with placed(scan):
             for reached in stages(scan, options):
@@ -73,8 +68,6 @@ def inspect_scan(
     elif failure is not None:
         shown = "none for nine tenths of the points"
         checks.append(Check("Signature", "failed", None, shown, failure.message))
-    if catalogue is not None and described is not None:
-        next_body = _next_body(catalogue, described, options, path=file)
     cut_away, dropped = _removed(seen, options)
     return Inspection(
         name=name,
@@ -94,7 +87,6 @@ def inspect_scan(
         spread=spread,
         failure=failure if described is None else None,
         steps=next((part.provenance for part in (seen.mesh, seen.cloud, seen.scan) if part is not None), ()),
-        next_body=next_body,
     )
 
 
@@ -135,41 +127,3 @@ def _median_spacing(points: FloatArray) -> float:
 def _distance(cloud: PointCloud, places: FloatArray) -> FloatArray:
     """The distance of each place to the nearest point of a cloud, (n,)."""
     return np.asarray(cKDTree(cloud.points).query(places)[0])
-
-
-def _next_body(
-    catalogue: Catalogue, signature: Signature, options: PipelineOptions, *, path: Path | None = None
-) -> NextBody:
-    """Find the shape of a catalogue that is nearest to a scan and of another body.
-
-    The class of the scan is its class in the catalogue, if the catalogue has it, or else that of the nearest
-    shape. The next body is the nearest shape of another class; if the classes are not known, the nearest
-    shape.
-    """
-    plain = options.changed(retrieval={"distance": "log", "whitening": "none", "calibration": None})
-    table = catalogue.signatures(plain)
-    if table.metric != "logarithms":
-        raise InputError(
-            f"error bars are those of logarithms, as which {table.kind} is not compared: leave out the "
-            "catalogue"
-        )
-    own = catalogue.with_content(content_hash(path)) if path is not None else []
-    held = {record.id for record in own}
-    gaps = np.linalg.norm(np.log(table.values) - np.log(signature.values), axis=1)  # (N,)
-    others = [row for row in np.argsort(gaps, kind="stable").tolist() if table.ids[row] not in held]
-    own_labels = [record.label for record in own if record.label is not None]
-    label = own_labels[0] if own_labels else table.labels[others[0]] if others else None
-    rows = [row for row in others if label is None or table.labels[row] not in (None, label)]
-    if not rows:
-        return NextBody(source=f"The catalogue has no other body: {NEXT_BODY:g} is the distance of people.")
-    row, nearest = rows[0], others[0]
-    names = [
-        shape_id if known is None else f"{shape_id} (class {known})"
-        for shape_id, known in zip(table.ids, table.labels, strict=True)
-    ]
-    words = f"The next body in the catalogue is {names[row]}, {gaps[row]:.2g} away"
-    if nearest != row:
-        words += f"; the nearest shape is {names[nearest]}, {gaps[nearest]:.2g} away"
-    if label is None:
-        words += "; as its class is not known, it may be the same body"
-    return NextBody(float(gaps[row]), table.ids[row], table.labels[row], f"{words}.")

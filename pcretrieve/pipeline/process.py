@@ -144,7 +144,7 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
             "checks",
             time.perf_counter() - started,
             {"uncertainty": verdict.uncertainty},
-            () if verdict.is_sound else (str(verdict),),
+            () if verdict.is_good else (str(verdict),),
         )
         shape = replace(shape, provenance=(*shape.provenance, step), verdict=verdict)
         log_steps(scan_name(scan), shape.provenance[-2:])

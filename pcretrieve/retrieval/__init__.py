@@ -2,24 +2,19 @@
 
 from pcretrieve.retrieval.distances import DISTANCES, DistanceBlock, Positions, coordinates, pairwise
 from pcretrieve.retrieval.index import SignatureIndex
-from pcretrieve.retrieval.whitening import (
-    Whitening,
-    fit_whitening,
-    resolution_covariance,
-    resolution_whitening,
-    table_whitening,
-)
+from pcretrieve.retrieval.people import People, people
+from pcretrieve.retrieval.whitening import Whitening, fit_whitening, table_whitening
 
 __all__ = [
     "DISTANCES",
     "DistanceBlock",
+    "People",
     "Positions",
     "SignatureIndex",
     "Whitening",
     "coordinates",
     "fit_whitening",
     "pairwise",
-    "resolution_covariance",
-    "resolution_whitening",
+    "people",
     "table_whitening",
 ]

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 DEFAULT_SHRINKAGE = {
     "neighbours": 0.20,  # intensity towards the mean variance times the identity
     "pca": 0.01,  # times the largest eigenvalue, added to all eigenvalues (Tikhonov)
-    "resolution": 0.03,  # as for pca
 }
 
 # Intensities that are tried within classes, and the number of groups of classes, each of which is left out
@@ -46,11 +45,6 @@ UNTESTED = 0.1
 # Smallest variance of a value in the target, relative to the mean variance: the covariance must be invertible
 # also if a value is the same for all shapes of each class.
 LEAST_VARIANCE = 1e-9
-
-# Shrinkage of the covariance of neighbours towards the covariance of changes of resolution, where that is
-# known, and the remaining shrinkage towards the identity.
-PRIOR_SHARE = 0.3
-SHRINKAGE_WITH_PRIOR = 0.03
 
 # Least numbers of shapes and of pairs for a whitening by neighbours.
 LEAST_SHAPES = 24
@@ -178,15 +172,12 @@ def _likeliest_shrinkage(residuals: FloatArray, classes: Positions, *, one_unit:
     return INTENSITIES[int(np.argmax(likelihood))]
 
 
-def neighbour_covariance(logs: FloatArray, shrinkage: Shrinkage, prior: FloatArray | None) -> Fit:
+def neighbour_covariance(logs: FloatArray, shrinkage: Shrinkage) -> Fit:
     """The covariance of the differences of neighbours among log-signatures (N, L), or why there is none."""
     if len(logs) < LEAST_SHAPES:
         reason = f"none, because {len(logs)} shapes are too few to learn from neighbours ({LEAST_SHAPES})"
         return Fit(logs, None, 0.0, reason)
-    if shrinkage == "auto":
-        used = DEFAULT_SHRINKAGE["neighbours"] if prior is None else SHRINKAGE_WITH_PRIOR
-    else:
-        used = float(shrinkage)
+    used = checked_shrinkage("neighbours", shrinkage)
     pairs = neighbour_pairs(logs)
     n_pairs = len(pairs.weights)
     if n_pairs < LEAST_PAIRS:
@@ -195,8 +186,6 @@ def neighbour_covariance(logs: FloatArray, shrinkage: Shrinkage, prior: FloatArr
     differences = logs[pairs.first] - logs[pairs.second]  # (P, L)
     covariance = (differences * pairs.weights[:, np.newaxis]).T @ differences
     covariance /= np.trace(covariance)
-    if prior is not None:
-        covariance = (1 - PRIOR_SHARE) * covariance + PRIOR_SHARE * prior
     reason = f"neighbours: {n_pairs} pairs, each among the other's {pairs.n_neighbors} nearest"
     return Fit(logs, _shrunk(covariance, used), used, reason)
 

@@ -144,7 +144,7 @@ class SignatureIndex:
     options : RetrievalOptions, optional
         The distance, and the whitening to fit on `table`.
     whitening : Whitening, optional
-        A whitening made before, such as `resolution_whitening`, instead of the one that `options` name.
+        A whitening made before, such as of `pcretrieve calibrate`, instead of the one that `options` name.
     distance : Distance, optional
         A distance of one's own, instead of the one that `options` name.
     scores : MatchScores, optional
@@ -164,7 +164,7 @@ class SignatureIndex:
     Raises
     ------
     OptionError
-        If the whitening ``resolution`` is asked for and was not made before.
+        If the whitening ``people`` is asked for and was not made before.
     InputError
         If the table is empty, or the whitening was fitted on signatures with other options.
     """

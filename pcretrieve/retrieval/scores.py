@@ -8,6 +8,10 @@ neighbours stand for pairs of one class.
 A whitening that was fitted to classes makes these classes more compact than others. Distances within classes
 are then those after a whitening that was fitted to other classes (grouped cross-validation).
 
+How sure an answer is, is estimated for the answer as a whole: each labelled shape is a query in the others,
+once with its class among them, and once without. A logistic regression on the distance of the nearest shape,
+and on its ratio to the distance of the nearest shape of another class, tells how often the nearest is right.
+
 References
 ----------
 .. [1] Barlow, Bartholomew, Bremner and Brunk, "Statistical inference under order restrictions", 1972.
@@ -19,7 +23,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -52,22 +56,37 @@ PRIOR = 0.5
 
 TINY = float(np.finfo(np.float64).tiny)
 
+# False-match rates at which distances are known.
+RATES = np.concatenate([[0.0], np.geomspace(1e-4, 1, 41)])
+
+# Weight of a query whose class is not among the shapes, relative to one whose class is: one query in six
+# is of somebody new. Ridge penalty of the slopes of the regression. See docs/decisions.md, sure.
+ABSENT, RIDGE = 0.2, 0.01
+
+# Distances below this one are taken for it: the logarithm of zero is not finite.
+CLOSEST = 1e-3
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchScores(Arrays):
     """The score of a distance: the share of pairs of one class among pairs that near.
 
     It is between 0 and 1, known at some ascending distances (m,), interpolated between them, and constant
-    before the first and behind the last; it does not ascend.
+    before the first and behind the last; it does not ascend. With labels there are also the coefficients (3,)
+    of the regression of certainty, and the distances (r,) at the false-match rates `RATES`.
     """
 
     distances: FloatArray
     scores: FloatArray
     reason: str
+    certainty: FloatArray = field(default_factory=lambda: np.zeros(0))
+    far: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         distances = locked("the distances of scores", self.distances, (None,))
         scores = locked("scores", self.scores, (len(distances),))
+        for name in ("certainty", "far"):
+            object.__setattr__(self, name, locked(name, getattr(self, name), (None,)))
         if not len(distances) or (np.diff(distances) < 0).any() or (np.diff(scores) > 0).any():
             raise InputError("scores must not ascend with the distance, and be at least one, got others")
         object.__setattr__(self, "distances", distances)
@@ -76,6 +95,16 @@ class MatchScores(Arrays):
     def of(self, distances: FloatArray) -> FloatArray:
         """The scores (n,) of distances (n,), which may be infinite."""
         return np.interp(distances, self.distances, self.scores)
+
+    def sureness(self, nearest: float, other: float) -> float | None:
+        """How often an answer is right, from the distances to its class and to the next; None if unknown."""
+        if not len(self.certainty):
+            return None
+        return float(1 / (1 + np.exp(-_features(np.array([nearest]), np.array([other])) @ self.certainty)[0]))
+
+    def reach(self, rate: float) -> float:
+        """The distance below which a share of the pairs of two classes are, the false-match rate."""
+        return float(np.interp(rate, RATES, self.far)) if len(self.far) else np.inf
 
 
 class _Sample(NamedTuple):
@@ -105,22 +134,28 @@ def fit_scores(
     sample = _sample(table)
     n_classes = len(set(sample.labels))
     why = "share of pairs of one class among pairs as near, of {} pairs of " + f"{n_classes} classes"
+    groups: list[_Group] = []
+    parts: list[_Pairs] = []
     if n_classes and whitening.kind != "within-class":
-        parts = [_class_pairs(sample, np.arange(len(sample.labels)), whitening, options.distance)]
+        groups = [_group(sample, np.arange(len(sample.labels)), whitening, options.distance)]
     elif n_classes >= 4:
-        parts = list(_left_out(sample, options, table))
+        groups = list(_left_out(sample, options, table))
         why += ", each left out of the whitening"
     elif len(sample.logs) >= LEAST_SHAPES:
         parts = [_mutual_pairs(sample.logs, whitening, options.distance)]
         why = "share of mutual neighbours among pairs as near, of {} pairs without labels"
-    else:
-        parts = []
+    parts = parts or [_class_pairs(sample, group) for group in groups]
     if not parts:
         return None
     pairs = _Pairs(*(np.concatenate(part) for part in zip(*parts, strict=True)))
     if pairs.same.sum() < LEAST_PAIRS or pairs.same.all():
         return None
-    return MatchScores(*_shares(pairs), why.format(len(pairs.same)))
+    reason = why.format(len(pairs.same))
+    if not groups:
+        return MatchScores(*_shares(pairs), reason)
+    trials = _Trials(*(np.concatenate(part) for part in zip(*map(_trials, groups), strict=True)))
+    far = np.quantile(pairs.distances[~pairs.same], RATES)
+    return MatchScores(*_shares(pairs), reason, _certainty(trials), far)
 
 
 def _sample(table: SignatureTable) -> _Sample:
@@ -196,23 +231,22 @@ def _counts(number: NDArray[np.intp], ours: FloatArray, every: FloatArray) -> tu
     return np.bincount(number, ours, n).astype(np.float64), np.bincount(number, every, n).astype(np.float64)
 
 
-def _class_pairs(sample: _Sample, rows: Positions, whitening: Whitening, distance: str) -> _Pairs:
-    """The pairs of some labelled shapes, each of which stands for the pairs of the whole table."""
+class _Group(NamedTuple):
+    """Distances (n, n) between some labelled shapes, and the number (n,) of the class of each of them."""
+
+    distances: FloatArray
+    codes: Positions
+    names: list[str]
+
+
+def _group(sample: _Sample, rows: Positions, whitening: Whitening, distance: str) -> _Group:
     points = whitening.apply(sample.logs[rows])
     names, codes = np.unique([sample.labels[row] for row in rows], return_inverse=True)
-    here = np.bincount(codes)[codes].astype(np.float64)  # (n,) shapes of the class, here and in the table
-    there = np.array([sample.sizes[name] for name in names], dtype=np.float64)[codes]
-    n_table = float(sum(sample.sizes.values()))
-    within = (there - 1) / np.maximum(here - 1, 1)
-    between = (n_table - there) / np.maximum(len(rows) - here, 1)
-    first, second = np.triu_indices(len(rows), k=1)
-    same = codes[first] == codes[second]
-    weights = np.where(same, within[first] + within[second], between[first] + between[second]) / 2
-    return _Pairs(pairwise(distance, points, points)[first, second], same, weights)
+    return _Group(pairwise(distance, points, points), codes, names.tolist())
 
 
-def _left_out(sample: _Sample, options: RetrievalOptions, table: SignatureTable) -> Iterator[_Pairs]:
-    """The pairs of each group of classes, whitened by what shapes of the other classes differ by."""
+def _left_out(sample: _Sample, options: RetrievalOptions, table: SignatureTable) -> Iterator[_Group]:
+    """Each group of classes, whitened by what shapes of the other classes differ by."""
     classes, codes = np.unique(sample.labels, return_inverse=True)
     n_folds = min(MOST_FOLDS, len(classes) // 2)
     fold = (np.random.default_rng(SEED).permutation(len(classes)) % n_folds)[codes]
@@ -229,7 +263,68 @@ def _left_out(sample: _Sample, options: RetrievalOptions, table: SignatureTable)
             )
         except InputError:
             continue  # the other classes have one shape each, or equal ones
-        yield _class_pairs(sample, rows, fitted, options.distance)
+        yield _group(sample, rows, fitted, options.distance)
+
+
+def _class_pairs(sample: _Sample, group: _Group) -> _Pairs:
+    """The pairs of some labelled shapes, each of which stands for the pairs of the whole table."""
+    codes = group.codes
+    here = np.bincount(codes)[codes].astype(np.float64)  # (n,) shapes of the class, here and in the table
+    there = np.array([sample.sizes[name] for name in group.names], dtype=np.float64)[codes]
+    n_table = float(sum(sample.sizes.values()))
+    within = (there - 1) / np.maximum(here - 1, 1)
+    between = (n_table - there) / np.maximum(len(codes) - here, 1)
+    first, second = np.triu_indices(len(codes), k=1)
+    same = codes[first] == codes[second]
+    weights = np.where(same, within[first] + within[second], between[first] + between[second]) / 2
+    return _Pairs(group.distances[first, second], same, weights)
+
+
+class _Trials(NamedTuple):
+    """Queries (t, 3) by their features, whether the nearest shape was of their class, and their weights."""
+
+    features: FloatArray
+    right: NDArray[np.bool_]
+    weights: FloatArray
+
+
+def _features(nearest: FloatArray, other: FloatArray) -> FloatArray:
+    """(t, 3) 1, the logarithm of the distance of the nearest shape, and of its ratio to the next class."""
+    near, far = np.maximum(nearest, CLOSEST), np.maximum(other, CLOSEST)
+    return np.column_stack([np.ones(len(near)), np.log(near), np.log(far / near)])
+
+
+def _trials(group: _Group) -> _Trials:
+    """Each shape as a query in the others, with and without its class."""
+    codes = group.codes
+    same = codes[:, np.newaxis] == codes
+    tried = []
+    for is_absent in (False, True):
+        apart = np.where(same if is_absent else np.eye(len(codes), dtype=bool), np.inf, group.distances)
+        found = codes[apart.argmin(axis=1)]
+        nearest = apart.min(axis=1)
+        other = np.where(found[:, np.newaxis] == codes, np.inf, apart).min(axis=1)
+        used = np.isfinite(other) & (is_absent | (same.sum(axis=1) > 1))
+        weights = np.full(len(codes), ABSENT if is_absent else 1.0)
+        tried.append(_Trials(_features(nearest, other)[used], (found == codes)[used], weights[used]))
+    return _Trials(*(np.concatenate(part) for part in zip(*tried, strict=True)))
+
+
+def _certainty(trials: _Trials) -> FloatArray:
+    """(3,) coefficients of the logistic regression; none if all answers are right, or all wrong."""
+    from scipy.optimize import minimize
+
+    if trials.right.all() or not trials.right.any():
+        return np.zeros(0)
+    signed = np.where(trials.right, -1.0, 1.0)[:, np.newaxis] * trials.features
+    ridge = np.array([0.0, RIDGE, RIDGE])
+
+    def loss(slopes: FloatArray) -> tuple[float, FloatArray]:
+        wrong = signed @ slopes
+        value = float(trials.weights @ np.logaddexp(0, wrong) + ridge @ slopes**2)
+        return value, (trials.weights / (1 + np.exp(-wrong))) @ signed + 2 * ridge * slopes
+
+    return np.asarray(minimize(loss, np.zeros(3), jac=True).x)
 
 
 def _mutual_pairs(logs: FloatArray, whitening: Whitening, distance: str) -> _Pairs:

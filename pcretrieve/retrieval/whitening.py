@@ -12,21 +12,13 @@ pairs that are probably of one class (``neighbours``), or, as a first approximat
 (``pca``). Whitening by the differences of nearest neighbours is unsupervised, in the manner of relevant
 component analysis [2]_ with the pairs in place of its equivalence constraints.
 
-``resolution`` is the same for every gallery. Whether fingers are separated and folds are open in a surface
-depends more on the edge of the voxels than on the body. Its effect on log-signatures was measured once, on
-simulated people, animals and hands, which were scanned, and reconstructed with two voxel edges. The whitening
-reduces the weight of the directions in which the two log-signatures of a body differ (within-class covariance
-normalisation [3]_ with one class of two members for each body). It improves the rankings of scans, but not of
-bodies that differ mainly in the girth of their limbs, because the voxel edge changes this girth too. See
-docs/decisions.md, resolution_whitening.
+``people`` is the metric of `pcretrieve.retrieval.people`, which does not depend on the gallery.
 
 References
 ----------
 .. [1] Kessy, Lewin and Strimmer, "Optimal whitening and decorrelation", The American Statistician 2018.
 .. [2] Bar-Hillel, Hertz, Shental and Weinshall, "Learning a Mahalanobis metric from equivalence
    constraints", Journal of Machine Learning Research 2005.
-.. [3] Hatch, Kajarekar and Stolcke, "Within-class covariance normalization for SVM-based speaker
-   recognition", Interspeech 2006.
 """
 
 from __future__ import annotations
@@ -36,7 +28,6 @@ import zipfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from importlib import resources
 from pathlib import Path
 from typing import Any, get_args
 
@@ -45,7 +36,7 @@ from numpy.typing import NDArray
 from typing_extensions import Self
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.options import RetrievalOptions, Shrinkage, SignatureOptions, WhiteningKind
+from pcretrieve.options import RetrievalOptions, Shrinkage, WhiteningKind
 from pcretrieve.retrieval.covariances import (
     Fit,
     check_distinct,
@@ -56,31 +47,22 @@ from pcretrieve.retrieval.covariances import (
     within_class_covariance,
 )
 from pcretrieve.retrieval.distances import table_coordinates
+from pcretrieve.retrieval.people import ALIKE, KNOWN, LEAST_SHARE, People
 from pcretrieve.values import FloatArray, Metric, SignatureTable
 from pcretrieve.values.base import Value, locked
 from pcretrieve.values.files import write_file
 
-#: What a whitening can be; "auto" stands for one of them.
-WHITENINGS: tuple[str, ...] = tuple(kind for kind in get_args(WhiteningKind) if kind != "auto")
+#: What stands for a whitening that suits the shapes, with and without their labels.
+AUTOMATIC = ("auto", "unsupervised")
+
+#: What a whitening can be.
+WHITENINGS: tuple[str, ...] = tuple(kind for kind in get_args(WhiteningKind) if kind not in AUTOMATIC)
 
 #: The kind of a whitening that was fitted to labelled shapes other than those that it is used for.
 CALIBRATED = "calibrated"
 
 # Least number of classes from which labels are used by "auto".
 LEAST_CLASSES = 5
-
-# (2, n, m + 1) float32, written by scripts/sample resolution: logarithms of |μ_1| … |μ_m| and μ_0, divided by
-# the squared area, of n bodies reconstructed with the smaller and with the larger voxel edge.
-SAMPLE = "resolution.npy"
-
-# Fraction of the bodies, those with the smallest change, of which the covariance is computed (trimming). In
-# the others limbs fused, or a tail was lost, at one of the voxel edges, and these few outliers would dominate
-# the covariance.
-MOST = 0.85
-
-# The signatures for which the changes caused by resolution were measured.
-METHOD = "r-bihdm"
-N_MODES = 60
 
 
 class Arrays(Value):
@@ -110,9 +92,9 @@ class Whitening(Arrays):
     mean : (L,) float64
         Mean log-signature of the shapes of the fit; zero for ``none``.
     matrix : (L, L) float64
-        W, symmetric positive definite, dimensionless; the identity for ``none``.
+        W, symmetric positive semidefinite, dimensionless; the identity for ``none``.
     n_fitted : int
-        Number of shapes of the fit.
+        Number of shapes of the fit; 0 for ``people``.
     shrinkage : float
         Regularisation as in `fit_whitening`; zero for ``none``.
     options_digest : str
@@ -187,33 +169,35 @@ def fit_whitening(
     labels: Sequence[str | None] | None = None,
     *,
     shrinkage: Shrinkage = "auto",
-    prior: FloatArray | None = None,
+    people: People | None = None,
     metric: Metric = "logarithms",
     options_digest: str = "",
 ) -> Whitening:
     """Fit a whitening to log-signatures.
 
     logs: (N, L) float64, log-signatures, one in each row.
-    prior: (L, L) float64, optional, a covariance of trace 1 of what should be ignored in any gallery, such as
-        `resolution_covariance`. For ``neighbours`` only: 30 % of the covariance.
+    people: the moments of such signatures of people, if known; ``auto`` stands for ``people`` if the shapes
+        are alike.
     metric: the metric of the signatures. The coordinates of the metric ``values`` may have different units.
         For ``within-class`` only.
     """
-    if kind not in (*WHITENINGS, "auto"):
+    if kind not in (*WHITENINGS, *AUTOMATIC):
         raise OptionError(f"whitening must be one of auto, {', '.join(WHITENINGS)}, got {kind!r}")
     if logs.ndim != 2 or not np.isfinite(logs).all():
         raise InputError(f"log-signatures must be finite and have shape (N, L), got {logs.shape}")
-    if kind == "resolution":
-        raise OptionError(f"whitening {kind!r} is not fitted to shapes: see resolution_whitening")
     checked_shrinkage(kind, shrinkage)
-    used = _chosen(logs, labels) if kind == "auto" else kind
+    used = kind
+    if kind in AUTOMATIC:
+        used = _chosen(logs, labels if kind == "auto" else None, people)
+    if used == "people":
+        return replace(_of_people(logs, people, shrinkage), options_digest=options_digest)
     fit = Fit(logs, None, 0.0, "none")
     if used == "pca":
         fit = _pca(logs, shrinkage)
     elif used == "within-class":
         fit = within_class_covariance(logs, labels, shrinkage, one_unit=metric != "values")
     elif used == "neighbours":
-        fit = neighbour_covariance(logs, shrinkage, prior)
+        fit = neighbour_covariance(logs, shrinkage)
     if fit.covariance is None:
         n_values = logs.shape[1]
         zero, identity = np.zeros(n_values), np.eye(n_values)
@@ -226,30 +210,53 @@ def fit_whitening(
 
 
 def table_whitening(
-    table: SignatureTable, options: RetrievalOptions, *, prior: FloatArray | None = None
+    table: SignatureTable, options: RetrievalOptions, *, people: People | None = None
 ) -> Whitening:
-    """The whitening of a table of signatures.
-
-    prior: (L, L) float64, optional, as in `fit_whitening`.
-    """
+    """The whitening of a table of signatures; `people` as in `fit_whitening`."""
     return fit_whitening(
         options.whitening,
         table_coordinates(table, options.distance),
         table.labels,
         shrinkage=options.shrinkage,
-        prior=prior,
+        people=people,
         metric=table.metric,
         options_digest=table.digest,
     )
 
 
-def _chosen(logs: FloatArray, labels: Sequence[str | None] | None) -> str:
+def _chosen(logs: FloatArray, labels: Sequence[str | None] | None, people: People | None) -> str:
     """The whitening that ``auto`` stands for."""
+    unlike = np.inf if people is None or not len(logs) else people.unlikeness(logs)
+    if unlike <= KNOWN:
+        return "people"
     counts = Counter(label for label in labels or () if label is not None)
     sizes = [size for size in counts.values() if size > 1]
     # The rank of the pooled covariance, beyond which directions would be whitened by the shrinkage alone.
     rank = sum(sizes) - len(sizes)
-    return "within-class" if len(sizes) >= LEAST_CLASSES and rank >= logs.shape[1] else "neighbours"
+    if len(sizes) >= LEAST_CLASSES and rank >= logs.shape[1]:
+        return "within-class"
+    return "people" if unlike <= ALIKE else "neighbours"
+
+
+def _of_people(logs: FloatArray, people: People | None, shrinkage: Shrinkage) -> Whitening:
+    """The symmetric root of the metric of people, by which the total variance of people does not change.
+
+    The less the shapes are like the simulated people, the more their own neighbours count.
+    """
+    if people is None:
+        raise OptionError(
+            "whitening 'people' is known for hapt, r-bihdm and their fusion, by area and with n_modes = 60: "
+            "take one of these descriptors, or another whitening"
+        )
+    unlike = people.unlikeness(logs)
+    own = neighbour_covariance(logs, shrinkage)
+    share = 0.0 if own.covariance is None else max(LEAST_SHARE, 1 - 1 / unlike)
+    weights, directions = np.linalg.eigh(people.metric(own.covariance, share))
+    root = (directions * np.sqrt(np.maximum(weights, 0))) @ directions.T
+    root *= np.sqrt(np.trace(people.total) / np.trace(root @ people.total @ root))
+    reason = f"people: {1 - share:.0%} learned from simulated people"
+    reason += f", {share:.0%} from {own.reason}" if share else ""
+    return Whitening("people", people.mean, root, len(logs) if share else 0, own.shrinkage, reason=reason)
 
 
 def _pca(logs: FloatArray, shrinkage: Shrinkage) -> Fit:
@@ -259,51 +266,3 @@ def _pca(logs: FloatArray, shrinkage: Shrinkage) -> Fit:
     total = covariance_of(logs)
     covariance = total + used * np.linalg.eigvalsh(total)[-1] * np.eye(len(total))
     return Fit(logs, covariance, used, f"pca: the covariance of {len(logs)} shapes")
-
-
-def resolution_whitening(
-    options: SignatureOptions, *, shrinkage: Shrinkage = "auto", options_digest: str = ""
-) -> Whitening:
-    """W = s (C + d c I)^(−1/2): C second moment of the changes, c its largest eigenvalue, d the shrinkage."""
-    used = checked_shrinkage("resolution", shrinkage)
-    if (known := _changes(options)) is None:
-        raise OptionError(
-            f"whitening 'resolution' has been measured for {METHOD} with n_modes = {N_MODES}, by area or "
-            f"relative, got {options.method} with {options.n_modes}, {options.measured_by}: take 'pca' or "
-            "'none'"
-        )
-    mean, change = known
-    covariance = change.T @ change / len(change)
-    largest = np.linalg.eigvalsh(covariance)[-1]
-    root = inverse_square_root(covariance + used * largest * np.eye(len(covariance)))
-    root *= np.sqrt(len(root) / np.trace(root @ root))
-    if options.size_weight:
-        root, mean = np.pad(root, (0, 1)), np.append(mean, 0.0)
-        root[-1, -1] = 1
-    reason = f"resolution: changes of {len(change)} simulated bodies"
-    return Whitening("resolution", mean, root, len(change), used, options_digest, reason)
-
-
-def resolution_covariance(options: SignatureOptions) -> FloatArray | None:
-    """The covariance (L, L) of the changes, of trace 1, zero for a size; None if it was not measured."""
-    if (known := _changes(options)) is None:
-        return None
-    covariance = known[1].T @ known[1]
-    covariance /= np.trace(covariance)
-    return np.pad(covariance, (0, 1)) if options.size_weight else covariance
-
-
-def _changes(options: SignatureOptions) -> tuple[FloatArray, FloatArray] | None:
-    """The mean log-signature (L,), and the changes (n, L) of the bodies of the sample that change least.
-
-    None if the changes of such signatures were not measured.
-    """
-    if options.method != METHOD or options.n_modes != N_MODES or options.measured_by == "absolute":
-        return None
-    sample = np.load(str(resources.files(__package__).joinpath(SAMPLE))).astype(np.float64)
-    if options.measured_by == "relative":
-        sample -= sample[:, :, -1:]
-    logs = sample[:, :, : options.n_values]
-    change = logs[0] - logs[1]  # (n, L)
-    size = np.linalg.norm(change, axis=1)
-    return logs.mean(axis=(0, 1)), change[size <= np.quantile(size, MOST)]

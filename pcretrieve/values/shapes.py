@@ -18,7 +18,7 @@ Need = Literal["spectrum", "overlaps", "eigenvectors", "mesh", "points"]
 
 _Part = TypeVar("_Part")
 
-Judgement = Literal["sound", "doubtful", "unusable"]
+Judgement = Literal["good", "incomplete"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,16 +27,16 @@ class Verdict:
 
     Attributes
     ----------
-    judgement : {"sound", "doubtful", "unusable"}
-        "sound": the signature differs less between scans of the body than between bodies. "doubtful": its
-        neighbours may be wrong. "unusable": it may be that of another body.
+    judgement : {"good", "incomplete"}
+        "incomplete": a part of the body is missing or invented, or two bodies are one, so that the signature
+        may be that of another body.
     uncertainty : float
         The log-signature error that is expected from what was filled in, cut off or thinly sampled, and from
         noise; dimensionless, comparable to the distance ``log`` of `SignatureIndex`. Two poses of a body are
         about 0.1 apart, two similar bodies 0.5. It is not `Signature.deviation`, the error bar over the
         surfaces of one scan.
     reasons : tuple of str
-        The checks that led to the judgement, each with its measurement, most severe first; empty if sound.
+        The checks that led to the judgement, each with its measurement, most severe first; empty if good.
 
     Raises
     ------
@@ -59,12 +59,12 @@ class Verdict:
 
     def __str__(self) -> str:
         because = f": {'; '.join(self.reasons)}" if self.reasons else ""
-        return f"{self.judgement}, ± {self.uncertainty:.2g}{because}"
+        return f"{self.judgement}{because}"
 
     @property
-    def is_sound(self) -> bool:
-        """Whether the judgement is "sound"."""
-        return self.judgement == "sound"
+    def is_good(self) -> bool:
+        """Whether the judgement is "good"."""
+        return self.judgement == "good"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -71,8 +71,8 @@ def listing_document(catalogue: Catalogue, listing: Listing) -> Document:
     """A page of the collection."""
     words = listing.q.casefold().split()
     among = None
-    if listing.state == "doubtful":
-        among = {record.id for page in catalogue.pages(doubtful=True) for record in page}
+    if listing.state == "incomplete":
+        among = {record.id for page in catalogue.pages(incomplete=True) for record in page}
     chosen = [
         origin
         for origin in catalogue.origins()
@@ -141,7 +141,7 @@ def similar_document(
         "query": name,
         "arguments": asked.model_dump(),
         "results": [_without_path(row) for row in answer.rows()],
-        "vote": None if answer.vote is None else asdict(answer.vote),
+        "match": None if answer.match is None else asdict(answer.match),
         "verdict": str(answer),
         "distance": options.retrieval.distance,
         "whitening": without_folders(catalogue.whitening(options).reason),

@@ -82,7 +82,7 @@ class Jobs:
     ) -> None:
         self.collection = collection
         self._described = partial(described, options, up)
-        self._inspected = partial(inspection_page, location, title, options)
+        self._inspected = partial(inspection_page, title, options)
         self._limits: dict[str, Any] = {"workers": 1, "timeout": timeout, "memory": memory}
         self._idle: list[Any] = []
         self._idle_inspecting: list[Any] = []

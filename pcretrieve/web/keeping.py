@@ -49,10 +49,8 @@ def stages_of(folder: Path) -> tuple[tuple[str, float], ...]:
     return tuple((stage, float(seconds)) for stage, seconds in STAGE.findall(text))
 
 
-def inspection_page(
-    location: str, title: str, options: PipelineOptions, item: tuple[str, str, Path]
-) -> bytes:
-    """The page of a scan as by `pcretrieve inspect --rescans 0 --catalogue`; in a worker process.
+def inspection_page(title: str, options: PipelineOptions, item: tuple[str, str, Path]) -> bytes:
+    """The page of a scan as by `pcretrieve inspect --rescans 0`; in a worker process.
 
     item: (str, str, Path), the name of the file, as the browser gave it; the address of the page of the
         nearest shapes; the file.
@@ -62,7 +60,7 @@ def inspection_page(
     from pcretrieve.pages.inspection_page import Served, inspection_html
 
     name, back, scan = item
-    found = inspect(scan, options, n_rescans=0, catalogue=location)
+    found = inspect(scan, options, n_rescans=0)
     return inspection_html(_shown(found, name), Served(title, back))
 
 
@@ -80,7 +78,6 @@ def _shown(found: Inspection, name: str) -> Inspection:
         checks=checks,
         failure=failure and replace(failure, message=without_folders(failure.message)),
         steps=tuple(replace(step, notes=tuple(map(without_folders, step.notes))) for step in found.steps),
-        next_body=replace(found.next_body, source=without_folders(found.next_body.source)),
     )
 
 

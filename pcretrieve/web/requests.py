@@ -56,7 +56,7 @@ class Listing(_Fields):
 
     q: str = ""
     label: str = ""
-    state: Literal["", "done", "doubtful", "failed"] = ""
+    state: Literal["", "done", "incomplete", "failed"] = ""
     sort: Literal["id", "-id", "label", "-label", "added", "-added"] = "id"
     since: date | None = None
     until: date | None = None

@@ -98,7 +98,7 @@ def serve(
         chosen = PipelineOptions.of(options, store.options)
         store.index(chosen)  # so that it is made, and what it lacks is said, before the first request
         title = Path(store.location).name
-        scanned = store.options.model_copy(update={"signature": chosen.compared})
+        scanned = store.options.model_copy(update={"signature": chosen.signature})
     key = token or secrets.token_urlsafe(24)
     if not TOKEN.fullmatch(key):
         raise InputError("the token must be ASCII letters, digits, - and _ only, as it is part of an address")

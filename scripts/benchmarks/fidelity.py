@@ -58,7 +58,7 @@ from pcretrieve.options import PipelineOptions, RetrievalOptions, WhiteningKind
 from pcretrieve.pipeline.process import process, signature
 from pcretrieve.points import clean, oriented_normals
 from pcretrieve.points.normals import estimate_normals, orient_by_tangent_planes
-from pcretrieve.retrieval import coordinates, resolution_covariance, resolution_whitening
+from pcretrieve.retrieval import coordinates
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
 from pcretrieve.surface import defects, tetwild
 from pcretrieve.surface.poisson import poisson
@@ -284,8 +284,7 @@ COLUMNS = (
     *("nn", "map", "nn_within", "map_within", "clean_nn", "clean_map", "clean_nn_within", "clean_map_within"),
     *("seconds", "stages", "peak_mib", "rescan_spread", "textbook_seconds", "textbook_ratio"),
     *("nn_relative", "map_relative", "nn_pca", "map_pca", "clean_nn_relative", "clean_map_relative"),
-    *("clean_nn_pca", "clean_map_pca", "nn_resolution", "map_resolution", "clean_nn_resolution"),
-    *("clean_map_resolution", "nn_sized", "map_sized", "clean_nn_sized", "clean_map_sized"),
+    *("clean_nn_pca", "clean_map_pca", "nn_sized", "map_sized", "clean_nn_sized", "clean_map_sized"),
     "processor_seconds",
 )
 
@@ -336,7 +335,7 @@ SHOWN = {
         f"{measure}{kind}": Column(f"{title}{shown}", 8, ".3f")
         for kind, title in (
             *(("", ""), ("_relative", "rel. "), ("_pca", "pca "), ("_within", "w-c ")),
-            *(("_resolution", "res. "), ("_sized", "size ")),
+            ("_sized", "size "),
         )
         for measure, shown in (("nn", "NN"), ("map", "mAP"))
     },
@@ -364,25 +363,19 @@ def retrieval(
     labels = [item.label for item in items]
     failed = {f"failed {k}": labels[k] for k in set(range(len(items))).difference(rows)}
     names, classes = tuple(items[k].name for k in rows), tuple(labels[k] for k in rows)
-    form = options.changed(signature={"size_weight": 0}).signature
     ways: dict[str, tuple[WhiteningKind, FloatArray]] = {
         "": ("none", known.values),
         "_relative": ("none", known.relative),
         "_pca": ("pca", known.longer),
         "_within": ("within-class", known.values),
         "_sized": ("none", known.sized),
-        "_resolution": ("resolution", known.values),
     }
     found: dict[str, float] = {}
     for way, (whitening, values) in ways.items():
         found |= {f"nn{way}": NAN, f"map{way}": NAN}
-        if whitening == "resolution" and resolution_covariance(form) is None:
-            continue
         table = SignatureTable(names, values, kind="scan", labels=classes)
         with contextlib.suppress(InputError):  # too few shapes
-            made = resolution_whitening(form) if whitening == "resolution" else None
-            chosen = RetrievalOptions(whitening=whitening)
-            measures = evaluate_table(table, chosen, whitening=made, failed=failed)
+            measures = evaluate_table(table, RetrievalOptions(whitening=whitening), failed=failed)
             found |= {f"nn{way}": measures.nn, f"map{way}": measures.map}
     return found
 

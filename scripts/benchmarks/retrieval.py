@@ -6,10 +6,11 @@ FOLDER of --data has the subfolders shrec11, tosca and shrec14_csd, as far as th
 and the scans in scans/ need no data. With --keep, the catalogues stay in a folder, so that the next run
 computes only what is missing. Without it a run takes half an hour on one core.
 
-With --no-match, the table says how good the answer "no match" is: half of the classes are left out of the
-gallery, and a match must have the score in the table. Precision is the share of the answers "no match" to
-queries whose class is left out; recall the share of these queries with this answer; "matched" the share of
-the other queries that have a match, and "right" the share of these matches that are of the class.
+With --no-match, a share of the classes is left out of the gallery. "sure" is the share of right answers among
+those that are called sure, "given" the share of the right answers that are. The last columns say how good the
+answer "no match" is, if a match must have a score of .9: precision is the share of these answers to queries
+whose class is left out; recall the share of these queries with this answer; "matched" the share of the other
+queries that have a match, and "right" the share of these matches that are of the class.
 
 Whitenings by neighbours and PCA are fitted to all shapes of a set, without labels. Within-class whitening is
 fitted by grouped folds; if lists are re-ranked, the gallery of a query is its fold. "3-people" is fitted to
@@ -47,7 +48,8 @@ from pcretrieve.evaluation import evaluate_table, rank_table, rerank_table
 from pcretrieve.evaluation.measures import evaluate_rankings
 from pcretrieve.evaluation.rankings import NO_FAILURES
 from pcretrieve.options import PipelineOptions, RetrievalOptions, SignatureOptions
-from pcretrieve.retrieval import pairwise, resolution_covariance, table_whitening
+from pcretrieve.query import SURE
+from pcretrieve.retrieval import People, pairwise, people, table_whitening
 from pcretrieve.retrieval.distances import table_coordinates
 from pcretrieve.retrieval.reranking import RERANKINGS
 from pcretrieve.retrieval.scores import fit_scores
@@ -63,7 +65,7 @@ VECTORS: dict[str, tuple[str, Metric]] = {
     "shrec14-synthetic-log": ("synthetic.mat", "logarithms"),
 }
 NAMES = (*MESHES, *SCANS, *VECTORS)
-WHITENINGS = ("none", "pca", "neighbours", "within-class")
+WHITENINGS = ("none", "pca", "neighbours", "unsupervised", "within-class")
 
 # Numbers of people to whom a whitening is fitted for the others, where there are as many others.
 CALIBRATIONS = (3, 10)
@@ -85,14 +87,14 @@ TABLE = Table(
     *(Column(title, 6, ".4f") for title in MEASURES),
 )
 
-# Least scores of a match, and the columns of the table of "no match".
-MIN_SCORES = (0.9, 0.5)
+# Shares of the classes that are left out, and the columns of the table of "no match".
+LEFT_OUT = (0.1, 0.5)
 NO_MATCH_TABLE = Table(
     Column("set", 21, align="<"),
     Column("scores from", 12, align="<"),
     Column("whitening", 22, align="<"),
-    Column("score", 5, ".1f"),
-    *(Column(title, 9, ".3f") for title in ("precision", "recall", "matched", "right")),
+    Column("out", 5, ".1f"),
+    *(Column(title, 9, ".3f") for title in ("sure", "given", "precision", "recall", "matched", "right")),
 )
 
 
@@ -102,8 +104,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add_data(parser)
     parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, help="some sets only")
     parser.add_argument("--samples", type=Path, default=Path("scans"), help="folder of the sample scans")
-    parser.add_argument("--methods", nargs="+", default=["combined"], help="descriptors")
-    parser.add_argument("--n-values", type=int, nargs="+", default=[59], help="lengths of the descriptors")
+    parser.add_argument("--methods", nargs="+", default=["hapt+r-bihdm"], help="descriptors")
+    parser.add_argument("--n-values", type=int, nargs="+", default=[23], help="lengths of the descriptors")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the catalogues in this folder")
     parser.add_argument(
         "--no-match", action="store_true", help='print how good the answer "no match" is, on classes left out'
@@ -160,7 +162,7 @@ def _catalogue_rows(
                 except OptionError as error:
                     yield f"{name} {method} {n_values}: left out, {error.message}"
                     continue
-                yield from rows(name, table, chosen.compared, failed)
+                yield from rows(name, table, chosen.signature, failed)
 
 
 def _files(name: str, folder: Path, given: argparse.Namespace) -> tuple[Path, dict[str, str] | None]:
@@ -182,8 +184,8 @@ def _rows(
     for kind in WHITENINGS:
         whitening = None
         if kind != "within-class":
-            prior = None if options is None else resolution_covariance(options)
-            whitening = table_whitening(table, RetrievalOptions(whitening=kind), prior=prior)
+            known = None if options is None else people(options)
+            whitening = table_whitening(table, RetrievalOptions(whitening=kind), people=known)
         retrieval = RetrievalOptions(whitening=kind)
         ranked = rerank_table(table, RERANKINGS, retrieval, whitening=whitening, failed=failed)
         if kind == "within-class":  # without re-ranking, the gallery is the whole set
@@ -207,11 +209,13 @@ def _no_match_rows(
     failed: Mapping[str, str | None] = NO_FAILURES,
 ) -> Iterator[str]:
     """Lines for scores from labels and without labels; failed shapes are left out."""
-    prior = None if options is None else resolution_covariance(options)
-    for labelled, least in product((True, False), MIN_SCORES):
-        found = no_match_measures(table, min_score=least, labelled=labelled, prior=prior)
-        facts = name, "labels" if labelled else "neighbours", found.whitening, least
-        yield NO_MATCH_TABLE.row(*facts, found.precision, found.recall, found.matched, found.right)
+    known = None if options is None else people(options)
+    for labelled, out in product((True, False), LEFT_OUT):
+        found = no_match_measures(table, left_out=out, labelled=labelled, moments=known)
+        facts = name, "labels" if labelled else "neighbours", found.whitening, out
+        yield NO_MATCH_TABLE.row(
+            *facts, found.sure, found.given, found.precision, found.recall, found.matched, found.right
+        )
 
 
 # Random draws of the classes of the fit, and their seed.
@@ -254,6 +258,8 @@ class NoMatchMeasures:
     right: of these matches, the share of the class of the query; NaN if there are none.
     """
 
+    sure: float
+    given: float
     precision: float
     recall: float
     matched: float
@@ -267,28 +273,29 @@ def no_match_measures(
     options: RetrievalOptions | None = None,
     *,
     min_score: float = 0.9,
+    left_out: float = 0.5,
     labelled: bool = True,
-    prior: FloatArray | None = None,
+    moments: People | None = None,
     n_draws: int = 10,
     seed: int = 0,
 ) -> NoMatchMeasures:
-    """Search galleries of half of the classes for shapes of all classes, with a least score.
+    """Search galleries without some of the classes for shapes of all classes, with a least score.
 
     A third of the shapes of each class are queries, which neither the whitening nor the scores are fitted to.
 
-    prior: (L, L) float64, optional, as in `pcretrieve.retrieval.fit_whitening`.
+    moments: as `people` of `pcretrieve.retrieval.fit_whitening`.
     """
     options = options or RetrievalOptions()
     rng = np.random.default_rng(seed)
     used: set[str] = set()
     drawn = []
     for _ in range(n_draws):
-        gallery, queries = _split(table, rng)
+        gallery, queries = _split(table, rng, left_out)
         ids = [table.ids[row] for row in gallery]
         shapes = table.select(ids)
         if not labelled:
             shapes = replace(shapes, labels=(None,) * len(ids))
-        whitening = table_whitening(shapes, options, prior=prior)
+        whitening = table_whitening(shapes, options, people=moments)
         used.add(whitening.kind)
         scores = fit_scores(shapes, whitening, options)
         points = whitening.apply(table_coordinates(table, options.distance))
@@ -299,13 +306,18 @@ def no_match_measures(
         known = np.isin(ours.astype(str), labels[gallery].astype(str))
         # Without scores there is no match that is certain enough.
         score = np.zeros(len(queries)) if scores is None else scores.of(distances.min(axis=1))
-        drawn.append(np.stack([known, score >= min_score, ours == found]).astype(bool))
-    known, matched, same = np.concatenate(drawn, axis=1)
+        others = np.where(found[:, np.newaxis] == labels[gallery], np.inf, distances).min(axis=1)
+        pairs = zip(distances.min(axis=1), others, strict=True)
+        sure = [scores is not None and (scores.sureness(*pair) or 0) >= SURE for pair in pairs]
+        drawn.append(np.stack([known, score >= min_score, ours == found, sure]).astype(bool))
+    known, matched, same, sure_ones = np.concatenate(drawn, axis=1)
 
     def share(of: NDArray[np.bool_], among: NDArray[np.bool_]) -> float:
         return float(of[among].mean()) if among.any() else float("nan")
 
     return NoMatchMeasures(
+        sure=share(same, sure_ones),
+        given=share(sure_ones, same),
         precision=share(~known, ~matched),
         recall=share(~matched, ~known),
         matched=share(matched, known),
@@ -315,8 +327,10 @@ def no_match_measures(
     )
 
 
-def _split(table: SignatureTable, rng: np.random.Generator) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """The rows of a gallery of half of the classes, and of queries of all classes."""
+def _split(
+    table: SignatureTable, rng: np.random.Generator, left_out: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The rows of a gallery without a share of the classes, and of queries of all classes."""
     labels = np.array(["" if label is None else label for label in table.labels])
     sizes = {label: int((labels == label).sum()) for label in sorted({*labels} - {""})}
     classes = [label for label, size in sizes.items() if size >= SMALLEST]
@@ -324,7 +338,7 @@ def _split(table: SignatureTable, rng: np.random.Generator) -> tuple[NDArray[np.
         raise BenchmarkError(
             f"classes can be left out of two classes of {SMALLEST} shapes or more, got {len(classes)}"
         )
-    known = set(rng.permutation(classes)[: len(classes) // 2].tolist())
+    known = set(rng.permutation(classes)[: len(classes) - max(1, round(left_out * len(classes)))].tolist())
     gallery: list[int] = []
     queries: list[int] = []
     for label in classes:

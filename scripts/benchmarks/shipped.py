@@ -1,14 +1,12 @@
 """Compute the arrays that the package ships, and write them into it.
 
     .venv/bin/python scripts/sample heat          # half a minute
-    .venv/bin/python scripts/sample resolution    # an hour on two cores
     .venv/bin/python scripts/sample dictionary    # a quarter of an hour
 
 heat: hks_sample.npy, (2, s, 6) heat kernel signatures, plain and scale-invariant, and wavelet_sample.npy,
 (s, 3) spectral graph wavelet signatures, of the same points of simulated bodies, from which the vocabularies
-of the bags of features are clustered. resolution: the logarithms of the eigenvalues of R-BiHDM of bodies with
-small and with large voxels, whose covariance the whitening `resolution` removes. dictionary: the atoms of
-the descriptors dl and dl-supervised, learned without labels and with them.
+of the bags of features are clustered. dictionary: the atoms of the descriptors dl and dl-supervised, learned
+without labels and with them. The metric of people is learned by scripts/benchmark_people.
 
 The dictionary with labels is learned as by Litman, Bronstein, Bronstein and Castellani, "Supervised learning
 of bag-of-features shape descriptors using sparse coding", 2014.
@@ -27,9 +25,7 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.measuring import all_in_workers, argument_parser
-from benchmarks.uniform import UniformOptions, scan_uniformly
-from pcretrieve.descriptors import reduced_matrix
+from benchmarks.measuring import argument_parser
 from pcretrieve.descriptors.bags import SAMPLE as HEAT_SAMPLE, heat_features
 from pcretrieve.descriptors.dl import (
     ATOMS,
@@ -43,9 +39,6 @@ from pcretrieve.descriptors.dl import (
 )
 from pcretrieve.descriptors.ispm import SAMPLE as WAVELET_SAMPLE, wavelet_signatures
 from pcretrieve.errors import InputError
-from pcretrieve.options import PipelineOptions
-from pcretrieve.pipeline.process import process
-from pcretrieve.retrieval.whitening import SAMPLE as RESOLUTION_SAMPLE
 from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.values import FloatArray
@@ -91,37 +84,6 @@ def features() -> Iterator[PointFeatures]:
             picked = rng.choice(len(share), POINTS_PER_SUBJECT, replace=False, p=share / share.sum())
             heat = np.array([heat_features(pairs, scale_invariant=kind)[picked] for kind in (False, True)])
             yield PointFeatures(heat, wavelet_signatures(pairs, N_MODES)[picked])
-
-
-# Number of bodies of each family. Each body is another individual, in the poses of the family in turn.
-N_BODIES = 56
-
-# Edges of small and of large voxels, relative to the diagonal.
-CELLS = (0.75 * 0.0045, 0.0045 / 0.75)
-
-# Different from the seeds in `benchmarks.sets`, so that the sample has no person of the benchmark.
-RESOLUTION_SEED = 2016
-
-
-def resolution() -> None:
-    """Compute the sample, and write it into the package."""
-    bodies = [(family, number) for family in POSES for number in range(N_BODIES)]
-    made = all_in_workers(log_eigenvalues, bodies, "bodies")
-    _write("retrieval", RESOLUTION_SAMPLE, np.stack(made, axis=1))
-
-
-def log_eigenvalues(which: tuple[str, int]) -> FloatArray:
-    """(2, 61) logarithms of the eigenvalues of R-BiHDM, of one body with small and large voxels."""
-    family, number = which
-    rng = np.random.default_rng((RESOLUTION_SEED, list(POSES).index(family), number))
-    poses = list(POSES[family].values())
-    mesh = body(make_subject(family, rng), poses[number % len(poses)], rng)
-    cloud = scan_uniformly(mesh, UniformOptions(), rng)
-    rows = []
-    for cell in CELLS:
-        shape = process(cloud, PipelineOptions().changed(surface={"cell": cell, "reconstructions": 1}))
-        rows.append(np.log(np.abs(np.linalg.eigvalsh(reduced_matrix(shape.spectrum, N_MODES)))))
-    return np.array(rows)
 
 
 # Individuals of each family, and poses of each individual.
@@ -324,7 +286,7 @@ def _drawn(surface: SurfacePoints, rng: np.random.Generator) -> SurfacePoints:
     return SurfacePoints(surface.features[picked], np.full(number, 1 / number))
 
 
-ARRAYS = {"heat": heat, "resolution": resolution, "dictionary": dictionary}
+ARRAYS = {"heat": heat, "dictionary": dictionary}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

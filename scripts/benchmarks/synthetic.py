@@ -7,7 +7,6 @@ import statistics
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from functools import partial
-from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,12 +19,14 @@ from benchmarks.measuring import timed
 from pcretrieve.catalogue import Catalogue, Record, merge_catalogues
 from pcretrieve.catalogue.arrays import packed_values
 from pcretrieve.catalogue.records import OWN, Entry
+from pcretrieve.descriptors import DESCRIPTORS
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.formats import write_mesh
-from pcretrieve.options import PipelineOptions
+from pcretrieve.options import PipelineOptions, SignatureOptions
+from pcretrieve.retrieval import people
 from pcretrieve.values import FloatArray, Step, TriangleMesh
 
-# Number of shapes in a class. Their signatures differ as those of one body at several resolutions.
+# Number of shapes in a class. Their signatures differ as those of one person do.
 CLASS_SIZE = 10
 
 # Number of signatures that are drawn at a time.
@@ -56,11 +57,10 @@ def synthetic_id(number: int) -> str:
 def synthetic_catalogue(path: Path, options: PipelineOptions, n_shapes: int, seed: int) -> None:
     """Write a catalogue of records and signatures, without spectra and meshes.
 
-    Logarithms of signatures are normally distributed within their class, and so are the means of the classes.
-    The covariances are those of simulated bodies: within a class, of the changes that the resolution of a
-    surface causes; between classes, of the bodies.
+    Coordinates of signatures are normally distributed within their class, and so are the means of the
+    classes, with the covariances within and between simulated people.
     """
-    signatures = _signatures(options.signature.n_values, n_shapes, np.random.default_rng(seed))
+    signatures = _signatures(options.signature, n_shapes, np.random.default_rng(seed))
     with Catalogue(path, options, create=True) as catalogue:
         for start in range(0, n_shapes, BLOCK):
             numbers = range(start, min(start + BLOCK, n_shapes))
@@ -94,18 +94,18 @@ def write_small_meshes(folder: Path, n_meshes: int, n_vertices: int, seed: int) 
         write_mesh(replace(sphere, vertices=sphere.vertices * axes), folder / f"body-{number:05}.off")
 
 
-def _signatures(n_values: int, n_shapes: int, rng: Generator) -> Iterator[FloatArray]:
+def _signatures(options: SignatureOptions, n_shapes: int, rng: Generator) -> Iterator[FloatArray]:
     """Signatures (L,), one class after the other."""
-    # (2, n, m + 1): log-signatures of n bodies from small and from large cells, the first value last.
-    file = resources.files("pcretrieve.retrieval").joinpath("resolution.npy")
-    sample = np.load(str(file)).astype(np.float64)
-    logs = (sample - sample[:, :, -1:])[:, :, :n_values]
-    between, within = _root(np.cov(logs[0].T)), _root(np.cov((logs[0] - logs[1]).T))
+    known = people(options)
+    if known is None:
+        raise BenchmarkError(f"people must be known by {options.method}, which they are not")
+    between, within = _root(known.total - known.within), _root(known.within)
+    n_values = len(known.mean)
     for start in range(0, n_shapes, BLOCK):
         n = min(BLOCK, n_shapes - start)
-        classes = logs[0].mean(axis=0) + rng.normal(size=(n // CLASS_SIZE, n_values)) @ between
+        classes = known.mean + rng.normal(size=(n // CLASS_SIZE, n_values)) @ between
         drawn = np.repeat(classes, CLASS_SIZE, axis=0) + rng.normal(size=(n, n_values)) @ within
-        yield from np.exp(drawn)
+        yield from np.exp(drawn) if DESCRIPTORS[options.method].metric == "logarithms" else drawn
 
 
 def _root(covariance: FloatArray) -> FloatArray:

@@ -199,7 +199,7 @@ def assert_same(index: SignatureIndex, store: Catalogue, options: PipelineOption
             assert index.query(query, 12) == anew.query(query, 12)
 
 
-WHITENINGS = ("none", "resolution", "neighbours", "pca", "within-class")
+WHITENINGS = ("none", "people", "neighbours", "pca", "within-class")
 
 
 @pytest.mark.parametrize(("distance", "whitening"), [("log", one) for one in WHITENINGS] + [("d1", "none")])

@@ -61,7 +61,7 @@ ASKED: dict[str, tuple[str, int, set[str], bool]] = {
     "ingest": ("scans -c new.sqlite --workers 1 --quiet", 3, {"done", "failed", "held"}, True),
     "status": ("c.sqlite", 0, {"state", "n_shapes"}, False),
     "retry": ("c.sqlite --workers 1", 3, {"done", "failed"}, True),
-    "query": ("e0 -c c.sqlite -k 2", 0, {"query", "results", "vote", "verdict", "distance"}, True),
+    "query": ("e0 -c c.sqlite -k 2", 0, {"query", "results", "match", "verdict", "distance"}, True),
     "evaluate": ("-c c.sqlite", 0, {"map", "n_queries"}, True),
     "compare": ("c.sqlite c.sqlite", 0, {"first", "second", "difference", "second_options"}, False),
     "matrix": ("-c c.sqlite -o run.txt", 0, {"matrix", "ids", "n_shapes", "failed"}, True),

@@ -53,7 +53,7 @@ def test_a_file_gives_commands_their_options_and_flags_override_it(eggs: Path, t
     by_file = result(*asked, "--config", mine)
     assert (by_file["n_values"], by_file["whitening"], by_file["distance"]) == (9, "pca", "d1")
     assert by_file == result(*asked, *PCA)
-    back = ("--whitening", "auto", "--distance", "log", "--n-values", 59)
+    back = ("--whitening", "auto", "--distance", "log", "--n-values", 23)
     assert result(*asked, "--config", mine, *back) == result(*asked)
     query = ("query", eggs / "10.off", *asked[1:])
     assert result(*query, "--config", mine) == result(*query, *PCA) != result(*query)
@@ -100,20 +100,22 @@ def test_sizes_are_compared_in_one_unit_or_not_at_all(tmp_path: Path) -> None:
         run(*command, "-c", catalogue)
 
 
-def test_doubtful_shapes_are_summed_up_and_a_query_says_so(tmp_path: Path) -> None:
+def test_incomplete_scans_are_counted_and_a_query_says_so(tmp_path: Path) -> None:
     ball, body, catalogue = shapes.icosphere(3), shapes.body(3), tmp_path / "c.sqlite"
     for name, mesh, first in (("open", ball, 12), ("whole", body, 0), ("other", body, 12)):
         write_mesh(pr.TriangleMesh(mesh.vertices, mesh.faces[first:]), tmp_path / f"{name}.off")
     scans = tmp_path / "open.off", tmp_path / "whole.off"
     done = run("ingest", *scans, "-c", catalogue, "--surface", "keep", "--workers", 1, "--json")
-    assert "1 doubtful, 0 unusable by the checks of their scans: " in done.stderr
+    assert "1 incomplete: " in done.stderr
     advice = done.stderr.split("`")[1].split()
-    assert advice == ["pcretrieve", "list", "--doubtful", "-c", str(catalogue)]
+    assert advice == ["pcretrieve", "list", "--incomplete", "-c", str(catalogue)]
     assert "closed surface: " in run(*advice[1:]).stdout
-    assert json.loads(done.stdout)["result"]["doubtful"] == ["open"]
+    assert json.loads(done.stdout)["result"]["incomplete"] == ["open"]
     asked = run("query", "-c", catalogue, tmp_path / "other.off")
-    assert "other.off is doubtful, ± 0.3: closed surface: " in asked.stderr
-    assert [line.split()[4] for line in asked.stdout.splitlines() if "  doubtful, ± " in line] == ["open"]
+    assert "other.off is incomplete: closed surface: " in asked.stderr
+    assert [line.split()[4] for line in asked.stdout.splitlines() if line.endswith("  incomplete")] == [
+        "open"
+    ]
 
 
 # --- matrices and comparisons ---------------------------------------------------------------------------
@@ -166,18 +168,21 @@ def test_two_settings_matrices_and_files_give_one_comparison(eggs: Path, tmp_pat
     catalogue = eggs / "eggs.sqlite"
     settings = {"one": ("--distance", "log"), "two": ("--distance", "d1", "--n-values", "5")}
     for name, flags in settings.items():
-        run("matrix", "-c", catalogue, *PLAIN, *flags, "-o", tmp_path / f"{name}.txt")
-        run("evaluate", "-c", catalogue, *PLAIN, *flags, "--csv", tmp_path / name)
-    plain = {"retrieval": {"whitening": "none"}}
-    short = {"retrieval": {"whitening": "none", "distance": "d1"}, "signature": {"n_values": 5}}
+        run("matrix", "-c", catalogue, *PLAIN, *METHOD, *flags, "-o", tmp_path / f"{name}.txt")
+        run("evaluate", "-c", catalogue, *PLAIN, *METHOD, *flags, "--csv", tmp_path / name)
+    plain = {"retrieval": {"whitening": "none"}, "signature": {"method": "r-bihdm"}}
+    short = {
+        "retrieval": {"whitening": "none", "distance": "d1"},
+        "signature": {"method": "r-bihdm", "n_values": 5},
+    }
     expected = pr.compare(catalogue, catalogue, options=plain, second_options=short)
     assert (expected.difference != 0).any()
     matrices = (tmp_path / "one.txt", tmp_path / "two.txt")
     assert pr.compare(*matrices, labels=eggs / "labels.csv") == expected
     files = (tmp_path / "one" / "queries.csv", tmp_path / "two" / "queries.csv")
     assert pr.compare(*files) == expected
-    both = ("--distance", "log", "--distance", "d1", "--n-values", 59, "--n-values", 5)
-    found = result("compare", catalogue, catalogue, *PLAIN, *both, "--changes", 3)
+    both = ("--distance", "log", "--distance", "d1", "--n-values", 23, "--n-values", 5)
+    found = result("compare", catalogue, catalogue, *PLAIN, *METHOD, *both, "--changes", 3)
     assert found["difference"] == dict(zip(MEASURES, expected.difference.tolist(), strict=True))
     assert found["low"] == dict(zip(MEASURES, expected.interval[0].tolist(), strict=True))
     assert [one["id"] for one in found["changes"]] == [one.shape_id for one in expected.changes[:3]]
@@ -198,12 +203,12 @@ def test_two_settings_matrices_and_files_give_one_comparison(eggs: Path, tmp_pat
 
 @pytest.fixture(scope="module")
 def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six eggs of two kinds; the third of each is almost the second, and not sound of the last kind."""
+    """Six eggs of two kinds; the third of each is almost the second, and incomplete of the last kind."""
     location, options = tmp_path_factory.mktemp("near") / "eggs.sqlite", pr.PipelineOptions()
     with pr.Catalogue(location, create=True) as store:
         for number, (kind, width) in enumerate(product(("a", None), (1, 1.08, 1.0801))):
             shape = pr.process(shapes.ellipsoid((width, 1, 1.8 if kind else 2.3), 3))
-            verdict = pr.Verdict("doubtful", 0.5) if number == 5 else pr.Verdict("sound", 0.01)
+            verdict = pr.Verdict("incomplete", 0.5) if number == 5 else pr.Verdict("good", 0.01)
             content = Content(replace(shape, verdict=verdict), pr.describe(shape, options.signature).values)
             store.put(Record(f"{number}", f"/{number}.off", f"hash {number}", kind), content)
     return location

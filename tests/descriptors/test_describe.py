@@ -14,7 +14,6 @@ import shapes
 from pcretrieve.descriptors import (
     DESCRIPTORS,
     bihdm,
-    combined,
     csd,
     describe,
     r_bihdm,
@@ -71,7 +70,6 @@ def compared(shape: Shape, method: str) -> FloatArray:
 
 # Numbers of values of the descriptors that do not have as many as `n_values` says.
 LENGTHS = {
-    "combined": 2 * N_VALUES,
     "ispm": (1 + 2 + 4 + 8) * N_VALUES,
     "hapt": 5 * 9,
     **dict.fromkeys(("hks-bow-spatial", "si-hks-bow-spatial"), N_VALUES * (N_VALUES + 1) // 2),
@@ -95,7 +93,7 @@ def test_it_does_not_see_motion_or_numbering(method: str, change) -> None:  # ty
     np.testing.assert_allclose(compared(other, method), compared(body(), method), atol=TOLERANCE[method])
 
 
-# Powers of length of the values for the scale absolute; combined has R-BiHDM to the power .6, and csd.
+# Powers of length of the values for the scale absolute.
 POWERS = {
     "r-bihdm": 4,
     "bihdm": 4,
@@ -103,7 +101,6 @@ POWERS = {
     "shape-dna": 2,
     "sd-gdm": 3,
     "sd-gdm-sampled": 3,
-    "combined": [2.4] * N_VALUES + [0] * N_VALUES,
 }
 
 
@@ -125,13 +122,6 @@ def test_a_descriptor_by_itself_is_that_of_the_default_options(function: Callabl
     by_itself, relative = function(body().spectrum), function(body().spectrum, scale="relative")
     assert (described, described.digest) == (by_itself, by_itself.digest)
     assert not np.allclose(described.values, relative.values, rtol=0.1)
-
-
-def test_the_default_descriptor_is_r_bihdm_and_csd_in_balance() -> None:
-    described = describe(body(), SignatureOptions())
-    assert described == combined(body().spectrum, body().eigenpairs)
-    halves = r_bihdm(body().spectrum).values ** 0.6, csd(body().eigenpairs).values ** 3
-    np.testing.assert_array_equal(described.values, np.concatenate(halves))
 
 
 def test_the_compact_shape_descriptor_of_a_sphere_is_that_of_each_of_its_points() -> None:

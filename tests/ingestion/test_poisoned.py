@@ -86,13 +86,13 @@ def test_a_batch_stores_every_good_scan_beside_poisoned_ones(tmp_path: Path) -> 
         (tmp_path / f"{name}.ply").write_bytes(content)
     with Catalogue(tmp_path / "c.sqlite", create=True) as catalogue:
         summary = ingest(tmp_path / "*.ply", catalogue)
-        table = catalogue.signatures()
+        table = catalogue.signatures(catalogue.options.changed(signature={"method": "r-bihdm"}))
     done, failed = ({record.id for record in records} for records in (summary.done, summary.failed))
     assert done | failed == {*good, *GARBAGE}
     assert failed <= {*GARBAGE}
     kinds = {record.error for record in summary.failed}
     assert kinds <= {"ScanReadError", "ReconstructionError", "DegenerateMeshError"}, summary.failed
-    expected = np.log(signature(POINTS).values)
+    expected = np.log(signature(POINTS, {"signature": {"method": "r-bihdm"}}).values)
     for name in good:
         found = np.log(table.values[table.ids.index(name)])
         np.testing.assert_allclose(found, expected, atol=0.02, err_msg=name)

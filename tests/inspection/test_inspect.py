@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve import Catalogue, PipelineOptions, PointCloud, TriangleMesh, ingest, signature
+from pcretrieve import PipelineOptions, PointCloud, TriangleMesh, signature
 from pcretrieve.checks import Check, Inspection
-from pcretrieve.formats import write_mesh
 from pcretrieve.pipeline.inspecting import inspect_scan
 from pcretrieve.values import FloatArray
 
@@ -18,7 +17,7 @@ BODY = shapes.body()
 
 # Coarse cells and few faces: fast.
 COARSE = {"cell": 0.01, "target_faces": 3000}
-OPTIONS = PipelineOptions().changed(surface=COARSE)
+OPTIONS = PipelineOptions().changed(surface=COARSE, signature={"method": "r-bihdm"})
 
 
 def seen_from_far(points: FloatArray) -> PointCloud:
@@ -101,26 +100,3 @@ def test_what_fails_is_shown_as_far_as_it_came(tmp_path: Path) -> None:
         seen = inspect_scan(points)
         assert seen.failure is not None
         assert seen.scan is not None and len(seen.scan.points) == len(points)
-
-
-def test_the_next_body_is_the_nearest_shape_of_another_class(tmp_path: Path) -> None:
-    options = PipelineOptions().changed(
-        signature={"method": "shape-dna", "n_values": 10}, spectral={"n_pairs": 20}
-    )
-    ball = shapes.icosphere(3)
-    lengths = {"a1": 2.0, "a2": 2.1, "b1": 2.4, "b2": 3.0, "new": 2.02}
-    bodies = {name: TriangleMesh(ball.vertices * [x, 1, 0.7], ball.faces) for name, x in lengths.items()}
-    for name, mesh in bodies.items():
-        write_mesh(mesh, tmp_path / f"{name}.off")
-    logs = {name: np.log(signature(bodies[name], options).values) for name in ("new", "a1", "b1")}
-    labels = {f"{name}.off": name[0] for name in lengths}
-    with Catalogue(tmp_path / "c.sqlite", options, create=True) as catalogue:
-        ingest(sorted(tmp_path.glob("[ab]*.off")), catalogue, labels=labels, workers=1)
-        seen = inspect_scan(tmp_path / "new.off", n_rescans=0, catalogue=catalogue)
-    assert (seen.next_body.id, seen.next_body.label) == ("b1", "b")
-    assert seen.next_body.distance == pytest.approx(np.linalg.norm(logs["new"] - logs["b1"]), rel=1e-4)
-    # By the options of the catalogue.
-    assert seen.signature is not None and seen.signature.kind == "shape-dna"
-    assert "b1 (class b)" in seen.next_body.source
-    apart = np.linalg.norm(logs["new"] - logs["a1"])
-    assert f"the nearest shape is a1 (class a), {apart:.2g} away" in seen.next_body.source

@@ -1,4 +1,4 @@
-"""Scores are true of shapes that were not counted; votes, ranks within error bars, near pairs, and maps."""
+"""Scores are true of shapes that were not counted; sure answers, near pairs, and maps."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tables import classes_of, table_of
 
 from pcretrieve.errors import InputError
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.query import Vote, class_vote
+from pcretrieve.query import SURE, UNLIKELY, Match
 from pcretrieve.retrieval import SignatureIndex, pairwise, scores, table_whitening
 from pcretrieve.retrieval.clusters import GAP, near_pairs
 from pcretrieve.retrieval.scores import MatchScores, fit_scores
@@ -73,14 +73,34 @@ def test_scores_descend_and_are_kept_with_an_index() -> None:
     assert SignatureIndex.from_arrays(SignatureIndex(table).to_arrays()).scores is None
 
 
-def test_votes_are_weighted() -> None:
-    weights = np.array([0.5, 0.25, 0.5, 0.75])
-    assert class_vote(["cat", "dog", "dog", None], weights) == Vote("dog", 0.6, 0.25 / 1.25, 3)
-    assert class_vote(["cat", "dog"], np.ones(2)) == Vote("cat", 0.5, 0, 2)
-    assert class_vote(["cat"], np.ones(1)) == Vote("cat", 1, 1, 1)
-    assert class_vote([None], np.ones(1)) is None
-    assert class_vote(["cat"], np.zeros(1)) is None
-    assert class_vote([], np.zeros(0)) is None
+def test_sure_answers_are_right_and_strangers_are_told() -> None:
+    """Every other class is left out of the catalogue, and every third shape is a query."""
+    table = classes(20, 6, seed=1, spread=0.05)
+    rows = np.arange(len(table))
+    is_known, asked = rows // 6 % 2 == 1, rows % 3 == 0
+    shown = np.flatnonzero(is_known & ~asked)
+    found = scores_of(table.select([table.ids[row] for row in shown]))
+    apart = pairwise("log", np.log(table.values[asked]), np.log(table.values[shown]))
+    same = rows[asked][:, np.newaxis] // 6 == shown // 6
+    first = shown[apart.argmin(axis=1)] // 6
+    others = np.where(first[:, np.newaxis] == shown // 6, np.inf, apart).min(axis=1)
+    sure = np.array([found.sureness(*pair) for pair in zip(apart.min(axis=1), others, strict=True)])
+    right = first == rows[asked] // 6
+    assert right[sure >= SURE].all()
+    assert (sure[right] >= SURE).mean() > 0.8
+    assert (sure[~same.any(axis=1)] < UNLIKELY).mean() > 0.8
+    assert found.reach(0.001) < found.reach(0.1) < np.inf
+
+
+def test_an_answer_is_one_line() -> None:
+    for match, line in (
+        (Match("ann", "bob", 0.99), "ann, sure"),
+        (Match("ann", "bob", 0.7), "ann or bob"),
+        (Match("ann", None, 0.7), "ann, not sure"),
+        (Match("ann", "bob", 0.1), "not in this collection; the nearest class is ann"),
+        (Match("ann", "bob", None), "nearest class ann"),
+    ):
+        assert str(match) == line
 
 
 @pytest.mark.parametrize("n", [1, 2, 50, 1200])

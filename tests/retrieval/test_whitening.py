@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tables import classes_of, table_of
 
-import pcretrieve.retrieval
+from pcretrieve.descriptors import DESCRIPTORS, signature_length
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.evaluation import evaluate_table
 from pcretrieve.options import RetrievalOptions, SignatureOptions
-from pcretrieve.retrieval import Whitening, fit_whitening, pairwise, resolution_whitening
+from pcretrieve.retrieval import People, Whitening, fit_whitening, pairwise, people
 from pcretrieve.retrieval.whitening import read_whitening, write_whitening
 from pcretrieve.values import FloatArray, Metric
 
 FITTED = ("neighbours", "pca", "within-class")
-SAMPLE = np.load(Path(pcretrieve.retrieval.__file__).with_name("resolution.npy"))
 
 
 def labelled_logs(n_classes: int = 12, per_class: int = 10) -> tuple[FloatArray, list[str]]:
@@ -95,12 +95,8 @@ def test_values_with_different_units_do_not_depend_on_the_units() -> None:
 
 def test_what_cannot_be_fitted() -> None:
     logs, labels = labelled_logs()
-    for kind, message in (
-        ("zca", r"whitening must be one of auto, none, resolution, .*, got 'zca'"),
-        ("resolution", "'resolution' is not fitted to shapes: see resolution_whitening"),
-    ):
-        with pytest.raises(OptionError, match=message):
-            fit_whitening(kind, logs)
+    with pytest.raises(OptionError, match=r"whitening must be one of auto, none, people, .*, got 'zca'"):
+        fit_whitening("zca", logs)
     for kind in FITTED:
         for shrinkage in (0.0, -0.1, 1.5, np.nan):
             with pytest.raises(OptionError, match=rf"shrinkage must lie in \(0, 1\], got {shrinkage}"):
@@ -153,27 +149,52 @@ def test_classes_that_overlap_by_pose_are_separated() -> None:
     assert plain < 0.9
     for kind in ("within-class", "neighbours"):
         assert precision(fit_whitening(kind, logs, labels).apply(logs)) > plain + 0.05
-    prior = np.zeros((8, 8))
-    prior[3, 3] = 1
-    matrices = [fit_whitening("neighbours", logs, prior=one, shrinkage=0.1).matrix for one in (prior, None)]
-    ignored, counted = (matrix[3, 3] / np.trace(matrix) for matrix in matrices)
-    assert ignored < 0.9 * counted
 
 
-# --- resolution -----------------------------------------------------------------------------------------
+# --- people ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scale", ["area", "relative"])
-def test_what_resolution_changes_counts_less(scale: str) -> None:
-    for n_values in (1, 23, 60):
-        options = SignatureOptions.model_validate({"method": "r-bihdm", "scale": scale, "n_values": n_values})
-        whitening = resolution_whitening(options)
-        logs = SAMPLE[:, :, :60] - (SAMPLE[:, :, 60:] if scale == "relative" else 0)
-        change = (logs[0] - logs[1])[:, :n_values].astype(np.float64)
-        size = np.linalg.norm(change, axis=1)
-        change = change[np.argsort(size)][: whitening.n_fitted]
-        anything = np.random.default_rng(0).normal(size=(4000, n_values))
-        shares = [((each @ whitening.matrix) ** 2).sum() / (each**2).sum() for each in (anything, change)]
-        assert shares[0] == pytest.approx(1, rel=0.1)
-        assert shares[1] < 0.5 or n_values == 1
-        assert 0.8 * len(size) < whitening.n_fitted < 0.9 * len(size)
+def some_people(known: People, n_people: int = 60) -> tuple[FloatArray, list[str]]:
+    """Three scans of each of some people, drawn from the two normal distributions of the metric."""
+    rng = np.random.default_rng(0)
+    between = rng.multivariate_normal(known.mean, known.total - known.within, n_people, method="eigh")
+    within = rng.multivariate_normal(0 * known.mean, known.within, 3 * n_people, method="eigh")
+    return np.repeat(between, 3, axis=0) + within, [f"{row // 3}" for row in range(3 * n_people)]
+
+
+@pytest.mark.parametrize("size_weight", [0.0, 6.0])
+@pytest.mark.parametrize("method", ["hapt+r-bihdm", "r-bihdm", "hapt"])
+def test_the_metric_of_people_finds_them(method: str, size_weight: float) -> None:
+    if size_weight and method == "hapt":
+        return
+    options = SignatureOptions(method=method, size_weight=size_weight)
+    known = people(options)
+    assert known is not None
+    assert len(known.mean) == signature_length(options)
+    assert np.linalg.eigvalsh(known.metric())[0] > -1e-6 * np.linalg.eigvalsh(known.metric())[-1]
+    logs, labels = some_people(known)
+    assert known.unlikeness(logs) == pytest.approx(1, rel=0.3)
+    whitening = fit_whitening("auto", logs, labels, people=known)
+    assert whitening.kind == "people"
+    table = replace(table_of(logs, labels), values=logs, metric="values", digest="")
+    plain = fit_whitening("none", logs)
+    found, without = (evaluate_table(table, whitening=one).map for one in (whitening, plain))
+    assert 1 - found < 0.6 * (1 - without)
+    # Scans of others are compared by their own neighbours, the more so the less they are like people.
+    far = known.mean + 30 * (logs - known.mean)
+    assert fit_whitening("auto", far, people=known).kind == "neighbours"
+    twice = known.mean + 2 * (logs - known.mean)
+    assert "% from neighbours: " in fit_whitening("people", twice, people=known).reason
+    # Three scans are compared by the simulated people alone.
+    assert fit_whitening("unsupervised", logs[:3], people=known).n_fitted == 0
+
+
+def test_the_metric_of_people_is_known_for_these_signatures_alone() -> None:
+    for options in ({"method": "csd"}, {"n_modes": 59}, {"scale": "relative"}, {"method": "hapt+csd"}):
+        assert people(SignatureOptions.model_validate(options)) is None
+    fused, alone = (people(SignatureOptions(method=method)) for method in ("r-bihdm+hapt", "r-bihdm"))
+    assert fused is not None and alone is not None
+    spread = DESCRIPTORS["r-bihdm"].spread
+    np.testing.assert_allclose(fused.within[:23, :23] * spread**2, alone.within, rtol=1e-5)
+    with pytest.raises(OptionError, match="whitening 'people' is known for hapt, r-bihdm and their fusion"):
+        fit_whitening("people", np.ones((3, 8)))

@@ -96,7 +96,8 @@ FEW = 5000
 
 
 def kept(mode: str, max_faces: int) -> pr.PipelineOptions:
-    return pr.PipelineOptions().changed(surface={"mode": mode, "max_faces": max_faces})
+    surface, signature = {"mode": mode, "max_faces": max_faces}, {"method": "r-bihdm"}
+    return pr.PipelineOptions().changed(surface=surface, signature=signature)
 
 
 def step_of(mesh: TriangleMesh) -> Step:

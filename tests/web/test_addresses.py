@@ -22,7 +22,7 @@ def ids(page: bytes) -> list[str]:
 LISTINGS: list[tuple[str, list[str]]] = [
     ("q=gG0", ["Egg00", "Egg01", "Egg02", "Egg03"]),
     ("q=egg+3&sort=-id", ["Egg23", "Egg13", "Egg03"]),
-    ("state=doubtful", ["Egg23"]),
+    ("state=incomplete", ["Egg23"]),
     ("state=failed", ["broken"]),
     ("label=%3Ckind+2%3E&state=done", ["Egg20", "Egg21", "Egg23", NASTY]),
     ("sort=-label&q=0", ["Egg20", "Egg10", "Egg03", "Egg02", "Egg01", "Egg00"]),

@@ -273,7 +273,7 @@ PERTURBATIONS = (*(f"noise {size}" for size in NOISE), *(f"holes {share:.0%}" fo
 # With optimisation of the tetrahedra: without it, the surface has three times as many faces as the input, and
 # many handles.
 REMESHING = RemeshOptions(method="tetwild", timeout=600)
-METHODS = ("r-bihdm", "bihdm", "shape-dna", "wks", "hks-bow", "combined")
+METHODS = ("r-bihdm", "bihdm", "shape-dna", "wks", "hks-bow")
 
 Poses = Mapping[str, tuple[TriangleMesh, TriangleMesh]]
 
@@ -360,8 +360,6 @@ PERTURBED_VARIANTS: tuple[tuple[str, Scale], ...] = (
     ("shape-dna", "relative"),
     ("wks", "relative"),
     ("csd", "relative"),
-    ("combined", "relative"),
-    ("combined", "area"),
 )
 
 OPTIONS = tuple(

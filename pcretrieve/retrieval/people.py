@@ -1,0 +1,95 @@
+"""The metric of people: what scans of one person differ by, weighed against what people differ by.
+
+The coordinates of a scan are x = μ + y + e, in which y belongs to the person, and e to the pose, the sensor
+and the reconstruction. Let S_w be the covariance of e, and S_t that of x. The difference d of two scans of
+one person has the covariance 2 S_w, that of scans of two people 2 S_t. The logarithm of the ratio of the two
+likelihoods of d is, up to constants, −dᵀ M d with
+
+    M = S_w⁻¹ − S_t⁻¹
+
+which is the metric KISSME [1]_. It is that of linear discriminants: in directions in which people do not
+differ, S_t = S_w, and differences do not count. Other whitenings would amplify these directions.
+
+Both covariances were estimated from raw scans of simulated people in several poses (people.txt). The same
+metric holds for real people, and M hardly depends on the catalogue that is searched, so that the distance of
+two scans stays what it is when others are added.
+
+References
+----------
+.. [1] M. Köstinger, M. Hirzer, P. Wohlhart, P. M. Roth and H. Bischof, "Large scale metric learning from
+   equivalence constraints", CVPR 2012.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import resources
+from typing import NamedTuple
+
+import numpy as np
+
+from pcretrieve.options import SignatureOptions, fused_names
+from pcretrieve.values import FloatArray
+
+# mean (105,), within and total (105, 105), scale (105,): the moments of the coordinates of hapt, of 59 values
+# of r-bihdm and of log area, divided by the scale of each. Written by scripts/sample people.
+SAMPLE = "people.npz"
+
+# Where the coordinates of a descriptor begin, and how many modes they were computed from.
+BEGINS = {"hapt": 0, "r-bihdm": 45}
+N_MODES = 60
+
+# Scans are those of people if they are at most this unlike the simulated ones, and well known if they are at
+# most KNOWN unlike: see `People.unlikeness` and docs/decisions.md, people.
+ALIKE, KNOWN = 20.0, 2.0
+
+# Least share of the neighbours in a catalogue, if something can be learned from them: with many scans of each
+# person they know this person's poses better than simulated people do.
+LEAST_SHARE = 0.05
+
+
+class People(NamedTuple):
+    """The mean (L,) of the coordinates of people, their covariance within people and in total, (L, L)."""
+
+    mean: FloatArray
+    within: FloatArray
+    total: FloatArray
+
+    def unlikeness(self, coordinates: FloatArray) -> float:
+        """The median variance of some scans (N, L) about the mean, in units of that of simulated scans."""
+        apart = coordinates - self.mean
+        return float(np.median((apart * np.linalg.solve(self.total, apart.T).T).mean(axis=1)))
+
+    def metric(self, own: FloatArray | None = None, share: float = 0.0) -> FloatArray:
+        """M (L, L), positive semidefinite.
+
+        own: (L, L), the covariance of the differences of scans of one person in a catalogue, in any unit.
+        share: the share of it in S_w.
+        """
+        within = self.within
+        if own is not None:
+            within = (1 - share) * within + share * np.trace(within) / np.trace(own) * own
+        total = self.total - self.within + within
+        metric: FloatArray = np.linalg.inv(within) - np.linalg.inv(total)
+        return metric
+
+
+def people(options: SignatureOptions, arrays: Mapping[str, FloatArray] | None = None) -> People | None:
+    """The moments of the coordinates of signatures by some options; None if they are not known.
+
+    arrays: those of `SAMPLE`, by default; or others that scripts/benchmark_people has learned.
+    """
+    names = fused_names(options.method)
+    is_known = set(names) <= set(BEGINS) and len(set(names)) == len(names)
+    if not is_known or options.n_modes != N_MODES or options.scale != "area":
+        return None
+    arrays = arrays or np.load(str(resources.files(__package__).joinpath(SAMPLE)))
+    sample = {name: arrays[name].astype(np.float64) for name in arrays}
+    length = {"hapt": BEGINS["r-bihdm"], "r-bihdm": options.n_values}
+    chosen = np.concatenate([np.arange(length[name]) + BEGINS[name] for name in names])
+    scale = np.ones(len(chosen)) if len(names) > 1 else sample["scale"][chosen]
+    if options.size_weight:
+        chosen, scale = np.append(chosen, -1), np.append(scale, options.size_weight)
+    among = np.ix_(chosen, chosen)
+    within, total = (sample[name][among] * np.outer(scale, scale) for name in ("within", "total"))
+    return People(sample["mean"][chosen] * scale, within, total)

@@ -1,0 +1,230 @@
+"""Print how often the right person is found among how many, and learn the metric of people.
+
+    scripts/make_people --out seen --people 1500 --seed 1     # and others of other seeds
+    pcretrieve ingest seen --labels seen/labels.csv -c seen.sqlite
+    scripts/benchmark_people seen.sqlite --unseen 1000        # learns from the others, and prints the curve
+    scripts/benchmark_people seen.sqlite --learn              # writes pcretrieve/retrieval/people.npz
+
+Each scan is a query in all other scans. Rank-1 is the share of queries whose nearest scan is of the same
+person; rank-5, of which one of the nearest five people is this person. They are the expected values over all
+galleries of n of the people, of which none is drawn. Pairs of scans are of one person or of two: the equal
+error rate (EER) is where the shares of wrong answers are the same for both, and FNMR the share of pairs of
+one person that are refused where one in a thousand pairs of two people is accepted. Beyond the people that
+there are, 1 − rank-1 is continued as a power of n; these rows are marked as fitted. "form and size" is by
+`--size-weight 6`.
+
+The metric is learned by the covariances within and between people: see `pcretrieve.retrieval.people`.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import hypergeom
+
+import pcretrieve.retrieval
+from benchmarks.measuring import Column, Table, argument_parser, print_lines
+from pcretrieve.catalogue import Catalogue
+from pcretrieve.descriptors import DESCRIPTORS
+from pcretrieve.options import PipelineOptions, SignatureOptions
+from pcretrieve.retrieval import Positions, coordinates, fit_whitening, people
+from pcretrieve.retrieval.people import BEGINS, SAMPLE
+from pcretrieve.values import FloatArray
+from pcretrieve.values.files import write_file
+
+SIZES = (100, 300, 1000, 3000, 10_000)
+
+# The smallest gallery that the power of n is fitted to, and the weight of the size: that of a body scanner.
+FITTED_FROM = 100
+SIZE_WEIGHT = PipelineOptions.of("body-scanner").signature.size_weight
+
+TABLE = Table(
+    Column("method", 13, align="<"),
+    Column("compared", 14, align="<"),
+    Column("whitening", 10, align="<"),
+    Column("people", 7, ",d"),
+    *(Column(title, 7, ".4f") for title in ("rank-1", "rank-5", "EER", "FNMR")),
+    Column("", 7, align="<"),
+)
+
+
+class Scans(NamedTuple):
+    """Coordinates of the three parts (n, 45), (n, 59), (n, 1), and the person (n,) of each of n scans."""
+
+    parts: dict[str, FloatArray]
+    person: Positions
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the curve, or learn."""
+    parser = argument_parser(__doc__)
+    parser.add_argument("catalogues", nargs="+", type=Path, help="catalogues of labelled scans of people")
+    parser.add_argument(
+        "--unseen", type=int, help="judge by so many people, drawn at random, and learn from others"
+    )
+    parser.add_argument("--learn", action="store_true", help="write the moments into the package")
+    parser.add_argument("--methods", nargs="+", default=["hapt+r-bihdm", "hapt", "r-bihdm"])
+    given = parser.parse_args(arguments)
+    scans = scans_of(given.catalogues)
+    if given.learn:
+        target = Path(pcretrieve.retrieval.__file__).with_name(SAMPLE)
+        packed = io.BytesIO()
+        np.savez_compressed(packed, allow_pickle=False, **learned(scans))
+        write_file(target, packed.getvalue())
+    else:
+        print_lines(_lines(scans, given.methods, given.unseen))
+
+
+def scans_of(catalogues: Sequence[Path]) -> Scans:
+    """The coordinates of all scans of some catalogues, of which no two have a person in common."""
+    parts: dict[str, list[FloatArray]] = {"hapt": [], "r-bihdm": [], "size": []}
+    labels: list[str] = []
+    for number, path in enumerate(catalogues):
+        with Catalogue(path) as catalogue:
+            for method in BEGINS:
+                options = catalogue.options.changed(signature={"method": method, "n_values": 59})
+                table = catalogue.signatures(options)
+                parts[method].append(coordinates(table.values, table.metric))
+            areas = {record.id: record.area or 0.0 for record in catalogue.records(status="done")}
+            parts["size"].append(np.log(np.array([[areas[shape_id]] for shape_id in table.ids])))
+            labels += [f"{number} {label}" for label in table.labels]
+    person = np.unique(labels, return_inverse=True)[1]
+    return Scans({name: np.concatenate(blocks) for name, blocks in parts.items()}, person)
+
+
+# Shrinkage of the covariance within people towards its own diagonal, and least variance within people
+# relative to the mean: some bins of hapt are empty for nearly all people.
+SHRINKAGE, LEAST = 0.03, 1e-3
+
+
+def learned(scans: Scans) -> dict[str, FloatArray]:
+    """The arrays of `SAMPLE`."""
+    scale = np.array([DESCRIPTORS[name].spread if name in BEGINS else 1.0 for name in scans.parts])
+    scale = np.repeat(scale, [part.shape[1] for part in scans.parts.values()])
+    points = np.concatenate(list(scans.parts.values()), axis=1) / scale
+    n_of = np.bincount(scans.person)
+    means = np.stack([np.bincount(scans.person, column) for column in points.T], axis=1) / n_of[:, None]
+    apart = points - means[scans.person]
+    within = apart.T @ apart / (len(points) - len(n_of))
+    variances = np.diag(within)
+    floor = LEAST * variances.mean() * np.eye(len(within))
+    shrunk = (1 - SHRINKAGE) * within + SHRINKAGE * np.diag(variances) + floor
+    # The covariance between people without that of the means of a few scans.
+    between = np.cov(means.T) - within * (1 / n_of).mean()
+    weights, directions = np.linalg.eigh(between)
+    between = (directions * np.maximum(weights, 0)) @ directions.T
+    moments = {"mean": points.mean(axis=0), "within": shrunk, "total": shrunk + between, "scale": scale}
+    return {name: array.astype(np.float32) for name, array in moments.items()}
+
+
+def _some(scans: Scans, chosen: Positions) -> Scans:
+    """The scans of some people."""
+    rows = np.isin(scans.person, chosen)
+    person = np.unique(scans.person[rows], return_inverse=True)[1]
+    return Scans({name: part[rows] for name, part in scans.parts.items()}, person)
+
+
+def _lines(scans: Scans, methods: Sequence[str], n_unseen: int | None) -> Iterator[str]:
+    n_people, arrays = int(scans.person.max()) + 1, None
+    if n_unseen is not None:
+        drawn = np.random.default_rng(0).permutation(n_people)
+        arrays = learned(_some(scans, drawn[:-n_unseen]))
+        scans = _some(scans, drawn[-n_unseen:])
+        yield f"learned from {n_people - n_unseen:,} other people"
+    yield f"{len(scans.person):,} scans of {scans.person.max() + 1:,} people"
+    yield TABLE.head
+    for method in methods:
+        for sized in (False, True):
+            if sized and method == "hapt":
+                continue
+            options = SignatureOptions(method=method, size_weight=SIZE_WEIGHT * sized)
+            points = _points(scans, options)
+            for kind in ("none", "neighbours", "people"):
+                known = people(options, arrays)
+                whitening = fit_whitening(kind, points, people=known)
+                found = recognition(whitening.apply(points), scans.person)
+                compared = "form and size" if sized else "form"
+                for row in found:
+                    yield TABLE.row(method, compared, kind, *row)
+
+
+def _points(scans: Scans, options: SignatureOptions) -> FloatArray:
+    """The coordinates (n, L) of signatures by some options."""
+    names = options.method.split("+")
+    scale = {name: DESCRIPTORS[name].spread if len(names) > 1 else 1.0 for name in names}
+    columns = [
+        scans.parts[name][:, : {"r-bihdm": options.n_values}.get(name)] / scale[name] for name in names
+    ]
+    if options.size_weight:
+        columns.append(options.size_weight * scans.parts["size"])
+    return np.concatenate(columns, axis=1)
+
+
+class Row(NamedTuple):
+    """How often the right person is found among so many; the rates of pairs do not depend on the number."""
+
+    people: int
+    rank_1: float
+    rank_5: float
+    equal_error: float
+    missed: float
+    fitted: str
+
+
+# Share of pairs of two people that are accepted where the share of refused pairs of one person is stated.
+ACCEPTED = 1e-3
+
+# Number of queries whose distances are computed at once, and the least error, of which a logarithm is taken.
+BLOCK, TINY = 256, 1e-9
+
+
+def recognition(points: FloatArray, person: Positions) -> list[Row]:
+    """The rows of a table of distances between whitened coordinates (n, L) of scans of people (n,)."""
+    order = np.argsort(person, kind="stable")
+    points, person = points[order], person[order]
+    first = np.flatnonzero(np.diff(person, prepend=-1))  # the first scan of each person
+    squares = (points**2).sum(axis=1)
+    n_nearer, genuine, impostor = [], [], []
+    for start in range(0, len(points), BLOCK):
+        rows = np.arange(start, min(start + BLOCK, len(points)))
+        gaps = squares[rows, np.newaxis] + squares - 2 * points[rows] @ points.T  # (q, n), squared
+        gaps[rows - start, rows] = np.inf
+        nearest = np.minimum.reduceat(gaps, first, axis=1)  # (q, people)
+        own = nearest[rows - start, person[rows]]
+        n_nearer.append((nearest < own[:, np.newaxis]).sum(axis=1))
+        same = person[rows, np.newaxis] == person
+        later = np.arange(len(points)) > rows[:, np.newaxis]
+        genuine.append(gaps[same & later])
+        impostor.append(gaps[~same & later].astype(np.float32))
+    missed, equal = error_rates(np.concatenate(genuine), np.concatenate(impostor))
+    nearer, n_people = np.concatenate(n_nearer), len(first)
+    known = [size for size in SIZES if size < n_people] + [n_people]
+    # Of the people who are nearer than the query's own scans, how many are in a random gallery.
+    rates = np.array(
+        [[np.mean(hypergeom.cdf(r - 1, n_people - 1, nearer, n - 1)) for r in (1, 5)] for n in known]
+    )
+    used = np.array(known) >= FITTED_FROM
+    beyond = [size for size in SIZES if size > n_people] if used.sum() > 1 else []
+    errors = np.log(np.maximum(1 - rates[used, 0], TINY))
+    slope, level = np.polyfit(np.log(np.array(known)[used]), errors, 1) if beyond else (0.0, 0.0)
+    fitted = [[max(0.0, 1 - np.exp(slope * np.log(size) + level)), np.nan] for size in beyond]
+    rates = np.concatenate([rates, np.reshape(fitted, (-1, 2))])
+    sizes = known + beyond
+    return [
+        Row(size, rank_1, rank_5, equal, missed, "fitted" if size > n_people else "")
+        for size, (rank_1, rank_5) in zip(sizes, rates.tolist(), strict=True)
+    ]
+
+
+def error_rates(genuine: FloatArray, impostor: FloatArray) -> tuple[float, float]:
+    """The share of pairs of one person beyond the limit of `ACCEPTED`, and the equal error rate."""
+    missed = float((genuine > np.quantile(impostor, ACCEPTED)).mean())
+    genuine = np.sort(genuine)
+    accepted = np.searchsorted(np.sort(impostor), genuine, side="right") / len(impostor)
+    refused = 1 - np.arange(1, len(genuine) + 1) / len(genuine)
+    at = int(np.argmin(np.abs(accepted - refused)))
+    return missed, float((accepted[at] + refused[at]) / 2)

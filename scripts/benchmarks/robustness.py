@@ -1,0 +1,174 @@
+"""Print what resolution, noise, missing faces, motions and scanning do to rankings, by several descriptors.
+
+The gallery are the clean meshes of a set, used as they are. Each mesh is changed in one way, and is then a
+query; all meshes of its class are relevant, its own among them. The whitening is `unsupervised`, fitted to
+the gallery. The last row of a set has raw scans as queries and as gallery, each left out of its own results.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from trimesh.remesh import subdivide
+
+from benchmarks.measuring import Column, Table, add_data, all_in_workers, argument_parser, print_lines
+from benchmarks.sets import SETS, Item, left_out, vertex_normals
+from pcretrieve.descriptors import describe
+from pcretrieve.errors import ShapeError
+from pcretrieve.options import PipelineOptions, SignatureOptions
+from pcretrieve.pipeline.process import process
+from pcretrieve.retrieval import coordinates, fit_whitening, pairwise, people
+from pcretrieve.simulation import RigOptions, scan
+from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
+
+#: A change of a mesh.
+Change = Callable[[TriangleMesh, np.random.Generator], TriangleMesh | PointCloud]
+
+
+def _to_faces(n: int, mesh: TriangleMesh, _: np.random.Generator) -> TriangleMesh:
+    """The mesh with n faces, by subdivision and the quadric simplification of Open3D."""
+    vertices, faces = mesh.vertices, mesh.faces
+    while len(faces) < n:
+        vertices, faces = subdivide(vertices, faces)  # type: ignore[no-untyped-call]
+    made = TriangleMesh(vertices, faces).to_open3d().simplify_quadric_decimation(n)
+    return TriangleMesh(np.asarray(made.vertices), np.asarray(made.triangles))
+
+
+def _noisy(size: float, mesh: TriangleMesh, rng: np.random.Generator) -> TriangleMesh:
+    """The mesh with noise along its normals, in mean lengths of an edge."""
+    corners = mesh.vertices[mesh.faces]
+    edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean()
+    along = rng.normal(scale=size * edge, size=(len(mesh.vertices), 1))
+    return TriangleMesh(mesh.vertices + along * vertex_normals(mesh), mesh.faces)
+
+
+def _without(share: float, mesh: TriangleMesh, rng: np.random.Generator) -> TriangleMesh:
+    """The mesh without a share of its faces."""
+    return TriangleMesh(mesh.vertices, mesh.faces[rng.random(len(mesh.faces)) >= share])
+
+
+def _moved(mesh: TriangleMesh, rng: np.random.Generator) -> TriangleMesh:
+    """The mesh in another unit, turned and far away."""
+    turn = Rotation.from_quat(rng.standard_normal(4)).as_matrix()
+    return TriangleMesh(1000 * mesh.vertices @ turn.T + 1e5, mesh.faces)
+
+
+def _scanned(mesh: TriangleMesh, rng: np.random.Generator) -> PointCloud:
+    return PointCloud(scan(mesh, RigOptions(), rng).points)
+
+
+SCANS = "raw scans"
+CHANGES: dict[str, Change] = {
+    "as it is": lambda mesh, _: mesh,
+    **{f"{n:,} faces": partial(_to_faces, n) for n in (40_000, 10_000, 5000, 2000, 1000, 500)},
+    **{f"noise {size} edges": partial(_noisy, size) for size in (0.1, 0.3, 0.5)},
+    **{f"{share:.0%} faces lost": partial(_without, share) for share in (0.01, 0.03)},
+    "unit, motion": _moved,
+    SCANS: _scanned,
+}
+
+METHODS = (
+    *(("hapt+r-bihdm", n) for n in (10, 15, 23, 40, 59)),
+    *(("hapt", 23), ("r-bihdm", 23), ("r-bihdm", 59)),
+)
+TABLE = Table(
+    Column("set", 7, align="<"),
+    Column("queries", 15, align="<"),
+    *(Column(f"{name} {n}".replace("hapt 23", "hapt"), 15, ".3f") for name, n in METHODS),
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table."""
+    parser = argument_parser(__doc__)
+    add_data(parser)
+    parser.add_argument("--limit", type=int, default=None, help="bodies of each set (default: all)")
+    given = parser.parse_args(arguments)
+    print_lines(_lines(given.data, given.limit))
+
+
+def _lines(data: Path, limit: int | None) -> Iterator[str]:
+    yield TABLE.head
+    for name, items in SETS.items():
+        if name == "tosca" and (missing := left_out(name, data / name)):
+            yield missing
+            continue
+        bodies = items(data, limit)
+        made: dict[str, list[Parts | None]] = {}
+        for change in CHANGES:
+            made[change] = all_in_workers(parts, [Task(body, change) for body in bodies], f"{name}, {change}")
+        for change, queries in made.items():
+            gallery = made[change if change == SCANS else "as it is"]
+            classes = np.array([body.label for body in bodies])
+            yield TABLE.row(name, change, *(_map(gallery, queries, classes, *how) for how in METHODS))
+
+
+class Task(NamedTuple):
+    """A body and the name of its change."""
+
+    item: Item
+    change: str
+
+    def __hash__(self) -> int:
+        return hash((self.item.name, self.change))
+
+
+class Parts(NamedTuple):
+    """The values of hapt (45,) and of r-bihdm (59,) of one shape."""
+
+    hapt: FloatArray
+    r_bihdm: FloatArray
+
+
+def parts(task: Task) -> Parts | None:
+    """The values of a body after a change; None if it has no surface."""
+    item, change = task
+    rng = np.random.default_rng((item.number, list(CHANGES).index(change)))
+    options = PipelineOptions().changed(surface={"mode": "auto" if change == SCANS else "keep"})
+    try:
+        shape = process(CHANGES[change](item.mesh, rng), options)
+        made = (SignatureOptions(method=method, n_values=59) for method in ("hapt", "r-bihdm"))
+        return Parts(*(describe(shape, one).values for one in made))
+    except ShapeError:
+        return None
+
+
+def _map(
+    gallery: Sequence[Parts | None],
+    queries: Sequence[Parts | None],
+    classes: np.ndarray[tuple[int], np.dtype[np.str_]],
+    method: str,
+    n_values: int,
+) -> float:
+    """The mean average precision; a query or a shape without a surface is a miss."""
+    has, asked = (np.array([one is not None for one in side]) for side in (gallery, queries))
+    known, points = (_points([one for one in side if one], method, n_values) for side in (gallery, queries))
+    options = SignatureOptions(method=method, n_values=n_values)
+    whitening = fit_whitening("unsupervised", known, people=people(options))
+    apart = pairwise("log", whitening.apply(points), whitening.apply(known))
+    found = 0.0
+    for row, number in zip(apart, np.flatnonzero(asked), strict=True):
+        same = classes[has] == classes[number]
+        order = np.argsort(row, kind="stable")
+        if gallery is queries:
+            order = order[np.flatnonzero(has)[order] != number]
+        ranks = np.flatnonzero(same[order]) + 1
+        n_relevant = (classes == classes[number]).sum() - (gallery is queries)
+        found += float((np.arange(1, len(ranks) + 1) / ranks).sum() / n_relevant)
+    return found / len(queries)
+
+
+def _points(shapes: Sequence[Parts], method: str, n_values: int) -> FloatArray:
+    """The coordinates (n, L) of shapes by one of `METHODS`."""
+    columns = {
+        "hapt": coordinates(np.array([one.hapt for one in shapes]), "histograms"),
+        "r-bihdm": coordinates(np.array([one.r_bihdm[:n_values] for one in shapes])),
+    }
+    names = method.split("+")
+    spreads = {"hapt": 0.012, "r-bihdm": 1.04} if len(names) > 1 else dict.fromkeys(names, 1.0)
+    return np.concatenate([columns[name] / spreads[name] for name in names], axis=1)
