@@ -130,6 +130,8 @@ def _told(failures: list[ShapeError], is_alone: bool, found: Outcome) -> Outcome
         verdict = getattr(outcome.query, "verdict", None)  # of a scan that the catalogue does not have
         if verdict and not verdict.is_good:
             say(f"{shown_path(name)} is {verdict}")
+        if isinstance(outcome.query, str) and outcome.query != name:
+            say(f"{shown_path(name)} is stored as {outcome.query}")
     return found
 
 

@@ -10,9 +10,8 @@ likelihoods of d is, up to constants, −dᵀ M d with
 which is the metric KISSME [1]_. It is that of linear discriminants: in directions in which people do not
 differ, S_t = S_w, and differences do not count. Other whitenings would amplify these directions.
 
-Both covariances were estimated from raw scans of simulated people in several poses (people.txt). The same
-metric holds for real people, and M hardly depends on the catalogue that is searched, so that the distance of
-two scans stays what it is when others are added.
+Both covariances were estimated from raw scans of simulated people in several poses (people.txt), so that the
+distance of two scans of people hardly changes when others are added to a catalogue.
 
 References
 ----------

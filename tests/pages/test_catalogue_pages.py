@@ -176,7 +176,7 @@ def test_the_page_of_one_scan_says_what_the_search_found(eggs: Path, folder: Pat
     answer, words = answer_of(eggs, folder / "new.off", 4), words_of(page)
     assert answer.match is not None and answer.match.label == "<kind 1>"
     assert f"{answer}" in words
-    assert "The signature is " in words
+    assert "The scan is good" in words
     assert re.findall(r'<b class="name">(.*?)</b>', page.read_text("utf-8")) == list(answer.neighbors.ids)
     assert answer.neighbors.scores is not None
     for gap, score in zip(answer.neighbors.distances, answer.neighbors.scores, strict=True):
