@@ -42,7 +42,7 @@ ROOMS = {
     "query": 560,
     "evaluation": 1240,  # planned 1100: intervals, grouped folds and the published tables
     "estimators": 310,  # planned 250: six public classes with their documentation
-    "pages": 2720,  # planned 2200
+    "pages": 2720,  # planned 2200: seven pages with pictures and scripts, each one file without a server
     "simulation": 1600,  # planned 1500: the demo has people, an animal and a hand
     "web": 1520,  # planned 1250: limits on what browsers send
     "cli": 2830,  # planned 2300: 1,100 lines are help and options of 28 commands
