@@ -114,8 +114,8 @@ def test_every_script_prints_its_figures(tmp_path: Path) -> None:
     assert "Figure 1: 15 meshes of shrec11, of 5 classes" in page
     systems = [line for line in page.splitlines() if re.search(r" (linear|cubic) +(d1|d2|log) ", line)]
     assert len(systems) == 16
-    # Values by area, and the descriptors of the default, tell lengths of 1.5 and 3 apart without an error.
-    assert all(line.endswith(" 1.000") for line in systems[-2:])
+    # Values by area tell lengths of 1.5 and 3 apart without an error; girths, which are alike, do not help.
+    assert systems[-2].endswith(" 1.000") and float(systems[-1].split()[-1]) > 0.9
     assert re.search(r"median \d+\.\d{3} s", printed("benchmark_spectral", "--part", "signature"))
     squares = printed("benchmark_spectral", "--part", "square")
     assert len(re.findall(r" order (5\.9|6\.0)\d\n", squares)) == 6

@@ -98,7 +98,6 @@ def test_an_inspection_has_checks_numbers_and_pictures(
     assert answer["page"] == str(tmp_path / "page.html")
     assert answer["failure"] is None
     assert answer["shape_verdict"]["uncertainty"] >= answer["spread"]
-    assert answer["next_body"]["distance"] == 0.5
     assert {"Points", "Normals", "Handles", "Signature"} <= {check["name"] for check in answer["checks"]}
     for check in answer["checks"]:
         assert f"{check['verdict']:<6}  {check['name']}" in done.stderr
