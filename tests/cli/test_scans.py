@@ -101,7 +101,7 @@ def test_an_inspection_has_checks_numbers_and_pictures(
     assert {"Points", "Normals", "Handles", "Signature"} <= {check["name"] for check in answer["checks"]}
     for check in answer["checks"]:
         assert f"{check['verdict']:<6}  {check['name']}" in done.stderr
-    assert len(answer["signature"]) == len(answer["rescan_deviation"]) == 118
+    assert len(answer["signature"]) == len(answer["rescan_deviation"]) == 23
     assert "deviation" not in answer, "that is over the surfaces of one scan"
     assert [step["stage"] for step in answer["steps"]][:3] == ["read", "crop", "clean"]
     with Image.open("sheet.png") as sheet:
