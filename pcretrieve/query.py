@@ -21,7 +21,7 @@ from pcretrieve.errors import (
     ShapeError,
     did_you_mean,
 )
-from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.options import JUDGED, OptionsLike, PipelineOptions
 from pcretrieve.retrieval import SignatureIndex
 from pcretrieve.retrieval.clusters import NearPair, cluster_numbers, near_pairs
 from pcretrieve.retrieval.covariances import LEAST_SHAPES
@@ -48,7 +48,7 @@ class Question:
 
     options, k, labels, exclude_self, min_score, unit, matrix: as in `search`.
     timeout, memory: limits of the process of a scan, seconds and GiB; without a timeout, it is this process.
-    has_picture, up: as for `described_scan`.
+    has_picture, up: as for `described_scan`. far: as in `search_many`.
     """
 
     options: PipelineOptions
@@ -363,7 +363,7 @@ def duplicates(
             # Each of two equal errors is the part of the threshold that adds up to it.
             return near_pairs(index, np.full(len(index), threshold / np.sqrt(2)))
         plain = chosen.changed(
-            signature={"method": "r-bihdm", "n_values": 23, "scale": "area", "size_weight": 0},
+            signature=JUDGED,
             retrieval={"distance": "log", "whitening": "none", "calibration": None},
         )
         table = store.signatures(plain)

@@ -36,12 +36,7 @@ from pcretrieve.catalogue.records import (
 from pcretrieve.catalogue.rows import Rows
 from pcretrieve.errors import CatalogueError, InputError, ShapeError
 from pcretrieve.options import PipelineOptions, options_difference
-from pcretrieve.retrieval import (
-    SignatureIndex,
-    Whitening,
-    people,
-    table_whitening,
-)
+from pcretrieve.retrieval import SignatureIndex, Whitening, people, table_whitening
 from pcretrieve.retrieval.scores import fit_scores
 from pcretrieve.retrieval.whitening import read_whitening
 from pcretrieve.values import (

@@ -47,8 +47,7 @@ FILLED_OF_SPARSE = 2
 # at which the face closes a cut end. In a hole of a smooth surface the normals agree.
 TURNED = 0.3
 
-# Fractions of the surface that are nearer to a point than the distances in the checks "Gaps" and "Largest
-# hole".
+# Fractions of the surface that are nearer to a point than what "Gaps" and "Largest hole" measure.
 COVERED, NEARLY_ALL = 0.95, 0.9999
 
 # Largest distance of voxels that belong to one cut or bridge, relative to the diagonal.

@@ -7,6 +7,7 @@ measurements behind the default values are in docs/decisions.md.
 """
 
 from pcretrieve.options.pipeline import (
+    JUDGED,
     NUMBERS_VERSION,
     PRESETS,
     OptionsLike,
@@ -32,6 +33,7 @@ from pcretrieve.options.tables import (
 )
 
 __all__ = [
+    "JUDGED",
     "NUMBERS_VERSION",
     "PRESETS",
     "CatalogueOptions",

@@ -33,6 +33,9 @@ else:
 # listed in CHANGELOG.md under "Changed numbers".
 NUMBERS_VERSION = 13
 
+#: The signature that has error bars, and that uncertainties are of: that of the paper, of the form alone.
+JUDGED = {"method": "r-bihdm", "n_values": 23, "scale": "area", "size_weight": 0.0}
+
 #: What public functions take for options: see `PipelineOptions.of`.
 OptionsLike: TypeAlias = "PipelineOptions | Mapping[str, Any] | str | Path | None"
 

@@ -12,13 +12,10 @@ from pcretrieve.checks import OUTCOMES, Check, Inspection, findings_of, graded
 from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.formats import ScanLike
 from pcretrieve.formats.identity import printable
-from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.options import JUDGED, OptionsLike, PipelineOptions
 from pcretrieve.pipeline.process import Seen, placed, shape_of, signature, signature_of, stages
 from pcretrieve.points import outliers
 from pcretrieve.values import Failure, FloatArray, PointCloud
-
-# The signature that has the error bar: that of the paper, of the form alone.
-JUDGED = {"method": "r-bihdm", "n_values": 23, "scale": "area", "size_weight": 0.0}
 
 # Number of points in each rescan, relative to all points.
 RESCAN_SHARE = 0.9

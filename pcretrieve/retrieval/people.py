@@ -31,12 +31,12 @@ from pcretrieve.options import SignatureOptions, fused_names
 from pcretrieve.values import FloatArray
 
 # mean (105,), within and total (105, 105), scale (105,): the moments of the coordinates of hapt, of 59 values
-# of r-bihdm and of log area, divided by the scale of each. Written by scripts/sample people.
+# of r-bihdm and of log area, divided by the scale of each. Written by scripts/benchmark_people --learn.
 SAMPLE = "people.npz"
 
-# Where the coordinates of a descriptor begin, and how many modes they were computed from.
+# Where the coordinates of a descriptor begin, how many of r-bihdm there are, and of how many modes they are.
 BEGINS = {"hapt": 0, "r-bihdm": 45}
-N_MODES = 60
+MOST_VALUES, N_MODES = 59, 60
 
 # Scans are those of people if they are at most this unlike the simulated ones, and well known if they are at
 # most KNOWN unlike: see `People.unlikeness` and docs/decisions.md, people.
@@ -45,6 +45,9 @@ ALIKE, KNOWN = 20.0, 2.0
 # Least share of the neighbours in a catalogue, if something can be learned from them: with many scans of each
 # person they know this person's poses better than simulated people do.
 LEAST_SHARE = 0.05
+
+# Number of scans, or up to twice as many, from which it is found how unlike they are: a median needs no more.
+COMPARED = 10_000
 
 
 class People(NamedTuple):
@@ -56,7 +59,7 @@ class People(NamedTuple):
 
     def unlikeness(self, coordinates: FloatArray) -> float:
         """The median variance of some scans (N, L) about the mean, in units of that of simulated scans."""
-        apart = coordinates - self.mean
+        apart = coordinates[:: max(1, len(coordinates) // COMPARED)] - self.mean
         return float(np.median((apart * np.linalg.solve(self.total, apart.T).T).mean(axis=1)))
 
     def metric(self, own: FloatArray | None = None, share: float = 0.0) -> FloatArray:
@@ -80,6 +83,7 @@ def people(options: SignatureOptions, arrays: Mapping[str, FloatArray] | None = 
     """
     names = fused_names(options.method)
     is_known = set(names) <= set(BEGINS) and len(set(names)) == len(names)
+    is_known &= "r-bihdm" not in names or options.n_values <= MOST_VALUES
     if not is_known or options.n_modes != N_MODES or options.scale != "area":
         return None
     arrays = arrays or np.load(str(resources.files(__package__).joinpath(SAMPLE)))

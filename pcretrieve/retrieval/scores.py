@@ -84,13 +84,12 @@ class MatchScores(Arrays):
 
     def __post_init__(self) -> None:
         distances = locked("the distances of scores", self.distances, (None,))
-        scores = locked("scores", self.scores, (len(distances),))
+        scores = self._lock("scores", (len(distances),))
         for name in ("certainty", "far"):
-            object.__setattr__(self, name, locked(name, getattr(self, name), (None,)))
+            self._lock(name, (None,))
         if not len(distances) or (np.diff(distances) < 0).any() or (np.diff(scores) > 0).any():
             raise InputError("scores must not ascend with the distance, and be at least one, got others")
         object.__setattr__(self, "distances", distances)
-        object.__setattr__(self, "scores", scores)
 
     def of(self, distances: FloatArray) -> FloatArray:
         """The scores (n,) of distances (n,), which may be infinite."""
@@ -134,8 +133,7 @@ def fit_scores(
     sample = _sample(table)
     n_classes = len(set(sample.labels))
     why = "share of pairs of one class among pairs as near, of {} pairs of " + f"{n_classes} classes"
-    groups: list[_Group] = []
-    parts: list[_Pairs] = []
+    groups, parts = list[_Group](), list[_Pairs]()
     if n_classes and whitening.kind != "within-class":
         groups = [_group(sample, np.arange(len(sample.labels)), whitening, options.distance)]
     elif n_classes >= 4:

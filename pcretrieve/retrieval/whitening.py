@@ -12,7 +12,7 @@ pairs that are probably of one class (``neighbours``), or, as a first approximat
 (``pca``). Whitening by the differences of nearest neighbours is unsupervised, in the manner of relevant
 component analysis [2]_ with the pairs in place of its equivalence constraints.
 
-``people`` is the metric of `pcretrieve.retrieval.people`, which does not depend on the gallery.
+``people`` is the metric of `pcretrieve.retrieval.people`, which hardly depends on a gallery of people.
 
 References
 ----------
@@ -94,7 +94,7 @@ class Whitening(Arrays):
     matrix : (L, L) float64
         W, symmetric positive semidefinite, dimensionless; the identity for ``none``.
     n_fitted : int
-        Number of shapes of the fit; 0 for ``people``.
+        Number of shapes of the fit; 0 for ``people`` alone.
     shrinkage : float
         Regularisation as in `fit_whitening`; zero for ``none``.
     options_digest : str
@@ -186,11 +186,13 @@ def fit_whitening(
     if logs.ndim != 2 or not np.isfinite(logs).all():
         raise InputError(f"log-signatures must be finite and have shape (N, L), got {logs.shape}")
     checked_shrinkage(kind, shrinkage)
-    used = kind
+    used, unlike = kind, np.inf
+    if people is not None and len(logs) and kind in (*AUTOMATIC, "people"):
+        unlike = people.unlikeness(logs)
     if kind in AUTOMATIC:
-        used = _chosen(logs, labels if kind == "auto" else None, people)
+        used = _chosen(logs, labels if kind == "auto" else None, unlike)
     if used == "people":
-        return replace(_of_people(logs, people, shrinkage), options_digest=options_digest)
+        return replace(_of_people(logs, people, unlike, shrinkage), options_digest=options_digest)
     fit = Fit(logs, None, 0.0, "none")
     if used == "pca":
         fit = _pca(logs, shrinkage)
@@ -224,9 +226,8 @@ def table_whitening(
     )
 
 
-def _chosen(logs: FloatArray, labels: Sequence[str | None] | None, people: People | None) -> str:
-    """The whitening that ``auto`` stands for."""
-    unlike = np.inf if people is None or not len(logs) else people.unlikeness(logs)
+def _chosen(logs: FloatArray, labels: Sequence[str | None] | None, unlike: float) -> str:
+    """The whitening that ``auto`` stands for; `unlike` as by `People.unlikeness`, infinite if not known."""
     if unlike <= KNOWN:
         return "people"
     counts = Counter(label for label in labels or () if label is not None)
@@ -238,7 +239,7 @@ def _chosen(logs: FloatArray, labels: Sequence[str | None] | None, people: Peopl
     return "people" if unlike <= ALIKE else "neighbours"
 
 
-def _of_people(logs: FloatArray, people: People | None, shrinkage: Shrinkage) -> Whitening:
+def _of_people(logs: FloatArray, people: People | None, unlike: float, shrinkage: Shrinkage) -> Whitening:
     """The symmetric root of the metric of people, by which the total variance of people does not change.
 
     The less the shapes are like the simulated people, the more their own neighbours count.
@@ -248,7 +249,6 @@ def _of_people(logs: FloatArray, people: People | None, shrinkage: Shrinkage) ->
             "whitening 'people' is known for hapt, r-bihdm and their fusion, by area and with n_modes = 60: "
             "take one of these descriptors, or another whitening"
         )
-    unlike = people.unlikeness(logs)
     own = neighbour_covariance(logs, shrinkage)
     share = 0.0 if own.covariance is None else max(LEAST_SHARE, 1 - 1 / unlike)
     weights, directions = np.linalg.eigh(people.metric(own.covariance, share))

@@ -54,7 +54,7 @@ from pcretrieve.errors import BenchmarkError, InputError, PcretrieveError
 from pcretrieve.evaluation import evaluate_table
 from pcretrieve.formats import read_scan
 from pcretrieve.ingestion import in_processes
-from pcretrieve.options import PipelineOptions, RetrievalOptions, WhiteningKind
+from pcretrieve.options import JUDGED, PipelineOptions, RetrievalOptions, WhiteningKind
 from pcretrieve.pipeline.process import process, signature
 from pcretrieve.points import clean, oriented_normals
 from pcretrieve.points.normals import estimate_normals, orient_by_tangent_planes
@@ -173,7 +173,7 @@ def _of_bodies(numbers: Sequence[int]) -> Iterator[str]:
     from the bodies, relative to the diagonal; and of the signature of the turned one from the other.
     """
     yield TURNED.head
-    options, turn = PipelineOptions(), Rotation.random(random_state=1).as_matrix()
+    options, turn = PipelineOptions().changed(signature=JUDGED), Rotation.random(random_state=1).as_matrix()
     for n, (name, body) in product(numbers, BODIES.items()):
         points = points_of(body, n, np.random.default_rng(0))
         logs: list[FloatArray] = []

@@ -3,7 +3,7 @@
     .venv/bin/python scripts/benchmark_formats --data FOLDER
 
 Parts touch where six pairs of vertices, near each other in space and far along the surface, lie at one
-position. Printed are the defects, the verdict, and the largest change of a log-value of the signature.
+position. Printed are the defects, the verdict, and the largest change of a log-value of `r-bihdm`.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 
 from benchmarks.measuring import Column, Table, add_data, argument_parser, print_lines, use_one_core
 from pcretrieve.formats import read_scan
+from pcretrieve.options import JUDGED
 from pcretrieve.pipeline.inspecting import inspect_scan
 from pcretrieve.pipeline.process import signature
 from pcretrieve.surface import defects
@@ -34,6 +35,7 @@ TABLE = Table(
     Column("found", 0, align="<"),
 )
 SUFFIXES = ("ply", "obj", "off", "stl", "glb", "gltf", "3mf")
+R_BIHDM = {"signature": JUDGED}
 N_PAIRS = 6
 # Largest distance of a pair in space and smallest along the surface, in diagonals.
 NEAR, FAR = 0.08, 0.25
@@ -53,12 +55,12 @@ def _lines(folder: Path, names: Sequence[str]) -> Iterator[str]:
     yield TABLE.head
     for name in names:
         mesh = touching(as_mesh(read_scan(folder / f"{name}.off")))
-        expected = np.log(signature(mesh).values)
+        expected = np.log(signature(mesh, R_BIHDM).values)
         with tempfile.TemporaryDirectory() as place:
             for suffix in SUFFIXES:
                 path = Path(place) / f"body.{suffix}"
                 _write(mesh, path)
-                change = np.abs(np.log(signature(path).values) - expected).max()
+                change = np.abs(np.log(signature(path, R_BIHDM).values) - expected).max()
                 verdict = inspect_scan(path, n_rescans=0).verdict
                 yield TABLE.row(name, suffix, change, f"{defects(as_mesh(read_scan(path)))}; {verdict}")
 

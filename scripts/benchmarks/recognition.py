@@ -19,7 +19,7 @@ The metric is learned by the covariances within and between people: see `pcretri
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,7 +30,7 @@ import pcretrieve.retrieval
 from benchmarks.measuring import Column, Table, argument_parser, print_lines
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS
-from pcretrieve.options import PipelineOptions, SignatureOptions
+from pcretrieve.options import PipelineOptions, SignatureOptions, fused_names
 from pcretrieve.retrieval import Positions, coordinates, fit_whitening, people
 from pcretrieve.retrieval.people import BEGINS, SAMPLE
 from pcretrieve.values import FloatArray
@@ -142,7 +142,7 @@ def _lines(scans: Scans, methods: Sequence[str], n_unseen: int | None) -> Iterat
             if sized and method == "hapt":
                 continue
             options = SignatureOptions(method=method, size_weight=SIZE_WEIGHT * sized)
-            points = _points(scans, options)
+            points = fused_points(scans.parts, options)
             for kind in ("none", "neighbours", "people"):
                 known = people(options, arrays)
                 whitening = fit_whitening(kind, points, people=known)
@@ -152,15 +152,13 @@ def _lines(scans: Scans, methods: Sequence[str], n_unseen: int | None) -> Iterat
                     yield TABLE.row(method, compared, kind, *row)
 
 
-def _points(scans: Scans, options: SignatureOptions) -> FloatArray:
-    """The coordinates (n, L) of signatures by some options."""
-    names = options.method.split("+")
+def fused_points(parts: Mapping[str, FloatArray], options: SignatureOptions) -> FloatArray:
+    """The coordinates (n, L) of signatures by some options, of those of each part."""
+    names = fused_names(options.method)
     scale = {name: DESCRIPTORS[name].spread if len(names) > 1 else 1.0 for name in names}
-    columns = [
-        scans.parts[name][:, : {"r-bihdm": options.n_values}.get(name)] / scale[name] for name in names
-    ]
+    columns = [parts[name][:, : {"r-bihdm": options.n_values}.get(name)] / scale[name] for name in names]
     if options.size_weight:
-        columns.append(options.size_weight * scans.parts["size"])
+        columns.append(options.size_weight * parts["size"])
     return np.concatenate(columns, axis=1)
 
 

@@ -13,24 +13,26 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 from trimesh.remesh import subdivide
 
 from benchmarks.measuring import Column, Table, add_data, all_in_workers, argument_parser, print_lines
-from benchmarks.sets import SETS, Item, left_out, vertex_normals
+from benchmarks.paper.shapes import noisy, without_faces
+from benchmarks.recognition import fused_points
+from benchmarks.sets import SETS, Item, left_out
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import ShapeError
 from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import coordinates, fit_whitening, pairwise, people
 from pcretrieve.simulation import RigOptions, scan
+from pcretrieve.simulation.samples import moved, random_motion
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
-#: A change of a mesh.
-Change = Callable[[TriangleMesh, np.random.Generator], TriangleMesh | PointCloud]
+#: A change of a mesh, which takes `rng`.
+Change = Callable[..., TriangleMesh | PointCloud]
 
 
-def _to_faces(n: int, mesh: TriangleMesh, _: np.random.Generator) -> TriangleMesh:
+def _to_faces(n: int, mesh: TriangleMesh, rng: np.random.Generator) -> TriangleMesh:
     """The mesh with n faces, by subdivision and the quadric simplification of Open3D."""
     vertices, faces = mesh.vertices, mesh.faces
     while len(faces) < n:
@@ -39,23 +41,9 @@ def _to_faces(n: int, mesh: TriangleMesh, _: np.random.Generator) -> TriangleMes
     return TriangleMesh(np.asarray(made.vertices), np.asarray(made.triangles))
 
 
-def _noisy(size: float, mesh: TriangleMesh, rng: np.random.Generator) -> TriangleMesh:
-    """The mesh with noise along its normals, in mean lengths of an edge."""
-    corners = mesh.vertices[mesh.faces]
-    edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean()
-    along = rng.normal(scale=size * edge, size=(len(mesh.vertices), 1))
-    return TriangleMesh(mesh.vertices + along * vertex_normals(mesh), mesh.faces)
-
-
-def _without(share: float, mesh: TriangleMesh, rng: np.random.Generator) -> TriangleMesh:
-    """The mesh without a share of its faces."""
-    return TriangleMesh(mesh.vertices, mesh.faces[rng.random(len(mesh.faces)) >= share])
-
-
 def _moved(mesh: TriangleMesh, rng: np.random.Generator) -> TriangleMesh:
-    """The mesh in another unit, turned and far away."""
-    turn = Rotation.from_quat(rng.standard_normal(4)).as_matrix()
-    return TriangleMesh(1000 * mesh.vertices @ turn.T + 1e5, mesh.faces)
+    """The mesh in another unit, turned and moved."""
+    return TriangleMesh(1000 * moved(random_motion(rng), mesh.vertices), mesh.faces)
 
 
 def _scanned(mesh: TriangleMesh, rng: np.random.Generator) -> PointCloud:
@@ -64,10 +52,10 @@ def _scanned(mesh: TriangleMesh, rng: np.random.Generator) -> PointCloud:
 
 SCANS = "raw scans"
 CHANGES: dict[str, Change] = {
-    "as it is": lambda mesh, _: mesh,
+    "as it is": lambda mesh, rng: mesh,
     **{f"{n:,} faces": partial(_to_faces, n) for n in (40_000, 10_000, 5000, 2000, 1000, 500)},
-    **{f"noise {size} edges": partial(_noisy, size) for size in (0.1, 0.3, 0.5)},
-    **{f"{share:.0%} faces lost": partial(_without, share) for share in (0.01, 0.03)},
+    **{f"noise {size} edges": partial(noisy, size=size) for size in (0.1, 0.3, 0.5)},
+    **{f"{share:.0%} faces lost": partial(without_faces, share=share) for share in (0.01, 0.03)},
     "unit, motion": _moved,
     SCANS: _scanned,
 }
@@ -132,7 +120,7 @@ def parts(task: Task) -> Parts | None:
     rng = np.random.default_rng((item.number, list(CHANGES).index(change)))
     options = PipelineOptions().changed(surface={"mode": "auto" if change == SCANS else "keep"})
     try:
-        shape = process(CHANGES[change](item.mesh, rng), options)
+        shape = process(CHANGES[change](item.mesh, rng=rng), options)
         made = (SignatureOptions(method=method, n_values=59) for method in ("hapt", "r-bihdm"))
         return Parts(*(describe(shape, one).values for one in made))
     except ShapeError:
@@ -148,8 +136,17 @@ def _map(
 ) -> float:
     """The mean average precision; a query or a shape without a surface is a miss."""
     has, asked = (np.array([one is not None for one in side]) for side in (gallery, queries))
-    known, points = (_points([one for one in side if one], method, n_values) for side in (gallery, queries))
     options = SignatureOptions(method=method, n_values=n_values)
+    known, points = (
+        fused_points(
+            {
+                "hapt": coordinates(np.array([one.hapt for one in side if one]), "histograms"),
+                "r-bihdm": coordinates(np.array([one.r_bihdm for one in side if one])),
+            },
+            options,
+        )
+        for side in (gallery, queries)
+    )
     whitening = fit_whitening("unsupervised", known, people=people(options))
     apart = pairwise("log", whitening.apply(points), whitening.apply(known))
     found = 0.0
@@ -162,14 +159,3 @@ def _map(
         n_relevant = (classes == classes[number]).sum() - (gallery is queries)
         found += float((np.arange(1, len(ranks) + 1) / ranks).sum() / n_relevant)
     return found / len(queries)
-
-
-def _points(shapes: Sequence[Parts], method: str, n_values: int) -> FloatArray:
-    """The coordinates (n, L) of shapes by one of `METHODS`."""
-    columns = {
-        "hapt": coordinates(np.array([one.hapt for one in shapes]), "histograms"),
-        "r-bihdm": coordinates(np.array([one.r_bihdm[:n_values] for one in shapes])),
-    }
-    names = method.split("+")
-    spreads = {"hapt": 0.012, "r-bihdm": 1.04} if len(names) > 1 else dict.fromkeys(names, 1.0)
-    return np.concatenate([columns[name] / spreads[name] for name in names], axis=1)

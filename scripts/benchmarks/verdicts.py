@@ -24,14 +24,13 @@ from benchmarks.sets import SETS, Item, left_out
 from pcretrieve.checks import findings_of, verdict_of
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import ShapeError
-from pcretrieve.options import PipelineOptions
+from pcretrieve.options import JUDGED, PipelineOptions
 from pcretrieve.pipeline.process import process, shape_of, stages
 from pcretrieve.retrieval import Positions
 from pcretrieve.simulation import RigOptions, scan
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 CONDITIONS = ("whole", "no limb", "hole", "density 10 : 1")
-R_BIHDM = {"method": "r-bihdm", "n_values": 23}
 
 # The lengths of the limb that is missing, and of the hole, relative to the largest extent of the body.
 LIMB, HOLE = 0.22, 0.08
@@ -106,7 +105,7 @@ def judged(task: Task) -> Judged:
     rng = np.random.default_rng((item.number, CONDITIONS.index(condition)))
     cloud = scan(item.mesh, RigOptions(), rng)
     kept = cloud.select(_kept(cloud.points, item.mesh, condition, rng))
-    options = PipelineOptions().changed(signature=R_BIHDM)
+    options = PipelineOptions().changed(signature=JUDGED)
     whole = process(item.mesh, options.changed(surface={"mode": "keep"}))
     try:
         *_, last = stages(PointCloud(kept.points), options)

@@ -190,7 +190,13 @@ def test_the_metric_of_people_finds_them(method: str, size_weight: float) -> Non
 
 
 def test_the_metric_of_people_is_known_for_these_signatures_alone() -> None:
-    for options in ({"method": "csd"}, {"n_modes": 59}, {"scale": "relative"}, {"method": "hapt+csd"}):
+    for options in (
+        {"method": "csd"},
+        {"n_modes": 59},
+        {"n_values": 60},
+        {"scale": "relative"},
+        {"method": "hapt+csd"},
+    ):
         assert people(SignatureOptions.model_validate(options)) is None
     fused, alone = (people(SignatureOptions(method=method)) for method in ("r-bihdm+hapt", "r-bihdm"))
     assert fused is not None and alone is not None
