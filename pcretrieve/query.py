@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from pcretrieve.matching import DistanceMatrix
     from pcretrieve.retrieval.scores import MatchScores
 
-# How often an answer is right that is called sure, and below which nobody in the collection is meant:
+# Least certainty of an answer that is called sure, and below which nobody in the collection is meant:
 # measured on classes that were left out, see docs/decisions.md, sure.
-SURE, UNLIKELY = 0.9, 0.5
+SURE, UNLIKELY = 0.85, 0.5
 
 # Number of results, or more, among which the next class is looked for.
 LOOKED_AT = 30

@@ -14,7 +14,7 @@ import trimesh
 import pcretrieve as pr
 from pcretrieve.errors import InputError
 from pcretrieve.formats import as_scan
-from pcretrieve.values import ModalSpectrum, Neighbors, Shape, Signature, SignatureTable, Surface
+from pcretrieve.values import Neighbors, Shape, Signature, SignatureTable, Surface
 from pcretrieve.values.conversion import as_cloud, as_geometry, as_mesh
 
 MESH = shapes.body(3)
@@ -118,9 +118,7 @@ def test_notebooks_show_a_picture(value: Any) -> None:
     assert "<script" not in html
 
 
-@pytest.mark.parametrize(
-    "value", [CLOUD, MESH, SIGNATURE, NEIGHBORS, PAIRS, ModalSpectrum.of(PAIRS)], ids=type
-)
+@pytest.mark.parametrize("value", [CLOUD, MESH, SIGNATURE], ids=type)
 def test_plots_draw_into_the_axes_given(value: Any) -> None:
     import matplotlib
 

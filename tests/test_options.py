@@ -51,7 +51,7 @@ OTHER: dict[str, dict[str, Any]] = {
         "whitening": "within-class",
         "calibration": "metric.npz",
         "shrinkage": 0.2,
-        "rerank": "local",
+        "rerank": "k-reciprocal",
     },
     "catalogue": {"keep": ("overlaps",)},
     "merge": {

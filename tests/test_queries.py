@@ -120,7 +120,7 @@ def test_ranks_in_some_classes_are_those_among_all_shapes(distance: str, catalog
         assert found == among(everything, some, 5)
 
 
-@pytest.mark.parametrize("rerank", ["none", "local", "k-reciprocal"])
+@pytest.mark.parametrize("rerank", ["none", "k-reciprocal"])
 def test_a_query_can_be_left_out_of_its_results(rerank: str, catalogue: Path, folder: Path) -> None:
     options = {"retrieval": {"rerank": rerank}}
     with_itself = pr.search(catalogue, "11", k=4, options=options)

@@ -21,4 +21,6 @@ for number in range(1, 5):
 
 # %%
 # By Weyl's law, the eigenvalues grow by 4π for each, once the surface is scaled to unit area.
-pairs.plot()
+plt.figure()
+plt.plot(pairs.eigenvalues, "o-")
+plt.ylabel("eigenvalue, length⁻²")

@@ -8,6 +8,7 @@ Six sample scans are ingested, and a seventh asks who it is.
 import tempfile
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 from sample import SCANS
 
 import pcretrieve as pr
@@ -21,4 +22,5 @@ with tempfile.TemporaryDirectory() as folder:
     found = pr.search(catalogue, query, k=6)
 for shape_id, distance in zip(found.ids, found.distances, strict=True):
     print(f"{distance:6.3f}  {shape_id}")
-found.plot()
+plt.barh(found.ids[::-1], found.distances[::-1])
+plt.xlabel("distance")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
 from pcretrieve.checks.grading import Check
@@ -24,7 +25,7 @@ from pcretrieve.checks.stages import (
 from pcretrieve.draw.open3d import RayScene
 from pcretrieve.points.density import local_spacings
 from pcretrieve.points.neighbors import SPACING_NEIGHBORS, Neighborhoods, nearest
-from pcretrieve.surface import SurfaceMarks
+from pcretrieve.surface import SurfaceMarks, components
 from pcretrieve.values import FloatArray, PointCloud, Shape, TriangleMesh
 
 # Number of neighbours with whose normals the normal of a point is compared.
@@ -43,12 +44,22 @@ FILLED = 4
 # As often exceeded as FILLED, if points are random: their nearest neighbours are half a spacing apart.
 FILLED_OF_SPARSE = 2
 
-# Largest cosine of the angle between the normal of a face that was filled in and that of the nearest point
-# at which the face closes a cut end. In a hole of a smooth surface the normals agree.
-TURNED = 0.3
+# Of a face that closes a cut limb: the largest cosine of the angle between its normal and that of the nearest
+# point, since in a hole of a smooth surface these agree; the least distance to this point, relative to that
+# of a face that was filled in; and the largest distance to an extremity of the body, relative to the
+# diagonal. The extremities are four limbs, the head, and perhaps a tail, or half a limb that is left.
+TURNED, HALF_FILLED, NEAR_END, N_ENDS = 0.3, 0.5, 0.05, 7
 
-# Fractions of the surface that are nearer to a point than what "Gaps" and "Largest hole" measure.
-COVERED, NEARLY_ALL = 0.95, 0.9999
+# Of a face in a hole that is not explained by occlusion: the least distance to the nearest point, relative to
+# the diagonal, and the least share of the hemisphere above it, weighted by the cosine as for ambient
+# occlusion, that the body leaves free. Sensors do not reach into folds.
+FAR_OFF, OPEN, N_RAYS = 0.012, 0.7, 64
+
+# Height above a face from which rays are cast, relative to the diagonal: beyond single precision.
+ABOVE = 1e-3
+
+# Fraction of the surface that is nearer to a point than what "Gaps" measures.
+COVERED = 0.95
 
 # Largest distance of voxels that belong to one cut or bridge, relative to the diagonal.
 PLACE = 0.02
@@ -111,12 +122,14 @@ def _fit(
     cloud: PointCloud, mesh: TriangleMesh, some: FloatArray, spacing: float, base: FloatArray
 ) -> tuple[NDArray[np.bool_], list[Check]]:
     """Faces without a point nearby, and the checks of the fit; `base` as in `SurfaceMarks`."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    middles = (a + b + c) / 3
+    middles = mesh.vertices[mesh.faces].mean(axis=1)
     distance, number = nearest(cloud.points, middles, 1)
     apart, near = distance[:, 0], number[:, 0]  # (m,)
-    filled = np.asarray(apart > FILLED * spacing)  # (m,)
-    filled[filled] = apart[filled] > FILLED_OF_SPARSE * _spacings(cloud.points, near[filled])
+    limit = np.full(len(apart), FILLED * spacing)
+    some_bare = apart > HALF_FILLED * limit
+    sparse = FILLED_OF_SPARSE * _spacings(cloud.points, near[some_bare])
+    limit[some_bare] = np.maximum(limit[some_bare], sparse)
+    filled, bare = np.asarray(apart > limit), apart > HALF_FILLED * limit
     vectors = mesh.area_vectors
     areas = np.linalg.norm(vectors, axis=1)
     area = areas.sum()
@@ -129,23 +142,58 @@ def _fit(
     ends = 0.0
     if cloud.normals is not None:
         lean = np.einsum("ij,ij->i", vectors, cloud.normals[near])  # area times cosine
-        ends = float(areas[filled & (lean < TURNED * areas)].sum() / area)
+        turned = np.where(bare & (lean < TURNED * areas), areas, 0)
+        ends = max(float(turned[end].sum() / area) for end in _ends(mesh, NEAR_END * cloud.diagonal))
     order = np.argsort(apart)
-    covered = np.searchsorted(np.cumsum(areas[order]), np.array([COVERED, NEARLY_ALL]) * areas.sum())
-    gaps, hole = apart[order[np.minimum(covered, len(order) - 1)]] / cloud.diagonal
+    covered = np.searchsorted(np.cumsum(areas[order]), COVERED * areas.sum())
     # Open3D computes these distances in single precision, so the points are moved near the origin.
     origin = some.mean(axis=0)
-    gap = RayScene(mesh.vertices - origin, mesh.faces).distance(some - origin)
+    scene = RayScene(mesh.vertices - origin, mesh.faces)
+    gap = scene.distance(some - origin)
     lost = gap > FILLED * spacing
+    seen = np.flatnonzero(bare & (apart > FAR_OFF * cloud.diagonal) & (areas > 0))
+    normals = vectors[seen] / areas[seen, np.newaxis]
+    is_open = _openness(scene, middles[seen] - origin + ABOVE * cloud.diagonal * normals, normals) > OPEN
+    hole = seen[is_open]
+    hole = hole[components(TriangleMesh(mesh.vertices, mesh.faces[hole])) == 0] if len(hole) else hole
     checks += fit_checks(
         filled=float(areas[filled].sum() / area),
         ends=ends,
-        gaps=float(gaps),
-        hole=float(hole),
+        gaps=float(apart[order[min(covered, len(order) - 1)]] / cloud.diagonal),
+        hole=float(areas[hole].sum() / area),
         lost=float(lost.mean()),
         noise=float(np.sqrt((gap[~lost] ** 2).sum() / max((~lost).sum(), 1))) / cloud.diagonal,
     )
     return filled, checks
+
+
+def _ends(mesh: TriangleMesh, reach: float) -> Iterator[NDArray[np.bool_]]:
+    """(m,) masks of the faces near each of `N_ENDS` extremities, by the lengths of paths along edges.
+
+    The extremities are found by farthest-point sampling that begins in the middle of the body.
+    """
+    edges = mesh.faces.ravel(), mesh.faces[:, [1, 2, 0]].ravel()
+    lengths = np.linalg.norm(mesh.vertices[edges[0]] - mesh.vertices[edges[1]], axis=1)
+    graph = csr_array((lengths, edges), shape=2 * (len(mesh.vertices),))
+    place = np.linalg.norm(mesh.vertices - mesh.vertices.mean(axis=0), axis=1).argmin()
+    apart = dijkstra(graph, directed=False, indices=np.array([place]))[0]
+    for _ in range(N_ENDS):
+        place = np.where(np.isfinite(apart), apart, 0).argmax()
+        from_end = dijkstra(graph, directed=False, indices=np.array([place]))[0]
+        apart = np.minimum(apart, from_end)
+        yield (from_end < reach)[mesh.faces].any(axis=1)
+
+
+def _openness(scene: RayScene, places: FloatArray, normals: FloatArray) -> FloatArray:
+    """(k,) shares of the light from a uniform sky that reach places (k, 3): 1 − the ambient occlusion."""
+    rays = np.random.default_rng(0).standard_normal((N_RAYS, 3))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    cosines = normals @ rays.T  # (k, r)
+    directions = np.sign(cosines)[:, :, np.newaxis] * rays
+    distance = scene.cast(np.repeat(places, N_RAYS, axis=0), directions.reshape(-1, 3))[0]
+    light = np.abs(cosines)
+    free: FloatArray = (light * np.isinf(distance).reshape(light.shape)).sum(axis=1) / light.sum(axis=1)
+    return free
 
 
 def _spacings(points: FloatArray, chosen: NDArray[np.intp]) -> FloatArray:

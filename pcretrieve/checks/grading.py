@@ -108,8 +108,8 @@ MEASURES = {
         "The orange surface is interpolated, because there are no points: scan these places too.",
     ),
     "Closed ends": Measure(
-        (0.005, 0.006),
-        "The filled parts continue the surface around them.",
+        (0.0015, 0.0015),
+        "Points lie on the ends of the limbs.",
         "The surface was closed across a limb that ends in a hole: scan the part that is missing.",
     ),
     "Gaps": Measure(
@@ -118,9 +118,9 @@ MEASURES = {
         "Parts of the body have few points: scan these parts more densely, or from nearer.",
     ),
     "Largest hole": Measure(
-        (0.0225, 0.0225),
-        "No part of the surface is far from all points.",
-        "A part of the body was not seen: scan it too, and merge the views.",
+        (0.0006, 0.0006),
+        "Points lie wherever a sensor could see the surface.",
+        "A part of the body that nothing hides was not seen: scan it too, and merge the views.",
     ),
     "Left out": Measure(
         (0.005, 0.05),

@@ -131,7 +131,7 @@ def mesh_check(provenance: Sequence[Step]) -> list[Check]:
 
 
 def fit_checks(
-    *, filled: float, ends: float, gaps: float, lost: float, noise: float, hole: float = 0.0
+    *, filled: float, ends: float, gaps: float, hole: float, lost: float, noise: float
 ) -> list[Check]:
     """Check how well points and surface fit each other."""
     near = f"95 % of the surface lie within {percent(gaps)} of the diagonal of a point"
@@ -144,7 +144,7 @@ def fit_checks(
         graded("Filled in", filled, f"{percent(filled)} of the surface", error=ERROR_OF_FILLED * filled),
         graded("Closed ends", ends, f"{percent(ends)} of the surface", error=ERROR_OF_ENDS * beyond_noise),
         graded("Gaps", gaps, near, error=ERROR_OF_GAPS * gaps**2),
-        graded("Largest hole", hole, f"a radius of {percent(hole)} of the diagonal"),
+        graded("Largest hole", hole, f"{percent(hole)} of the surface"),
         graded("Left out", lost, off, error=ERROR_OF_LOST * lost),
         graded("Noise", noise, scatter, error=ERROR_OF_NOISE * noise),
     ]

@@ -53,7 +53,6 @@ QUOTED = 5
     "The same, by the file that `dask scheduler --scheduler-file` writes.",
     opt.PATH,
 )
-@opt.rare_option("--cluster", "Start a Dask cluster on this computer, to try one.", ("local",))
 @opt.option("--retry-failed", "Process failed scans again too.")
 @opt.option(
     "--retries N",
@@ -96,9 +95,8 @@ def ingest_command(
     if log_file is not None:
         log_to(log_file)
     options = _new_options(values)
-    if cluster := opt.taken(values, "scheduler", "scheduler_file", "cluster"):
-        is_local = cluster.pop("cluster", None) == "local"
-        values["executor"] = pr.DaskExecutor(**cluster, local=is_local)
+    if cluster := opt.taken(values, "scheduler", "scheduler_file"):
+        values["executor"] = pr.DaskExecutor(**cluster)
     with Progress("ingest", "none" if quiet and progress == "bar" else progress) as shown:
         try:
             values |= {"on_start": shown.start, "on_shape": partial(_advance, shown)}

@@ -118,14 +118,10 @@ def _evaluation_document(found: pr.Evaluation, how: dict[str, object], per_class
             | {"confused": [{"label": label, "n_queries": n} for label, n in one.confused]}
             for one in found.classes
         ]
-    if found.published:
-        document["published"] = [
-            {"method": one.method, "source": one.source} | _named(one.measures) for one in found.published
-        ]
     return document
 
 
-def _named(values: Iterable[float | None]) -> dict[str, float | None]:
+def _named(values: Iterable[float]) -> dict[str, float]:
     return dict(zip(MEASURES, values, strict=True))
 
 
@@ -141,8 +137,6 @@ def _rows(found: pr.Evaluation, rerank: str, per_class: bool) -> list[tuple[str,
         others = ", ".join(f"{label or 'no class'} {n}" for label, n in one.confused)
         nearest = f"; nearest {others}" if others else ""
         rows.append((*_numbers(one.means), f"{one.label}, {one.n_queries} queries{nearest}"))
-    for row in found.published:
-        rows.append((*_numbers(row.measures), f"published: {row.method} ({row.source})"))
     return rows
 
 
@@ -162,9 +156,9 @@ def _write_evaluation(found: pr.Evaluation, how: dict[str, object], per_class: b
         say(found.protocol)
 
 
-def _numbers(values: Iterable[float | None], form: str = ".4f") -> list[str]:
+def _numbers(values: Iterable[float], form: str = ".4f") -> list[str]:
     """The measures of a row below `COLUMNS`."""
-    return ["-" if value is None else format(value, form) for value in values]
+    return [format(value, form) for value in values]
 
 
 @opt.command("compare")

@@ -306,10 +306,9 @@ _overlay_option = rare_option(
 )
 _rerank_option = rare_option(
     "--rerank",
-    "Sort the first hundred results again, but keep the first: by distances relative to those of near shapes "
-    "(local), or by the neighbours that two shapes share (k-reciprocal).  [default: none, or the "
-    "catalogue's]",
-    ("none", "local", "k-reciprocal"),
+    "Sort the first hundred results again by the neighbours that two shapes share, but keep the first.  "
+    "[default: none, or the catalogue's]",
+    ("none", "k-reciprocal"),
 )
 _whitening_option = rare_option(
     "--whitening NAME|FILE",

@@ -56,24 +56,6 @@ def plot_signature(
     return axes
 
 
-def plot_spectrum(eigenvalues: FloatArray, axes: Any = None) -> Any:
-    """Draw ascending eigenvalues by their number, starting from 0."""
-    axes = _axes(axes)
-    axes.plot(np.arange(len(eigenvalues)), eigenvalues, marker="o", markersize=3, linewidth=1)
-    axes.set(xlabel="number of the eigenvalue", ylabel="eigenvalue, length⁻²")
-    return axes
-
-
-def plot_ranking(names: Sequence[str], distances: FloatArray, axes: Any = None) -> Any:
-    """Draw the distances of neighbours as horizontal bars, the nearest at the top."""
-    axes = _axes(axes)
-    axes.barh(np.arange(len(names)), distances, color=CLAY)
-    axes.set_yticks(np.arange(len(names)), labels=list(names))
-    axes.invert_yaxis()
-    axes.set_xlabel("distance")
-    return axes
-
-
 def draw_places(groups: Sequence[tuple[str | None, FloatArray, str, str]], *, title: str) -> bytes:
     """A picture (PNG) of places in the plane, with a key of the groups.
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 from pcretrieve.catalogue import CatalogueLike, opened
 from pcretrieve.errors import InputError
@@ -28,48 +28,9 @@ from pcretrieve.evaluation.measures import (
 from pcretrieve.ingestion.labels import LAYOUTS
 from pcretrieve.matching import DistanceMatrix, Matcher, known_matcher, match_all
 from pcretrieve.options import OptionsLike, PipelineOptions
-from pcretrieve.retrieval import Whitening
-from pcretrieve.retrieval.whitening import write_whitening
+from pcretrieve.retrieval import Whitening, people
+from pcretrieve.retrieval.whitening import calibrated_whitening, write_whitening
 from pcretrieve.values import Failure, FloatArray, SignatureTable
-
-
-class Published(NamedTuple):
-    """The measures that others have published of a method, for the meshes as they are published."""
-
-    method: str
-    measures: tuple[float | None, ...]
-    source: str
-
-
-# Ye and Yu, "A fast modal space transform for robust nonrigid shape retrieval", The Visual Computer 2016.
-# Table 5, mAP of both tracks, cites Litman et al., "Supervised learning of bag-of-features shape descriptors
-# using sparse coding", Computer Graphics Forum 2014.
-TABLE_3, TABLE_5 = "Ye and Yu, table 3", "Ye and Yu, table 5"
-_SHREC11 = {
-    "Shape-DNA": (0.998, 0.890, 0.952, 0.696, 0.975),
-    "MDS-CM-BoF": (0.995, 0.913, 0.969, 0.717, 0.982),
-    "meshSIFT": (0.998, 0.800, 0.851, 0.627, 0.944),
-    "SD-GDM": (1.000, 0.956, 0.982, 0.728, 0.992),
-    "BiHDM, L = 25": (0.990, 0.915, 0.979, 0.719, 0.984),
-    "R-BiHDM, L = 23": (1.000, 0.971, 0.983, 0.730, 0.994),
-}
-_SHREC14 = {
-    "ISPM": (0.902, 0.258),
-    "HAPT": (0.817, 0.637),
-    "unsupervised dictionary learning": (0.842, 0.533),
-    "supervised dictionary learning": (0.954, 0.791),
-    "ShapeGoogle (VQ)": (0.813, 0.514),
-    "R-BiHDM-s": (0.642, 0.640),
-}
-_TRACKS = {
-    f"shrec14-{track}": tuple(
-        Published(method, (None,) * 5 + (values[k],), TABLE_5) for method, values in _SHREC14.items()
-    )
-    for k, track in enumerate(("synthetic", "real"))
-}
-_SET = tuple(Published(name, (*values, None), TABLE_3) for name, values in _SHREC11.items())
-#: The measures by the name of a layout, as in `pcretrieve.ingestion.labels.LAYOUTS`.
-PUBLISHED: Mapping[str, tuple[Published, ...]] = {"shrec11": _SET, **_TRACKS}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,11 +60,6 @@ class Evaluation(RetrievalMeasures):
     def classes(self) -> tuple[ClassMeasures, ...]:
         """The measures of each class, and the classes that it is mistaken for."""
         return tuple(class_measures(self.ranked.rankings))
-
-    @property
-    def published(self) -> tuple[Published, ...]:
-        """What others have published of this set; nothing, unless the labels are a layout."""
-        return PUBLISHED.get(self.layout, ())
 
     @property
     def protocol(self) -> str:
@@ -221,6 +177,8 @@ def compare(
 def calibrate(catalogue: CatalogueLike, path: str | Path, *, options: OptionsLike = None) -> Whitening:
     """Learn from labelled scans what to ignore, for other catalogues.
 
+    With scans of people, the metric of people is adapted to the sensor and to the poses of these scans.
+
     Parameters
     ----------
     catalogue : Catalogue, str or Path
@@ -246,7 +204,8 @@ def calibrate(catalogue: CatalogueLike, path: str | Path, *, options: OptionsLik
     with opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
         labelled = chosen.changed(retrieval={"whitening": "within-class", "calibration": None})
-        fitted = store.whitening(labelled)
+        known = people(labelled.signature)
+        fitted = calibrated_whitening(store.signatures(labelled), labelled.retrieval, known)
     write_whitening(fitted, Path(path))
     return fitted
 

@@ -58,7 +58,7 @@ class DaskExecutor:
     """An `Executor` that has items processed by the workers of a Dask cluster.
 
     The computers of the cluster must have the same files at the same paths, and the same versions of
-    pcretrieve and of the libraries on which its results depend. One of the three attributes must be given.
+    pcretrieve and of the libraries on which its results depend. One of both attributes must be given.
 
     Attributes
     ----------
@@ -66,20 +66,16 @@ class DaskExecutor:
         Address of the scheduler, such as ``tcp://host:8786``.
     scheduler_file : Path, optional
         The file with the address that ``dask scheduler --scheduler-file`` writes.
-    local : bool, default False
-        Whether a cluster on this computer is started, for trials: with one worker for each core, or as many
-        as the argument `workers` says.
     """
 
     scheduler: str | None = None
     scheduler_file: Path | None = None
-    local: bool = False
 
     def __post_init__(self) -> None:
-        if sum((self.scheduler is not None, self.scheduler_file is not None, self.local)) != 1:
+        if (self.scheduler is None) == (self.scheduler_file is None):
             raise InputError(
-                "a Dask cluster must be given by one of: the address of its scheduler (--scheduler), its "
-                "scheduler file (--scheduler-file), or a cluster on this computer (--cluster local)"
+                "a Dask cluster must be given by the address of its scheduler (--scheduler), or by its "
+                "scheduler file (--scheduler-file)"
             )
 
     def __call__(
@@ -101,7 +97,7 @@ class DaskExecutor:
         """
         rest, given_up = iter(items), deque[Item]()
         running: dict[Any, tuple[Item, bool]] = {}  # by future, with whether it is the only one
-        with _connected(self, workers) as client:
+        with _connected(self) as client:
             from distributed import as_completed
 
             ingest = uuid4().hex
@@ -116,8 +112,7 @@ class DaskExecutor:
 
             try:
                 while True:
-                    # The number of workers of a cluster on this computer is its limit.
-                    most = _window(client) if self.local or workers is None else workers
+                    most = _window(client) if workers is None else workers
                     for item in islice(rest, max(0, most - len(running))):
                         submit(item, False)
                     if not running and given_up:
@@ -178,20 +173,12 @@ def _connection() -> Iterator[None]:
 
 
 @contextmanager
-def _connected(executor: DaskExecutor, workers: int | None) -> Iterator[Any]:
-    """A client of the cluster; a cluster on this computer ends with it."""
+def _connected(executor: DaskExecutor) -> Iterator[Any]:
+    """A client of the cluster."""
     try:
-        from distributed import Client, LocalCluster
+        from distributed import Client
     except ImportError as error:
         raise InputError("Dask clusters need distributed: pip install 'pcretrieve[cluster]'") from error
-    if executor.local:
-        # Dask's limit of the memory would count that of child processes, which have a limit of their own.
-        # The dashboard has any free port, for ingests at the same time.
-        limits = {"threads_per_worker": 1, "memory_limit": 0}
-        ports = {"dashboard_address": None, "scheduler_kwargs": {"dashboard_address": ":0"}}
-        with LocalCluster(n_workers=workers, **limits, **ports) as cluster, Client(cluster) as client:
-            yield client
-        return
     if executor.scheduler_file is not None and not executor.scheduler_file.is_file():
         raise InputError(f"{executor.scheduler_file} must be the file of a Dask scheduler, it is not there")
     file = None if executor.scheduler_file is None else str(executor.scheduler_file)

@@ -263,7 +263,7 @@ class SignatureOptions(Options):
 
 
 WhiteningKind = Literal["auto", "unsupervised", "none", "people", "neighbours", "pca", "within-class"]
-RerankKind = Literal["none", "local", "k-reciprocal"]
+RerankKind = Literal["none", "k-reciprocal"]
 Shrinkage = Literal["auto"] | Annotated[float, Field(gt=0, le=1)]
 
 

@@ -269,7 +269,7 @@ class SignatureIndex:
         results = found
         if rerank != "none":
             shape_id = query if isinstance(query, str) else None
-            results = reranked_neighbors(found, self.between(found.ids), rerank, shape_id)
+            results = reranked_neighbors(found, self.between(found.ids), shape_id)
         if self.scores is None:
             return results
         score_of = dict(zip(found.ids, self.scores.of(found.distances).tolist(), strict=True))

@@ -1,16 +1,13 @@
 """Re-ranking: a ranked list sorted again by how the neighbourhoods of the query and of each result overlap.
 
-``local`` (local scaling, NICDM [1]_) divides the distance of two shapes by the geometric mean of their radii;
-the radius of a shape is its mean distance from its nearest neighbours. ``k-reciprocal`` [2]_ compares the
-sets of shapes that are mutually among the k nearest: shapes of one class share most of these neighbours.
+``k-reciprocal`` [1]_ compares the sets of shapes that are mutually among the k nearest: shapes of one class
+share most of these neighbours.
 
 Only the first results of a list are sorted again, and the nearest shape keeps its rank.
 
 References
 ----------
-.. [1] Jégou, Harzallah and Schmid, "A contextual dissimilarity measure for accurate and efficient image
-   search", CVPR 2007; one pass, with the mean of the nearest neighbours (Schnitzer et al., JMLR 2012).
-.. [2] Zhong, Zheng, Cao and Li, "Re-ranking person re-identification with k-reciprocal encoding", CVPR 2017,
+.. [1] Zhong, Zheng, Cao and Li, "Re-ranking person re-identification with k-reciprocal encoding", CVPR 2017,
    equations 2 to 12.
 """
 
@@ -35,9 +32,6 @@ N_RERANKED = 100
 
 #: Number of shapes nearest to a query whose neighbourhoods are computed, among these shapes.
 N_NEAR = 300
-
-# Number of neighbours of which the radius of a shape is the mean distance.
-N_RADIUS = 5
 
 # k₁, k₂ and λ. See docs/decisions.md, K_RECIPROCAL.
 K_RECIPROCAL = (12, 4, 0.3)
@@ -97,13 +91,13 @@ def rerank(
     rows = np.arange(len(lists.order)) if rows is None else rows
     if method == "none" or lists.order.shape[1] < 3:
         return lists.order[rows]
-    distances = local_scaling(lists, rows) if method == "local" else k_reciprocal(lists, rows, parameters)
+    distances = k_reciprocal(lists, rows, parameters)
     distances[:, :2] = -np.inf
     order = np.argsort(distances, axis=1, kind="stable")
     return np.take_along_axis(lists.order[rows], order, axis=1)
 
 
-def reranked_neighbors(found: Neighbors, apart: FloatArray, method: str, shape_id: str | None) -> Neighbors:
+def reranked_neighbors(found: Neighbors, apart: FloatArray, shape_id: str | None) -> Neighbors:
     """Sort the results of one query again, which is itself the shape of an id, if it has one.
 
     apart: (n, n) float64, the distances of the results from each other.
@@ -118,8 +112,7 @@ def reranked_neighbors(found: Neighbors, apart: FloatArray, method: str, shape_i
     query, size = (found.ids.index(held[0][1]), n) if held else (n, n + 1)
     lists = neighbour_lists([DistanceBlock(np.arange(size), distances[:size, :size])], size)
     order = lists.order[query][1:]  # without the query
-    scaled = local_scaling if method == "local" else k_reciprocal
-    new = scaled(lists, np.array([query]))[0, 1:]
+    new = k_reciprocal(lists, np.array([query]))[0, 1:]
     if len(new) > 1:
         # Just below the others, so that equal distances remain in alphabetical order.
         new[0] = min(new[0], np.nextafter(new[1:].min(), -np.inf))
@@ -130,14 +123,6 @@ def reranked_neighbors(found: Neighbors, apart: FloatArray, method: str, shape_i
     later = [number for number in range(n) if number not in {query, *order.tolist()}]
     results += [(last + float(found.distances[number]), found.ids[number]) for number in later]
     return Neighbors(tuple(name for _, name in results), np.array([gap for gap, _ in results]))
-
-
-def local_scaling(lists: NeighbourLists, rows: Positions) -> FloatArray:
-    """Distances (Q, K) of queries (Q,), divided by the geometric mean of the radii of both shapes."""
-    radius = lists.distances[:, 1 : N_RADIUS + 1].mean(axis=1)  # (N,)
-    root = np.sqrt(np.maximum(radius, np.finfo(np.float64).tiny))
-    scaled: FloatArray = lists.distances[rows] / (root[rows, None] * root[lists.order[rows]])
-    return scaled
 
 
 def k_reciprocal(

@@ -59,9 +59,9 @@ TINY = float(np.finfo(np.float64).tiny)
 # False-match rates at which distances are known.
 RATES = np.concatenate([[0.0], np.geomspace(1e-4, 1, 41)])
 
-# Weight of a query whose class is not among the shapes, relative to one whose class is: one query in six
-# is of somebody new. Ridge penalty of the slopes of the regression. See docs/decisions.md, sure.
-ABSENT, RIDGE = 0.2, 0.01
+# Weight of a query whose class is not among the shapes, relative to one whose class is: one in eleven
+# queries is of somebody new. Ridge penalty of the slopes of the regression. See docs/decisions.md, sure.
+ABSENT, RIDGE = 0.1, 0.01
 
 # Distances below this one are taken for it: the logarithm of zero is not finite.
 CLOSEST = 1e-3

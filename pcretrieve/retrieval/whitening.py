@@ -192,7 +192,8 @@ def fit_whitening(
     if kind in AUTOMATIC:
         used = _chosen(logs, labels if kind == "auto" else None, unlike)
     if used == "people":
-        return replace(_of_people(logs, people, unlike, shrinkage), options_digest=options_digest)
+        own = neighbour_covariance(logs, shrinkage)
+        return replace(_of_people(own, people, unlike), options_digest=options_digest)
     fit = Fit(logs, None, 0.0, "none")
     if used == "pca":
         fit = _pca(logs, shrinkage)
@@ -226,6 +227,18 @@ def table_whitening(
     )
 
 
+def calibrated_whitening(
+    table: SignatureTable, options: RetrievalOptions, people: People | None
+) -> Whitening:
+    """The whitening by the classes of a table, with the metric of people if the shapes are like people."""
+    labelled = table_whitening(table, options.model_copy(update={"whitening": "within-class"}))
+    logs = table_coordinates(table, options.distance)
+    if people is None or (unlike := people.unlikeness(logs)) > ALIKE:
+        return labelled
+    own = within_class_covariance(logs, table.labels, options.shrinkage, one_unit=True)
+    return replace(_of_people(own, people, unlike), options_digest=table.digest)
+
+
 def _chosen(logs: FloatArray, labels: Sequence[str | None] | None, unlike: float) -> str:
     """The whitening that ``auto`` stands for; `unlike` as by `People.unlikeness`, infinite if not known."""
     if unlike <= KNOWN:
@@ -239,24 +252,24 @@ def _chosen(logs: FloatArray, labels: Sequence[str | None] | None, unlike: float
     return "people" if unlike <= ALIKE else "neighbours"
 
 
-def _of_people(logs: FloatArray, people: People | None, unlike: float, shrinkage: Shrinkage) -> Whitening:
+def _of_people(own: Fit, people: People | None, unlike: float) -> Whitening:
     """The symmetric root of the metric of people, by which the total variance of people does not change.
 
-    The less the shapes are like the simulated people, the more their own neighbours count.
+    own: what the shapes themselves teach. The less they are like the simulated people, the more it counts.
     """
     if people is None:
         raise OptionError(
             "whitening 'people' is known for hapt, r-bihdm and their fusion, by area and with n_modes = 60: "
             "take one of these descriptors, or another whitening"
         )
-    own = neighbour_covariance(logs, shrinkage)
     share = 0.0 if own.covariance is None else max(LEAST_SHARE, 1 - 1 / unlike)
     weights, directions = np.linalg.eigh(people.metric(own.covariance, share))
     root = (directions * np.sqrt(np.maximum(weights, 0))) @ directions.T
     root *= np.sqrt(np.trace(people.total) / np.trace(root @ people.total @ root))
     reason = f"people: {1 - share:.0%} learned from simulated people"
     reason += f", {share:.0%} from {own.reason}" if share else ""
-    return Whitening("people", people.mean, root, len(logs) if share else 0, own.shrinkage, reason=reason)
+    n_own = len(own.shapes) if share else 0
+    return Whitening("people", people.mean, root, n_own, own.shrinkage, reason=reason)
 
 
 def _pca(logs: FloatArray, shrinkage: Shrinkage) -> Fit:

@@ -12,7 +12,7 @@ from pcretrieve.errors import DegenerateMeshError, Stage
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.surface.body import SurfaceMarks, body_surfaces
 from pcretrieve.surface.poisson import poisson_surface
-from pcretrieve.surface.repair import ONE_SIDED, outward, repaired, used_vertices
+from pcretrieve.surface.repair import ONE_SIDED, denoised, outward, repaired, used_vertices
 from pcretrieve.surface.topology import Defects, defects, orient_faces
 from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
 
@@ -54,6 +54,8 @@ def sound_mesh(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh | No
     else:
         kept, notes = repaired(mesh)
         sizes = {"non_manifold": _n_non_manifold(defects(mesh))}
+    kept, smoothed = denoised(kept)
+    notes += smoothed
     sizes |= {"vertices": len(kept.vertices), "faces": len(kept.faces), "euler": kept.euler_characteristic}
     step = Step("topology", time.perf_counter() - started, sizes, notes)
     return TriangleMesh(kept.vertices, kept.faces, (*mesh.provenance, step))

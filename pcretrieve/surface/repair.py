@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError
 from pcretrieve.points.grid import joined_by
@@ -99,6 +100,8 @@ def _cut_in_the_middle(faces: Index, middle: Index) -> Index:
 
 Notes = tuple[str, ...]
 
+TINY = np.finfo(np.float64).tiny
+
 ONE_SIDED = "the surface is one-sided, as a Möbius strip is, and bounds no body; scan it again or repair it"
 
 
@@ -127,6 +130,40 @@ def repaired(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     final, flipped = outward(largest)
     notes = (*unused, *flat, *repeated, *turned * (n_turned > 0), *split * (n_split > 0), *dropped, *flipped)
     return final, notes
+
+
+# Passes of Taubin's smoothing, and its two factors; and the ratio of the median angles between neighbouring
+# faces before and after it beyond which vertices are noisy: see docs/decisions.md, noisy.
+N_PASSES, FACTORS, NOISY = 10, (0.5, -0.53), 2.5
+
+
+def denoised(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
+    """Smooth a mesh whose vertices are noisy, without shrinking it [1]_; others remain as they are.
+
+    References
+    ----------
+    .. [1] G. Taubin, "A signal processing approach to fair surface design", SIGGRAPH 1995.
+    """
+    edges = edges_of(mesh.faces)
+    link = np.concatenate([edges.ends, edges.ends[:, ::-1]]).T
+    links = csr_array((np.ones(link.shape[1]), link), shape=2 * (len(mesh.vertices),))
+    n_links = links.sum(axis=1)[:, np.newaxis]
+    vertices = mesh.vertices
+    for factor in N_PASSES * FACTORS:
+        vertices = vertices + factor * (links @ vertices / n_links - vertices)
+    smooth = TriangleMesh(vertices, mesh.faces, mesh.provenance)
+    before, after = (_median_angle(one, edges.pairs // 3) for one in (mesh, smooth))
+    if before <= NOISY * after:
+        return mesh, ()
+    angles = f"from {np.degrees(before):.0f} to {np.degrees(after):.0f} degrees"
+    return smooth, (f"smoothed noisy vertices: the angle between neighbouring faces fell {angles} (median)",)
+
+
+def _median_angle(mesh: TriangleMesh, pairs: Index) -> float:
+    """The median angle between the normals of pairs (p, 2) of faces; radians."""
+    normals = mesh.area_vectors / np.maximum(np.linalg.norm(mesh.area_vectors, axis=1, keepdims=True), TINY)
+    cosines = np.einsum("ij,ij->i", *normals[pairs.T])
+    return float(np.arccos(np.clip(np.median(cosines), -1, 1))) if len(cosines) else 0.0
 
 
 def used_vertices(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:

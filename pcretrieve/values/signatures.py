@@ -217,9 +217,3 @@ class Neighbors(Value):
         if self.scores is not None:
             columns["score"] = self.scores
         return data_frame(columns, index="rank")
-
-    def plot(self, axes: Any = None) -> Any:
-        """Draw the distances as bars by matplotlib (the extra ``plot``), into `axes` or new ones."""
-        from pcretrieve.draw.plot import plot_ranking
-
-        return plot_ranking(self.ids, self.distances, axes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -110,12 +110,6 @@ class Eigenpairs(Value):
             f"eigenvalues {self.eigenvalues[0]:.4g} to {self.eigenvalues[-1]:.4g} units⁻²)"
         )
 
-    def plot(self, axes: Any = None) -> Any:
-        """Draw the eigenvalues by matplotlib (the extra ``plot``), into `axes` or new ones."""
-        from pcretrieve.draw.plot import plot_spectrum
-
-        return plot_spectrum(self.eigenvalues, axes)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModalSpectrum(Value):
@@ -175,12 +169,6 @@ class ModalSpectrum(Value):
             f"ModalSpectrum({len(self.eigenvalues)} eigenvalues {self.eigenvalues[0]:.4g} to "
             f"{self.eigenvalues[-1]:.4g} units⁻²; area {self.area:.4g} units²)"
         )
-
-    def plot(self, axes: Any = None) -> Any:
-        """Draw the eigenvalues by matplotlib (the extra ``plot``), into `axes` or new ones."""
-        from pcretrieve.draw.plot import plot_spectrum
-
-        return plot_spectrum(self.eigenvalues, axes)
 
     def scaled(self, area: float) -> ModalSpectrum:
         """The modal spectrum of the same surface after uniform scaling to another area."""

@@ -16,6 +16,7 @@ import statistics
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple, TypeVar
@@ -111,10 +112,16 @@ def run_of(name: str, scans: Path) -> Run:
 def _run(name: str, scans: Path) -> Run:
     if name == ONE_PROCESS:
         use_one_core()  # as a worker, whose libraries have one thread each
-    executors: dict[str, Executor] = {ONE_PROCESS: _in_this_process, DASK: DaskExecutor(local=True)}
+    executors: dict[str, Executor] = {ONE_PROCESS: _in_this_process}
     ends: list[float] = []
     started = time.perf_counter()
-    with TemporaryDirectory() as folder:
+    with TemporaryDirectory() as folder, ExitStack() as stack:
+        if name == DASK:
+            from distributed import LocalCluster
+
+            limits = {"threads_per_worker": 1, "memory_limit": 0, "dashboard_address": None}
+            cluster = stack.enter_context(LocalCluster(n_workers=2, **limits))
+            executors[DASK] = DaskExecutor(scheduler=cluster.scheduler_address)
         summary = ingest(
             scans,
             Path(folder) / "catalogue.sqlite",

@@ -53,7 +53,7 @@ from pcretrieve.retrieval import People, pairwise, people, table_whitening
 from pcretrieve.retrieval.distances import table_coordinates
 from pcretrieve.retrieval.reranking import RERANKINGS
 from pcretrieve.retrieval.scores import fit_scores
-from pcretrieve.retrieval.whitening import CALIBRATED
+from pcretrieve.retrieval.whitening import CALIBRATED, calibrated_whitening
 from pcretrieve.values import FloatArray, Metric, SignatureTable
 
 MESHES = {"shrec11": "shrec11", "tosca": "tosca", "people": "humans"}
@@ -196,7 +196,8 @@ def _rows(
     n_people = len(set(table.labels)) if name in PEOPLE else 0
     for number in CALIBRATIONS:
         if 2 * number < n_people:
-            rows = calibrated_measures(table, number, failed=failed)
+            known = None if options is None else people(options)
+            rows = calibrated_measures(table, number, moments=known, failed=failed)
             facts = name, table.kind, table.values.shape[1]
             yield TABLE.row(*facts, f"{number}-people", "none", *rows.mean(axis=0))
             yield TABLE.row(*facts, f"{number}-people", "deviation", *rows.std(axis=0, ddof=1))
@@ -223,11 +224,14 @@ N_DRAWS, SEED = 50, 0
 
 
 def calibrated_measures(
-    table: SignatureTable, n_classes: int, *, failed: Mapping[str, str | None] = NO_FAILURES
+    table: SignatureTable,
+    n_classes: int,
+    *,
+    moments: People | None = None,
+    failed: Mapping[str, str | None] = NO_FAILURES,
 ) -> FloatArray:
     """(50, 6) retrieval measures, as in `MEASURES`, of random draws of the classes of the fit."""
     options = RetrievalOptions()
-    within = options.model_copy(update={"whitening": "within-class"})
     rng = np.random.default_rng(SEED)
     classes = sorted({label for label in table.labels if label is not None})
     rows = []
@@ -235,7 +239,7 @@ def calibrated_measures(
         drawn = {classes[number] for number in rng.choice(len(classes), n_classes, replace=False)}
         fitted = [shape_id for shape_id, label in zip(table.ids, table.labels, strict=True) if label in drawn]
         others = [shape_id for shape_id in table.ids if shape_id not in set(fitted)]
-        whitening = replace(table_whitening(table.select(fitted), within), kind=CALIBRATED)
+        whitening = replace(calibrated_whitening(table.select(fitted), options, moments), kind=CALIBRATED)
         misses = {shape_id: label for shape_id, label in failed.items() if label not in drawn}
         measures = evaluate_table(table.select(others), options, whitening=whitening, failed=misses)
         rows.append(measure_values(measures))

@@ -148,19 +148,19 @@ def test_re_ranking_is_a_row_more_and_works_by_a_matrix(eggs: Path, tmp_path: Pa
     catalogue, labels = eggs / "eggs.sqlite", eggs / "labels.csv"
     chosen = ("-c", catalogue, *PLAIN)
     run("matrix", *chosen, "-o", tmp_path / "eggs.npy")
-    own = run("evaluate", *chosen, "--rerank", "local").stdout.splitlines()
+    own = run("evaluate", *chosen, "--rerank", "k-reciprocal").stdout.splitlines()
     assert own[1].endswith("  micro-average, plain")
-    assert own[2].endswith("  micro-average, local")
-    by_matrix = ("evaluate", "--matrix", tmp_path / "eggs.npy", "--rerank", "local")
+    assert own[2].endswith("  micro-average, k-reciprocal")
+    by_matrix = ("evaluate", "--matrix", tmp_path / "eggs.npy", "--rerank", "k-reciprocal")
     assert run(*by_matrix, "--labels", labels).stdout.splitlines() == own
     assert run(*by_matrix, "-c", catalogue).stdout.splitlines() == own
-    refused = refusal("matrix", *chosen, "--rerank", "local", "-o", tmp_path / "x.npy")
+    refused = refusal("matrix", *chosen, "--rerank", "k-reciprocal", "-o", tmp_path / "x.npy")
     assert "distances are not re-ranked: leave out --rerank" in refused
     np.save(tmp_path / "far.npy", np.where(np.eye(16) > 0, 0, np.inf))
     (tmp_path / "far.ids").write_text((tmp_path / "eggs.ids").read_text())
     far = ("evaluate", "--matrix", tmp_path / "far.npy", "--labels", labels)
     assert run(*far, "--rerank", "none").stdout
-    said = refusal(*far, "--rerank", "local")
+    said = refusal(*far, "--rerank", "k-reciprocal")
     assert "re-ranking needs finite distances, got 240 that are infinite" in said
 
 

@@ -31,9 +31,8 @@ N_KILLS = int(os.environ.get("PCRETRIEVE_KILLS", "3"))
 # At most two shapes for each kill; when all are stored, they are removed, and stored again.
 N_SHAPES = 2 * N_KILLS + 2
 
-EXECUTORS: dict[str, tuple[str, ...]] = {"local": ()}
-if "PCRETRIEVE_KILLS" in os.environ:  # a cluster takes five seconds to start
-    EXECUTORS |= {"dask": ("--cluster", "local")}
+# A cluster takes five seconds to start.
+EXECUTORS = ["local", "dask"] if "PCRETRIEVE_KILLS" in os.environ else ["local"]
 
 
 @pytest.fixture(scope="module")
@@ -75,10 +74,15 @@ def n_stored(location: str) -> int:
 @pytest.mark.slow
 @pytest.mark.parametrize("executor", EXECUTORS)
 def test_killed_at_any_moment(
-    executor: str, new_location: str, scans: Path, undisturbed: Everything, tmp_path: Path
+    executor: str,
+    new_location: str,
+    scans: Path,
+    undisturbed: Everything,
+    tmp_path: Path,
+    request: pytest.FixtureRequest,
 ) -> None:
-    if executor == "dask":
-        pytest.importorskip("distributed", reason="distributed is not installed (the extra cluster)")
+    cluster = None if executor == "local" else request.getfixturevalue("cluster")
+    where = () if cluster is None else ("--scheduler-file", str(cluster.file))
     (tmp_path / "temporary").mkdir()
     command = [sys.executable, "-m", "pcretrieve", "ingest", str(scans), "-c", new_location, "--workers", "2"]
     environment = os.environ | {"TMPDIR": str(tmp_path / "temporary")}
@@ -86,7 +90,7 @@ def test_killed_at_any_moment(
 
     def start() -> subprocess.Popen[str]:
         """An ingest in a process group of its own."""
-        whole = [*command, *EXECUTORS[executor]]
+        whole = [*command, *where]
         return subprocess.Popen(whole, cwd=tmp_path, env=environment, start_new_session=True, **pipes)
 
     rng = random.Random(executor)

@@ -129,10 +129,10 @@ def test_whole_bodies_are_good_also_amid_garbage(
 # --- the uncertainty ----------------------------------------------------------------------------------
 
 
-MEASURED = {"filled": 0.0, "ends": 0.0, "gaps": 0.004, "lost": 0.0, "noise": 0.001}
+MEASURED = {"filled": 0.0, "ends": 0.0, "gaps": 0.004, "hole": 0.0, "lost": 0.0, "noise": 0.001}
 
 
-@pytest.mark.parametrize("name", MEASURED)
+@pytest.mark.parametrize("name", sorted({*MEASURED} - {"hole"}))
 def test_each_measurement_adds_to_the_uncertainty(name: str) -> None:
     found = [
         verdict_of(fit_checks(**{**MEASURED, name: value})).uncertainty

@@ -13,7 +13,6 @@ from pcretrieve.retrieval.reranking import (
     RERANKINGS,
     NeighbourLists,
     k_reciprocal,
-    local_scaling,
     neighbour_lists,
     rerank,
 )
@@ -72,14 +71,3 @@ def test_k_reciprocal_is_that_of_sets() -> None:
         expected = (1 - weight) * (1 - common / (2 - common)) + weight * distances[i] / own_mean
         found = k_reciprocal(lists, np.array([i]))[0]
         np.testing.assert_allclose(found, expected[lists.order[i]], atol=1e-12)
-
-
-def test_local_scaling_is_relative_to_both_radii() -> None:
-    lists = lists_of(some_points())
-    scaled = local_scaling(lists, np.arange(60))
-    radius = lists.distances[:, 1:6].mean(axis=1)
-    i, place = 13, 29
-    j = lists.order[i, place]
-    assert scaled[i, place] == pytest.approx(lists.distances[i, place] / np.sqrt(radius[i] * radius[j]))
-    back = np.flatnonzero(lists.order[j] == i)[0]
-    assert scaled[j, back] == pytest.approx(scaled[i, place])
