@@ -79,11 +79,12 @@ class Question:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Described:
-    """The signature of a query, the verdict on it, and a picture of its surface, if they are known."""
+    """The signature of a query; the verdict on it, and picture and size of its surface, if they are known."""
 
     signature: Signature
     verdict: Verdict | None = None
     picture: bytes | None = None
+    n_faces: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -428,7 +429,7 @@ def described_scan(options: PipelineOptions, has_picture: bool, up: str | None, 
 
         with suppress(DegenerateMeshError):
             picture = thumbnail(mesh.vertices, mesh.faces, up=mesh.up if up is None else upward(up))
-    return Described(signature, shape.verdict, picture)
+    return Described(signature, shape.verdict, picture, None if mesh is None else len(mesh.faces))
 
 
 def _attempted(of_scan: Callable[[Path], Described], scan: Path) -> tuple[Path, Described | PcretrieveError]:

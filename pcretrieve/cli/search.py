@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -31,6 +32,9 @@ COLUMNS = {"RANK": "number", "DISTANCE": "number", "SCORE": "number"}
 COLUMNS |= {"CLASS": "text", "ID": "text", "FILE": "path"}
 # Of a result whose scan is incomplete; `show` and --json give the reasons.
 SCAN = {"SCAN": "text"}
+
+# Ratio of the numbers of faces from which distances are less exact: see docs/benchmarks.md, resolution.
+FINER = 4
 
 PAIR = {"DISTANCE": "number", "LIMIT": "number", "FIRST": "text", "SECOND": "text"}
 
@@ -130,6 +134,12 @@ def _told(failures: list[ShapeError], is_alone: bool, found: Outcome) -> Outcome
         verdict = getattr(outcome.query, "verdict", None)  # of a scan that the catalogue does not have
         if verdict and not verdict.is_good:
             say(f"{shown_path(name)} is {verdict}")
+        n_faces = getattr(outcome.query, "n_faces", None)
+        others = [record.n_faces for record in outcome.records if record.n_faces]
+        if n_faces and others and max(ratio := n_faces / statistics.median(others), 1 / ratio) > FINER:
+            say(
+                f"{shown_path(name)} has {ratio:.2g} times the faces of the results: distances are less exact"
+            )
         if isinstance(outcome.query, str) and outcome.query != name:
             say(f"{shown_path(name)} is stored as {outcome.query}")
     return found

@@ -118,6 +118,18 @@ def test_incomplete_scans_are_counted_and_a_query_says_so(tmp_path: Path) -> Non
     ]
 
 
+def test_a_query_of_another_resolution_is_told(eggs: Path, tmp_path: Path) -> None:
+    fine = tmp_path / "fine.off"
+    write_mesh(shapes.ellipsoid((1, 1.2, 1.5), subdivisions=4), fine)
+    said = run("query", "-c", eggs / "eggs.sqlite", fine).stderr
+    assert "fine.off has 4 times" not in said
+    write_mesh(shapes.ellipsoid((1, 1.2, 1.5), subdivisions=5), fine)
+    assert (
+        "fine.off has 16 times the faces of the results"
+        in run("query", "-c", eggs / "eggs.sqlite", fine).stderr
+    )
+
+
 # --- matrices and comparisons ---------------------------------------------------------------------------
 
 

@@ -126,6 +126,14 @@ def test_whole_bodies_are_good_also_amid_garbage(
         assert np.linalg.norm(log_values(shape) - true) < 0.15
 
 
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_body_without_a_forearm_is_incomplete(side: int, points: FloatArray) -> None:
+    across = side * (points[:, 0] - np.median(points[:, 0]))
+    shape = process(points[across < across.max() - 0.25 * np.ptp(points[:, 1]) / 1.7])
+    assert shape.verdict is not None
+    assert any(reason.startswith("closed ends: ") for reason in shape.verdict.reasons)
+
+
 # --- the uncertainty ----------------------------------------------------------------------------------
 
 

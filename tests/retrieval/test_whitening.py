@@ -14,7 +14,7 @@ from pcretrieve.errors import InputError, OptionError
 from pcretrieve.evaluation import evaluate_table
 from pcretrieve.options import RetrievalOptions, SignatureOptions
 from pcretrieve.retrieval import People, Whitening, fit_whitening, pairwise, people
-from pcretrieve.retrieval.whitening import read_whitening, write_whitening
+from pcretrieve.retrieval.whitening import calibrated_whitening, read_whitening, write_whitening
 from pcretrieve.values import FloatArray, Metric
 
 FITTED = ("neighbours", "pca", "within-class")
@@ -187,6 +187,11 @@ def test_the_metric_of_people_finds_them(method: str, size_weight: float) -> Non
     assert "% from neighbours: " in fit_whitening("people", twice, people=known).reason
     # Three scans are compared by the simulated people alone.
     assert fit_whitening("unsupervised", logs[:3], people=known).n_fitted == 0
+    # Labelled scans adapt it; of others, the classes alone are used.
+    learned = calibrated_whitening(table, RetrievalOptions(), known)
+    assert learned.kind == "people" and " from within-class: " in learned.reason
+    alone = calibrated_whitening(replace(table, values=far), RetrievalOptions(), known)
+    assert alone.kind == "within-class"
 
 
 def test_the_metric_of_people_is_known_for_these_signatures_alone() -> None:

@@ -8,7 +8,7 @@ import shapes
 from numpy.typing import NDArray
 
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError
-from pcretrieve.surface.repair import largest_component, repaired, split_non_manifold
+from pcretrieve.surface.repair import denoised, largest_component, repaired, split_non_manifold
 from pcretrieve.surface.tetwild import boundary_faces
 from pcretrieve.surface.topology import SOUND, Defects, compact, components, defects, orient_faces
 from pcretrieve.values import IntArray, TriangleMesh
@@ -183,6 +183,18 @@ def test_a_ball_with_defects_is_repaired_to_the_ball(broken: TriangleMesh, note:
     assert len(mesh.vertices) == len(BALL.vertices)
     assert mesh.area == pytest.approx(BALL.area, rel=1e-14)
     assert mesh.volume == pytest.approx(BALL.volume, rel=1e-14)
+
+
+def test_noisy_vertices_alone_are_smoothed_and_the_ball_keeps_its_size() -> None:
+    ball = shapes.icosphere(4)
+    assert denoised(ball)[0] is ball
+    edge = np.linalg.norm(ball.vertices[ball.faces[:, 0]] - ball.vertices[ball.faces[:, 1]], axis=1).mean()
+    off = np.random.default_rng(0).normal(0, 0.3 * edge, ball.vertices.shape)
+    smooth, notes = denoised(TriangleMesh(ball.vertices + off, ball.faces))
+    assert notes[0].startswith("smoothed noisy vertices: ")
+    radii = np.linalg.norm(smooth.vertices, axis=1)
+    assert radii.mean() == pytest.approx(1, abs=0.002)
+    assert radii.std() < 0.5 * np.linalg.norm(ball.vertices + off, axis=1).std()
 
 
 def test_two_balls_that_touch_are_split_and_the_larger_stays() -> None:
