@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 # measured on classes that were left out, see docs/decisions.md, sure.
 SURE, UNLIKELY = 0.85, 0.5
 
+# Least error of a log-signature: a mirror image is at 1e-9, another pose of the body at .1.
+LEAST_ERROR = 0.03
+
 # Number of results, or more, among which the next class is looked for.
 LOOKED_AT = 30
 
@@ -369,7 +372,7 @@ def duplicates(
         )
         table = store.signatures(plain)
         errors = {
-            record.id: 0.0 if record.verdict is None else record.verdict.uncertainty
+            record.id: LEAST_ERROR if record.verdict is None else max(LEAST_ERROR, record.verdict.uncertainty)
             for page in store.pages(status="done")
             for record in page
             if not record.is_incomplete
@@ -417,7 +420,6 @@ def cluster(
 
 def described_scan(options: PipelineOptions, has_picture: bool, up: str | None, scan: ScanLike) -> Described:
     """Process a scan, and draw a thumbnail of it on request, in which the axis `up` points upwards."""
-    # Imported here, because shapes of the catalogue are found without the stages.
     from pcretrieve.pipeline.process import process, signature_of
 
     shape = process(scan, options)

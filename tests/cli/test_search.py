@@ -229,7 +229,7 @@ def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_duplicates_are_nearer_than_the_noise(near: Path) -> None:
     (pair,) = pr.duplicates(near)
     assert (pair.first, pair.second) == ("1", "2")
-    assert pair.limit == pytest.approx(0.01 * 2**0.5)
+    assert pair.limit == pytest.approx(0.03 * 2**0.5)
     done = run("duplicates", "-c", near)
     assert [line.split()[2:] for line in done.stdout.splitlines()[1:]] == [["1", "2"]]
     assert done.stderr == "1 pair\n"
