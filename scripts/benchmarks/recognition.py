@@ -27,7 +27,7 @@ import numpy as np
 from scipy.stats import hypergeom
 
 import pcretrieve.retrieval
-from benchmarks.measuring import Column, Table, argument_parser, print_lines
+from benchmarks.measuring import Column, Table, argument_parser, draw_curves, print_lines
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS
 from pcretrieve.options import PipelineOptions, SignatureOptions, fused_names
@@ -68,6 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--learn", action="store_true", help="write the moments into the package")
     parser.add_argument("--methods", nargs="+", default=["hapt+r-bihdm", "hapt", "r-bihdm"])
+    parser.add_argument("--draw", type=Path, metavar="PICTURE", help="draw the curve")
     given = parser.parse_args(arguments)
     scans = scans_of(given.catalogues)
     if given.learn:
@@ -76,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         np.savez_compressed(packed, allow_pickle=False, **learned(scans))
         write_file(target, packed.getvalue())
     else:
-        print_lines(_lines(scans, given.methods, given.unseen))
+        print_lines(_lines(scans, given.methods, given.unseen, given.draw))
 
 
 def scans_of(catalogues: Sequence[Path]) -> Scans:
@@ -128,8 +129,9 @@ def _some(scans: Scans, chosen: Positions) -> Scans:
     return Scans({name: part[rows] for name, part in scans.parts.items()}, person)
 
 
-def _lines(scans: Scans, methods: Sequence[str], n_unseen: int | None) -> Iterator[str]:
+def _lines(scans: Scans, methods: Sequence[str], n_unseen: int | None, picture: Path | None) -> Iterator[str]:
     n_people, arrays = int(scans.person.max()) + 1, None
+    curves: dict[str, FloatArray] = {}
     if n_unseen is not None:
         drawn = np.random.default_rng(0).permutation(n_people)
         arrays = learned(_some(scans, drawn[:-n_unseen]))
@@ -148,8 +150,14 @@ def _lines(scans: Scans, methods: Sequence[str], n_unseen: int | None) -> Iterat
                 whitening = fit_whitening(kind, points, people=known)
                 found = recognition(whitening.apply(points), scans.person)
                 compared = "form and size" if sized else "form"
+                if kind == "people":
+                    sizes = [row.people for row in found]
+                    curves[f"{method}, {compared}"] = 1 - np.array([row.rank_1 for row in found])
                 for row in found:
                     yield TABLE.row(method, compared, kind, *row)
+    if picture is not None:
+        y_label = "share of scans whose nearest is of another person"
+        draw_curves(picture, sizes, curves, x_label="number of people", y_label=y_label)
 
 
 def fused_points(parts: Mapping[str, FloatArray], options: SignatureOptions) -> FloatArray:
