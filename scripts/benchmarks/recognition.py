@@ -156,7 +156,7 @@ def _lines(scans: Scans, methods: Sequence[str], n_unseen: int | None, picture: 
                 for row in found:
                     yield TABLE.row(method, compared, kind, *row)
     if picture is not None:
-        y_label = "share of scans whose nearest is of another person"
+        y_label = "share of wrong people (1 − rank-1)"
         draw_curves(picture, sizes, curves, x_label="number of people", y_label=y_label)
 
 
