@@ -40,7 +40,7 @@ MOST_VALUES, N_MODES = 59, 60
 
 # Scans are those of people if they are at most this unlike the simulated ones, and well known if they are at
 # most KNOWN unlike: see `People.unlikeness` and docs/decisions.md, people.
-ALIKE, KNOWN = 20.0, 2.0
+ALIKE, KNOWN = 17.0, 2.0
 
 # Least share of the neighbours in a catalogue, if something can be learned from them: with many scans of each
 # person they know this person's poses better than simulated people do.
