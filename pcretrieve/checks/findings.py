@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
@@ -27,6 +28,7 @@ from pcretrieve.points.density import local_spacings
 from pcretrieve.points.neighbors import SPACING_NEIGHBORS, Neighborhoods, nearest
 from pcretrieve.surface import SurfaceMarks, components
 from pcretrieve.values import FloatArray, PointCloud, Shape, TriangleMesh
+from pcretrieve.values.geometry import edge_graph
 
 # Number of neighbours with whose normals the normal of a point is compared.
 N_NEIGHBORS = 8
@@ -143,7 +145,8 @@ def _fit(
     if cloud.normals is not None:
         lean = np.einsum("ij,ij->i", vectors, cloud.normals[near])  # area times cosine
         turned = np.where(bare & (lean < TURNED * areas), areas, 0)
-        ends = max(float(turned[end].sum() / area) for end in _ends(mesh, NEAR_END * cloud.diagonal))
+        at_ends = (paths < NEAR_END * cloud.diagonal for paths in islice(from_extremities(mesh), N_ENDS))
+        ends = max(float(turned[end[mesh.faces].any(axis=1)].sum() / area) for end in at_ends)
     order = np.argsort(apart)
     covered = np.searchsorted(np.cumsum(areas[order]), COVERED * areas.sum())
     # Open3D computes these distances in single precision, so the points are moved near the origin.
@@ -167,21 +170,19 @@ def _fit(
     return filled, checks
 
 
-def _ends(mesh: TriangleMesh, reach: float) -> Iterator[NDArray[np.bool_]]:
-    """(m,) masks of the faces near each of `N_ENDS` extremities, by the lengths of paths along edges.
+def from_extremities(mesh: TriangleMesh) -> Iterator[FloatArray]:
+    """(n,) lengths of the shortest paths along edges from one extremity of a body after the other.
 
     The extremities are found by farthest-point sampling that begins in the middle of the body.
     """
-    edges = mesh.faces.ravel(), mesh.faces[:, [1, 2, 0]].ravel()
-    lengths = np.linalg.norm(mesh.vertices[edges[0]] - mesh.vertices[edges[1]], axis=1)
-    graph = csr_array((lengths, edges), shape=2 * (len(mesh.vertices),))
+    graph = edge_graph(mesh)
     place = np.linalg.norm(mesh.vertices - mesh.vertices.mean(axis=0), axis=1).argmin()
     apart = dijkstra(graph, directed=False, indices=np.array([place]))[0]
-    for _ in range(N_ENDS):
+    while True:
         place = np.where(np.isfinite(apart), apart, 0).argmax()
-        from_end = dijkstra(graph, directed=False, indices=np.array([place]))[0]
-        apart = np.minimum(apart, from_end)
-        yield (from_end < reach)[mesh.faces].any(axis=1)
+        distances = dijkstra(graph, directed=False, indices=np.array([place]))[0]
+        apart = np.minimum(apart, distances)
+        yield distances
 
 
 def _openness(scene: RayScene, places: FloatArray, normals: FloatArray) -> FloatArray:

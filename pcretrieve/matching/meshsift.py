@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import dijkstra
 from pcretrieve.errors import DegenerateMeshError, Stage
 from pcretrieve.matching.cm_bof import coarser
 from pcretrieve.values import FloatArray, IntArray, Shape, TriangleMesh
+from pcretrieve.values.geometry import adjacency, edge_graph
 
 _log = logging.getLogger(__name__)
 
@@ -93,7 +94,7 @@ def mesh_features(shape: Shape) -> MeshFeatures:
             stage=Stage.SIGNATURE,
         )
     described: list[FloatArray] = []
-    graph = _graph(mesh)
+    graph = edge_graph(mesh)
     areas = np.zeros(len(mesh.vertices))
     np.add.at(areas, mesh.faces, mesh.face_areas[:, np.newaxis] / 3)
     for number, level in enumerate(scale_space):
@@ -139,16 +140,6 @@ def _warn_once() -> None:
         "meshsift needs surfaces of at least %d faces, got coarser ones: use finer ones, or another method",
         FEWEST_FACES,
     )
-
-
-def _graph(mesh: TriangleMesh) -> csr_array:
-    """(n, n) lengths of the edges."""
-    links = adjacency(mesh).tocoo()
-    starts, ends = links.coords
-    lengths = np.linalg.norm(mesh.vertices[starts] - mesh.vertices[ends], axis=1)
-    # A link of length 0 would be none: scipy leaves zeros of sparse matrices out of a graph.
-    lengths = np.maximum(lengths, np.finfo(np.float64).eps * mesh.diagonal)
-    return csr_array((lengths, (starts, ends)), shape=links.shape)
 
 
 def _described(
@@ -242,16 +233,6 @@ def levels(mesh: TriangleMesh) -> list[Level]:
         normals, curvatures = _curvatures(TriangleMesh(smooth, mesh.faces), links)
         made.append(Level(edge * float(np.sqrt(MEAN_SQUARE * n)), smooth, normals, curvatures))
     return made
-
-
-def adjacency(mesh: TriangleMesh) -> csr_array:
-    """(n, n) matrix with 1 for each two vertices that share an edge."""
-    starts, ends = mesh.faces.ravel(), mesh.faces[:, [1, 2, 0]].ravel()
-    n = len(mesh.vertices)
-    both = np.concatenate([starts, ends]), np.concatenate([ends, starts])
-    links: csr_array[np.float64] = csr_array((np.ones(2 * len(starts)), both), shape=(n, n))
-    links.data[:] = 1.0  # instead of the number of faces at an edge
-    return links
 
 
 def keypoints(scale_space: list[Level], mesh: TriangleMesh, most: int) -> tuple[IntArray, IntArray]:

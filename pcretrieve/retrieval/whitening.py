@@ -231,10 +231,9 @@ def calibrated_whitening(
     table: SignatureTable, options: RetrievalOptions, people: People | None
 ) -> Whitening:
     """The whitening by the classes of a table, with the metric of people if the shapes are like people."""
-    labelled = table_whitening(table, options.model_copy(update={"whitening": "within-class"}))
     logs = table_coordinates(table, options.distance)
-    if people is None or (unlike := people.unlikeness(logs)) > ALIKE:
-        return labelled
+    if people is None or not len(logs) or (unlike := people.unlikeness(logs)) > ALIKE:
+        return table_whitening(table, options.model_copy(update={"whitening": "within-class"}))
     own = within_class_covariance(logs, table.labels, options.shrinkage, one_unit=True)
     return replace(_of_people(own, people, unlike), options_digest=table.digest)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError
 from pcretrieve.points.grid import joined_by
@@ -18,6 +17,7 @@ from pcretrieve.surface.topology import (
     orient_faces,
 )
 from pcretrieve.values import TriangleMesh
+from pcretrieve.values.geometry import adjacency
 
 
 def split_non_manifold(mesh: TriangleMesh) -> TriangleMesh:
@@ -144,15 +144,12 @@ def denoised(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     ----------
     .. [1] G. Taubin, "A signal processing approach to fair surface design", SIGGRAPH 1995.
     """
-    edges = edges_of(mesh.faces)
-    link = np.concatenate([edges.ends, edges.ends[:, ::-1]]).T
-    links = csr_array((np.ones(link.shape[1]), link), shape=2 * (len(mesh.vertices),))
-    n_links = links.sum(axis=1)[:, np.newaxis]
-    vertices = mesh.vertices
+    links, pairs = adjacency(mesh), edges_of(mesh.faces).pairs // 3
+    n_links, vertices = links.sum(axis=1)[:, np.newaxis], mesh.vertices
     for factor in N_PASSES * FACTORS:
         vertices = vertices + factor * (links @ vertices / n_links - vertices)
     smooth = TriangleMesh(vertices, mesh.faces, mesh.provenance)
-    before, after = (_median_angle(one, edges.pairs // 3) for one in (mesh, smooth))
+    before, after = (_median_angle(one, pairs) for one in (mesh, smooth))
     if before <= NOISY * after:
         return mesh, ()
     angles = f"from {np.degrees(before):.0f} to {np.degrees(after):.0f} degrees"

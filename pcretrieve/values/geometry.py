@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from pcretrieve.arrays import FloatArray, IntArray, bounding_diagonal
 from pcretrieve.errors import DegenerateMeshError, InputError
 from pcretrieve.values.base import Value, numbers
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 # Smallest ratio of the area of a face to the square of its longest edge. Below it cotangents of the angles
 # exceed 1e8, and rounding errors of the stiffness matrix reach the size of its small eigenvalues.
@@ -253,3 +256,24 @@ def _ground_normal(provenance: tuple[Step, ...]) -> FloatArray | None:
         if step.stage == "crop" and "up_x" in step.sizes:
             return np.array([step.sizes[f"up_{axis}"] for axis in "xyz"])
     return None
+
+
+def adjacency(mesh: TriangleMesh) -> csr_array:
+    """(n, n) matrix with 1 for each two vertices that share an edge."""
+    from scipy.sparse import csr_array
+
+    starts, ends = mesh.faces.ravel(), mesh.faces[:, [1, 2, 0]].ravel()
+    both = np.concatenate([starts, ends]), np.concatenate([ends, starts])
+    links: csr_array[np.float64] = csr_array((np.ones(2 * len(starts)), both), 2 * (len(mesh.vertices),))
+    links.data[:] = 1.0  # instead of the number of faces at an edge
+    return links
+
+
+def edge_graph(mesh: TriangleMesh) -> csr_array:
+    """(n, n) lengths of the edges."""
+    links = adjacency(mesh).tocoo()
+    starts, ends = links.coords
+    # A link of length 0 would be none: scipy leaves zeros of sparse matrices out of a graph.
+    least = np.finfo(np.float64).eps * mesh.diagonal
+    links.data = np.maximum(np.linalg.norm(mesh.vertices[starts] - mesh.vertices[ends], axis=1), least)
+    return links.tocsr()

@@ -11,17 +11,17 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from benchmarks.measuring import Column, Table, add_data, all_in_workers, argument_parser, print_lines
 from benchmarks.sets import SETS, Item, left_out
 from pcretrieve.checks import findings_of, verdict_of
+from pcretrieve.checks.findings import from_extremities
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import ShapeError
 from pcretrieve.options import JUDGED, PipelineOptions
@@ -142,17 +142,5 @@ N_ENDS = 5
 
 
 def _from_an_end(mesh: TriangleMesh, rng: np.random.Generator) -> FloatArray:
-    """(n,) geodesic distances of the vertices from the end of a random limb, by farthest-point sampling."""
-    edges = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    lengths = np.linalg.norm(mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]], axis=1)
-    graph = coo_array((lengths, edges.T), shape=2 * (len(mesh.vertices),)).tocsr()
-    graph.sum_duplicates()
-    # The first point is in the middle of the body.
-    place = np.linalg.norm(mesh.vertices - mesh.vertices.mean(axis=0), axis=1).argmin()
-    nearest = np.full(len(mesh.vertices), np.inf)
-    from_end = [nearest]
-    for _ in range(N_ENDS + 1):
-        from_end.append(dijkstra(graph, False, np.array([place]))[0])
-        nearest = np.minimum(nearest, from_end[-1])
-        place = np.where(nearest < np.inf, nearest, 0).argmax()
-    return from_end[2 + int(rng.integers(N_ENDS))]
+    """(n,) geodesic distances of the vertices from the end of a random limb."""
+    return next(islice(from_extremities(mesh), int(rng.integers(N_ENDS)), None))
