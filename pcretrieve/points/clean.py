@@ -30,9 +30,12 @@ DENSE = 1.6
 VOXEL = 0.0015
 
 # Smallest mean distance of an outlier to its neighbours, in medians of it: 2.9 spacings of a surface.
-# On a clean surface the deviations are small, and a limit by them alone cuts points of it in patches, which
-# become dents. See docs/decisions.md, LEAST_OUTLYING.
+# A limit by deviations alone makes dents in a clean surface. See docs/decisions.md, LEAST_OUTLYING.
 LEAST_OUTLYING = 1.8
+
+# The largest mean distance of a point of a surface that is sampled sparsely, in medians: that where the
+# density is a hundredth is 10, those of strays between sparse parts of a body are 17 to 41.
+MOST_SPARSE = 12
 
 
 def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
@@ -69,11 +72,11 @@ def _inliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.bool_]:
     apart = distance[distance > 0]  # not of points that coincide with all their neighbours
     if len(apart) < 2:
         return np.ones(len(distance), dtype=np.bool_)
-    usual = apart.mean() + options.outlier_std * apart.std(ddof=1)
-    limit = max(usual, LEAST_OUTLYING * np.median(apart))
+    median = np.median(apart)
+    limit = max(apart.mean() + options.outlier_std * apart.std(ddof=1), LEAST_OUTLYING * median)
     # Where the points are sparse, distances are exceptional, and no points are outliers for that reason.
     sparse = is_of_surface(neighbors, cell=DENSE_VOXEL * cloud.diagonal)
-    return np.asarray((distance > 0) & ((distance < limit) | sparse))
+    return np.asarray((distance > 0) & ((distance < limit) | sparse & (distance < MOST_SPARSE * median)))
 
 
 def _thinned(cloud: PointCloud, voxel: float | str) -> tuple[PointCloud, NDArray[np.intp]]:

@@ -32,8 +32,7 @@ LEAST_SPARSE = 0.05
 # Largest spacing of points between which points are interpolated, relative to the diagonal.
 FARTHEST = 0.1
 
-# Radius of the disk around a sparse point, in spacings. Disks of one spacing leave gaps if the points are
-# random.
+# Radius of the disk around a sparse point, in spacings: disks of one spacing would leave gaps.
 RADIUS = 1.5
 
 # The distance of neighbour k is proportional to k^(1/2) on a surface, and to k^(1/3) in a volume; the

@@ -45,6 +45,17 @@ def test_outliers_go_and_the_body_stays() -> None:
     assert clean(BODY, OPTIONS).provenance[-1].sizes["outliers"] == 0  # of an exact surface, none
 
 
+def test_strays_beside_a_sparse_side_go_and_its_points_stay() -> None:
+    rng = np.random.default_rng(0)
+    dense = shapes.points_on(shapes.body(3), 40_000)
+    body = dense[(dense[:, 0] < 0) | (rng.random(len(dense)) < 0.05)]
+    strays = (rng.random((80, 3)) - 0.5) * 1.2 * np.ptp(dense, axis=0) + dense.mean(axis=0)
+    strays = strays[gaps(dense, strays) > 0.03 * BODY.diagonal]
+    cleaned = clean(PointCloud(np.concatenate([body, strays])), ScanOptions(voxel=0)).points
+    assert gaps(cleaned, strays).min() > 0
+    assert gaps(cleaned, body).max() == 0
+
+
 def test_each_point_keeps_a_sensor_that_saw_its_voxel() -> None:
     left = BODY.points[:, 0] < 0
     sensors = np.where(left[:, None], [-9.0, 0, 0], [9.0, 0, 0])
