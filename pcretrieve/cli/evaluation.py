@@ -19,6 +19,7 @@ from pcretrieve.cli.messages import say, shown_path
 COLUMNS = dict.fromkeys(("NN", "FT", "ST", "E", "DCG", "mAP"), "number")
 MEASURES = tuple(name.lower() for name in COLUMNS)
 COLUMNS |= {"": "words"}
+FALSE_MATCH_RATES = (0.01, 0.001)
 PRECISIONS = {"ID": "text", "CLASS": "text", "A": "number", "B": "number"}
 
 
@@ -34,7 +35,7 @@ PRECISIONS = {"ID": "text", "CLASS": "text", "A": "number", "B": "number"}
 @opt.option("--per-class", "Add the means of each class, and which classes are confused with it.")
 @opt.option(
     "--csv FOLDER",
-    "Write queries.csv, classes.csv, confusion.csv and precision_recall.csv to a folder.",
+    "Write queries.csv, classes.csv, confusion.csv, precision_recall.csv and det.csv to a folder.",
     opt.PATH,
     into="folder",
 )
@@ -76,7 +77,7 @@ def evaluate_command(
     how = _how(found, options, file, rerank)
     if folder is not None:
         found.write(folder)
-        say(f"queries, classes, confusion and precision_recall: .csv files in {folder}")
+        say(f"queries, classes, confusion, precision_recall, det: .csv files in {folder}")
     return out.Result(
         _evaluation_document(found, how, per_class), options, lambda: _write_evaluation(found, how, per_class)
     )
@@ -108,7 +109,10 @@ def _evaluation_document(found: pr.Evaluation, how: dict[str, object], per_class
     document: dict[str, object] = {
         part.name: getattr(found, part.name) for part in fields(pr.RetrievalMeasures)
     }
-    document |= {"n_failed": found.ranked.n_failed, "n_shapes": found.ranked.rankings.n_gallery} | how
+    document |= {"n_shapes": found.ranked.rankings.n_gallery} | how
+    if rates := found.verification:
+        document["equal_error_rate"] = rates.equal_error
+        document["missed_at"] = {str(rate): rates.missed(rate) for rate in FALSE_MATCH_RATES}
     document["interval"] = {"level": found.level, "low": _named(low), "high": _named(high)}
     document["macro"] = {name: getattr(macro, name) for name in MEASURES}
     if per_class:
@@ -147,9 +151,12 @@ def _write_evaluation(found: pr.Evaluation, how: dict[str, object], per_class: b
     if how.get("size_weight"):
         by += f", size weight {how['size_weight']:g}"
     say(
-        f"{len(rankings.ids)} queries in {rankings.n_gallery} shapes, {found.ranked.n_failed} failed shapes "
+        f"{len(rankings.ids)} queries in {rankings.n_gallery} shapes, {found.n_failed} failed shapes "
         f"count as misses; {by}"
     )
+    if rates := found.verification:
+        missed = ", ".join(f"{rates.missed(rate):.2%} at {rate:g}" for rate in FALSE_MATCH_RATES)
+        say(f"pairs: equal error rate {rates.equal_error:.2%}; missed at a false-match rate: {missed}")
     if whitening:
         say(f"whitening: {whitening}")
     if found.protocol:
@@ -217,14 +224,9 @@ def _options_of(values: dict[str, tuple[Any, ...]], number: int) -> dict[str, di
 
 def _comparison_document(found: pr.Comparison, n_changes: int) -> dict[str, object]:
     """The JSON document of a comparison."""
-    rows = {
-        "first": found.first,
-        "second": found.second,
-        "difference": found.difference,
-        "low": found.interval[0],
-        "high": found.interval[1],
-    }
-    return {name: _named(row.tolist()) for name, row in rows.items()} | {
+    names = ("first", "second", "difference", "low", "high")
+    rows = (found.first, found.second, found.difference, *found.interval)
+    return {name: _named(row.tolist()) for name, row in zip(names, rows, strict=True)} | {
         # The head of the document has the options of one computation, and here are two, or none of files.
         "first_options": found.first_options,
         "second_options": found.second_options,

@@ -5,10 +5,9 @@ measures and precision–recall curves go out.
 """
 
 from pcretrieve.evaluation.comparison import Comparison
-from pcretrieve.evaluation.folds import evaluate_table, rank_table, rerank_table
+from pcretrieve.evaluation.folds import rank_table
 from pcretrieve.evaluation.front import Evaluation, calibrate, compare, evaluate, matrix
 from pcretrieve.evaluation.measures import RetrievalMeasures
-from pcretrieve.evaluation.rankings import rank_gallery
 
 __all__ = [
     "Comparison",
@@ -17,9 +16,6 @@ __all__ = [
     "calibrate",
     "compare",
     "evaluate",
-    "evaluate_table",
     "matrix",
-    "rank_gallery",
     "rank_table",
-    "rerank_table",
 ]

@@ -12,12 +12,12 @@ import numpy as np
 
 from pcretrieve.catalogue import Catalogue, CatalogueLike, opened
 from pcretrieve.errors import BenchmarkError, InputError
-from pcretrieve.evaluation.folds import rerank_table
-from pcretrieve.evaluation.rankings import NO_FAILURES, Rankings, Subset, rank_subsets
+from pcretrieve.evaluation.folds import rank_table
+from pcretrieve.evaluation.rankings import Rankings, Subset, rank_subsets
 from pcretrieve.ingestion.labels import labels_of, match_labels
 from pcretrieve.matching import DistanceMatrix
-from pcretrieve.options import OptionsLike, PipelineOptions, RerankKind, RetrievalOptions
-from pcretrieve.retrieval import DistanceBlock, Whitening, people, table_whitening
+from pcretrieve.options import OptionsLike, PipelineOptions, RerankKind
+from pcretrieve.retrieval import DistanceBlock, people, table_whitening
 from pcretrieve.values import SignatureTable
 
 logger = logging.getLogger(__name__)
@@ -31,7 +31,6 @@ class RankedShapes(NamedTuple):
 
     rankings: Rankings
     plain: Rankings
-    n_failed: int = 0
     table: SignatureTable | None = None
     whitening: str = ""
     options: PipelineOptions | None = None
@@ -47,7 +46,7 @@ def rank_shapes(
 ) -> RankedShapes:
     """Rank shapes for each labelled shape among them."""
     if isinstance(shapes, SignatureTable):
-        return RankedShapes(*_of_table(shapes, PipelineOptions.of(options).retrieval), table=shapes)
+        return RankedShapes(*rank_table(shapes, PipelineOptions.of(options).retrieval), table=shapes)
     if isinstance(shapes, DistanceMatrix):
         if labels is None:
             raise BenchmarkError("a distance matrix has no classes: give labels, a file of classes")
@@ -102,20 +101,8 @@ def _of_catalogue(
         reason = whitening.reason
         if options.retrieval.whitening == "auto" and whitening.kind in ("none", "neighbours"):
             reason += ", without labels"
-    rankings = _of_table(table, retrieval, whitening, failed)
-    return RankedShapes(*rankings, len(failed), table, reason)
-
-
-def _of_table(
-    table: SignatureTable,
-    options: RetrievalOptions,
-    whitening: Whitening | None = None,
-    failed: Mapping[str, str | None] = NO_FAILURES,
-) -> tuple[Rankings, Rankings]:
-    """The rankings with and without re-ranking."""
-    methods = ("none",) if options.rerank == "none" else ("none", options.rerank)
-    by_method = rerank_table(table, methods, options, whitening=whitening, failed=failed)
-    return by_method[options.rerank], by_method["none"]
+    rankings = rank_table(table, retrieval, whitening=whitening, failed=failed)
+    return RankedShapes(*rankings, table, reason)
 
 
 def check_known(matrix: DistanceMatrix, catalogue: Catalogue) -> None:
@@ -135,15 +122,14 @@ def _of_matrix(
 ) -> RankedShapes:
     """The rankings by a matrix, in which some shapes are missing."""
     labels = [classes[shape_id] for shape_id in matrix.ids]
-    if rerank != "none" and not np.isfinite(matrix.values).all():
+    again = rerank != "none"
+    if again and not np.isfinite(matrix.values).all():
         raise InputError(
             f"re-ranking needs finite distances, got {np.isinf(matrix.values).sum()} that are infinite: "
             "rank without it"
         )
-    rows = np.arange(len(matrix))
-    everything = Subset(rows, [DistanceBlock(rows, matrix.values)])
-    by_method = rank_subsets([everything], matrix.ids, labels, (rerank,), failed=missing)
-    return RankedShapes(by_method[rerank], by_method["none"], len(missing))
+    everything = Subset(np.arange(len(matrix)), [DistanceBlock(np.arange(len(matrix)), matrix.values)])
+    return RankedShapes(*rank_subsets([everything], matrix.ids, labels, again=again, failed=missing))
 
 
 def _classes_of_ids(file: str | Path, ids: Set[str]) -> dict[str, str | None]:

@@ -27,6 +27,7 @@ from pcretrieve.evaluation.measures import (
     confusion,
     precision_recall,
     query_scores,
+    verification,
 )
 from pcretrieve.evaluation.rankings import Rankings
 from pcretrieve.matching import DistanceMatrix, ids_path, read_matrix
@@ -129,6 +130,8 @@ def write_evaluation(ranked: Rankings, folder: str | Path) -> tuple[Path, ...]:
         ),
         "precision_recall.csv": (curve._fields, zip(*(column.tolist() for column in curve), strict=True)),
     }
+    if rates := verification(ranked.genuine, ranked.impostor):
+        files["det.csv"] = (rates._fields, zip(*(column.tolist() for column in rates), strict=True))
     paths = []
     for name, (header, rows) in files.items():
         paths.append(folder / name)

@@ -10,12 +10,11 @@ after a whitening that was fitted to them.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
 from pcretrieve.errors import BenchmarkError
-from pcretrieve.evaluation.measures import RetrievalMeasures, evaluate_rankings
 from pcretrieve.evaluation.rankings import NO_FAILURES, Rankings, Subset, rank_subsets
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import Positions, SignatureIndex, Whitening, fit_whitening
@@ -79,48 +78,24 @@ def rank_table(
     *,
     whitening: Whitening | None = None,
     failed: Mapping[str, str | None] = NO_FAILURES,
-) -> Rankings:
-    """Rank a table of signatures for each labelled shape in it."""
-    method = (options or RetrievalOptions()).rerank
-    return rerank_table(table, (method,), options, whitening=whitening, failed=failed)[method]
-
-
-def rerank_table(
-    table: SignatureTable,
-    methods: Sequence[str],
-    options: RetrievalOptions | None = None,
-    *,
-    whitening: Whitening | None = None,
-    failed: Mapping[str, str | None] = NO_FAILURES,
-) -> dict[str, Rankings]:
-    """Rank a table of signatures for each labelled shape in it, by plain and by re-ranked lists.
+) -> tuple[Rankings, Rankings]:
+    """The rankings of a table by some options, and those without re-ranking.
 
     Distances are computed once, and a within-class whitening is fitted once for each fold. With re-ranking
     the gallery of a query is its fold, which has only classes to which the whitening was not fitted.
     """
     options = (options or RetrievalOptions()).without_labels
-    is_plain = set(methods) == {"none"}
+    again = options.rerank != "none"
     if (options.whitening if whitening is None else whitening.kind) == "within-class":
         if whitening is not None:
             whitening.check_made_for(table.digest)
-        subsets = within_class_subsets(table, options, among_fold=not is_plain)
-        return rank_subsets(subsets, table.ids, table.labels, methods, failed=failed)
+        subsets = within_class_subsets(table, options, among_fold=again)
+        return rank_subsets(subsets, table.ids, table.labels, again=again, failed=failed)
     if not len(table):
-        return rank_subsets((), (), (), methods, failed=failed)
+        return rank_subsets((), (), (), failed=failed)
     index = SignatureIndex(table, options, whitening=whitening)
     label_of = dict(zip(table.ids, table.labels, strict=True))
     labels = [label_of[shape_id] for shape_id in index.ids]
-    queries = np.flatnonzero([label is not None for label in labels]) if is_plain else None
+    queries = None if again else np.flatnonzero([label is not None for label in labels])
     everything = Subset(np.arange(len(index)), index.blocks(queries))
-    return rank_subsets([everything], index.ids, labels, methods, failed=failed)
-
-
-def evaluate_table(
-    table: SignatureTable,
-    options: RetrievalOptions | None = None,
-    *,
-    whitening: Whitening | None = None,
-    failed: Mapping[str, str | None] = NO_FAILURES,
-) -> RetrievalMeasures:
-    """Retrieval measures of a table of signatures."""
-    return evaluate_rankings(rank_table(table, options, whitening=whitening, failed=failed))
+    return rank_subsets([everything], index.ids, labels, again=again, failed=failed)

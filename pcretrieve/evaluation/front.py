@@ -18,12 +18,14 @@ from pcretrieve.evaluation.measures import (
     PrecisionRecall,
     QueryScores,
     RetrievalMeasures,
+    Verification,
     bootstrap_interval,
     class_measures,
     confusion,
     evaluate_rankings,
     precision_recall,
     query_scores,
+    verification,
 )
 from pcretrieve.ingestion.labels import LAYOUTS
 from pcretrieve.matching import DistanceMatrix, Matcher, known_matcher, match_all
@@ -82,8 +84,13 @@ class Evaluation(RetrievalMeasures):
         """The mean precision at each recall."""
         return precision_recall(self.ranked.rankings)
 
+    @property
+    def verification(self) -> Verification | None:
+        """The error rates of pairs of shapes (DET, ROC); None if there are no pairs of two classes."""
+        return verification(self.ranked.plain.genuine, self.ranked.plain.impostor)
+
     def write(self, folder: str | Path) -> tuple[Path, ...]:
-        """Write the measures of queries and classes, confusions and precision-recall as CSV files."""
+        """Write the measures of queries and classes, confusions, precision-recall and DET as CSV files."""
         return write_evaluation(self.ranked.rankings, folder)
 
 

@@ -164,6 +164,42 @@ def precision_recall(ranked: Rankings, *, n_points: int = 11) -> PrecisionRecall
     return PrecisionRecall(levels / (n_points - 1), total / len(ranked.n_relevant))
 
 
+class Verification(NamedTuple):
+    """How well a limit of the distance tells pairs of one class from pairs of two: ROC and DET curves [1]_.
+
+    false_match, false_non_match: (n,) float64, for each limit, ascending, the share of pairs of two classes
+        within it, and the share of pairs of one class beyond it.
+
+    References
+    ----------
+    .. [1] ISO/IEC 19795-1, "Biometric performance testing and reporting".
+    """
+
+    false_match: FloatArray
+    false_non_match: FloatArray
+
+    @property
+    def equal_error(self) -> float:
+        """Where both shares are the same."""
+        at = np.abs(self.false_match - self.false_non_match).argmin()
+        return float(self.false_match[at] + self.false_non_match[at]) / 2
+
+    def missed(self, rate: float) -> float:
+        """The share of pairs of one class that is refused at a false-match rate."""
+        return float(self.false_non_match[np.searchsorted(self.false_match, rate, side="right") - 1])
+
+
+def verification(genuine: FloatArray, impostor: FloatArray) -> Verification | None:
+    """The error rates of all limits, from ascending distances; None if there are none of one kind."""
+    if not len(genuine) or not len(impostor):
+        return None
+    limits = np.append(-np.inf, np.unique(genuine))
+    within, beside = (
+        np.searchsorted(pairs, limits, side="right") / len(pairs) for pairs in (genuine, impostor)
+    )
+    return Verification(beside, 1 - within)
+
+
 def _gain(rank: Positions) -> FloatArray:
     """Discounted gain: 1 at ranks 1 and 2, 1 / log₂ rank at larger ranks."""
     gain: FloatArray = 1 / np.log2(np.maximum(rank, 2))

@@ -17,10 +17,14 @@ import numpy as np
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.retrieval import DistanceBlock, Positions
 from pcretrieve.retrieval.reranking import N_RERANKED, NeighbourLists, rerank
+from pcretrieve.values import FloatArray
 from pcretrieve.values.base import Value
 
 #: The classes of failed shapes by id, if no shape failed.
 NO_FAILURES: Mapping[str, str | None] = MappingProxyType({})
+
+# Number of shapes, or up to twice as many, whose pairs with all shapes are kept: 160 MB among 10,000 shapes.
+N_PAIRED = 2000
 
 
 class Subset(NamedTuple):
@@ -41,6 +45,8 @@ class Rankings(Value):
         included.
     hit_query, hit_rank: (H,) intp, one entry for each relevant shape in a ranked list: the number of the
         query, ascending, and the rank of the shape, 1 for the nearest, ascending for each query.
+    genuine, impostor: (G,), (I,) float64, distances of pairs of shapes of one class, and of two classes,
+        ascending; none after re-ranking.
     """
 
     ids: tuple[str, ...]
@@ -48,6 +54,8 @@ class Rankings(Value):
     n_relevant: Positions
     hit_query: Positions
     hit_rank: Positions
+    genuine: FloatArray
+    impostor: FloatArray
     nearest: tuple[str | None, ...]
     nearest_labels: tuple[str | None, ...]
     n_gallery: int
@@ -60,31 +68,23 @@ class Rankings(Value):
         return max(0, self.n_gallery - 1)
 
 
-def rank_gallery(
-    blocks: Iterable[DistanceBlock],
-    ids: Sequence[str],
-    labels: Sequence[str | None],
-    *,
-    failed: Mapping[str, str | None] = NO_FAILURES,
-) -> Rankings:
-    """Rank a gallery for each labelled shape by blocks of distances."""
-    return rank_subsets([Subset(np.arange(len(ids)), blocks)], ids, labels, failed=failed)["none"]
-
-
 def rank_subsets(
     subsets: Iterable[Subset],
     ids: Sequence[str],
     labels: Sequence[str | None],
-    methods: Sequence[str] = ("none",),
     *,
+    again: bool = False,
     failed: Mapping[str, str | None] = NO_FAILURES,
-) -> dict[str, Rankings]:
-    """Rank each labelled shape's subset of a gallery, by plain lists ("none") and by those of each method.
+) -> tuple[Rankings, Rankings]:
+    """Rank each labelled shape's subset of a gallery, re-ranked if so asked, and by distance alone.
 
     Shapes behind the list that is sorted again keep their ranks.
     """
-    again = [method for method in methods if method != "none"]
     lists: list[tuple[Positions, NeighbourLists]] = []
+    codes = np.unique([label or "" for label in labels], return_inverse=True)[1]
+    labelled = np.array([label is not None for label in labels], dtype=bool)
+    every = max(1, len(ids) // N_PAIRED)
+    pairs: tuple[list[FloatArray], list[FloatArray]] = ([], [])
 
     def plain_blocks() -> Iterator[tuple[Positions, Positions]]:
         for members, blocks in subsets:
@@ -97,26 +97,32 @@ def rank_subsets(
                 nearest = order[:, :length]
                 kept.order[block.queries] = nearest
                 kept.distances[block.queries] = np.take_along_axis(block.distances, nearest, axis=1)
-                yield members[block.queries], members[order]
+                asked = members[block.queries]
+                some = labelled[asked] & (asked % every == 0)
+                one = asked[some, np.newaxis]
+                is_pair, is_same = labelled[members] & (members != one), codes[members] == codes[one]
+                for found, kind in zip(pairs, (is_same, ~is_same), strict=True):
+                    found.append(block.distances[some][is_pair & kind])
+                yield asked, members[order]
             lists.append((members, kept))
 
     plain = _rank_sorted(plain_blocks(), ids, labels, failed)
-    rankings = {"none": plain}
+    genuine, impostor = (np.sort(np.concatenate([np.zeros(0), *found])) for found in pairs)
+    plain = replace(plain, genuine=genuine, impostor=impostor)
+    if not again:
+        return plain, plain
+    reranked = (
+        (members[queries], members[rerank(kept, queries)])
+        for members, kept in lists
+        for queries in [np.flatnonzero(labelled[members])]
+    )
+    first = _rank_sorted(reranked, ids, labels, failed)
     # Ranks behind the lists are as before. Lists that are shorter have all shapes of their subset.
     behind = plain.hit_rank > N_RERANKED
-    labelled = np.array([label is not None for label in labels], dtype=bool)
-    for method in again:
-        blocks = (
-            (members[queries], members[rerank(method, kept, queries)])
-            for members, kept in lists
-            for queries in [np.flatnonzero(labelled[members])]
-        )
-        first = _rank_sorted(blocks, ids, labels, failed)
-        hit_query = np.concatenate([first.hit_query, plain.hit_query[behind]])
-        hit_rank = np.concatenate([first.hit_rank, plain.hit_rank[behind]])
-        order = np.lexsort((hit_rank, hit_query))
-        rankings[method] = replace(first, hit_query=hit_query[order], hit_rank=hit_rank[order])
-    return rankings
+    hit_query = np.concatenate([first.hit_query, plain.hit_query[behind]])
+    hit_rank = np.concatenate([first.hit_rank, plain.hit_rank[behind]])
+    order = np.lexsort((hit_rank, hit_query))
+    return replace(first, hit_query=hit_query[order], hit_rank=hit_rank[order]), plain
 
 
 def _by_distance(block: DistanceBlock, ids: Sequence[str]) -> Positions:
@@ -176,6 +182,8 @@ def _rank_sorted(
         n_relevant=np.array([sizes[label] - 1 for label in query_labels], dtype=np.intp),
         hit_query=hit_query[order],
         hit_rank=hit_rank[order],
+        genuine=np.zeros(0),
+        impostor=np.zeros(0),
         nearest=(*(None if near < 0 else ids[near] for near in nearest), *(None for _ in missed)),
         nearest_labels=(*(None if near < 0 else labels[near] for near in nearest), *(None for _ in missed)),
         n_gallery=len(ids),

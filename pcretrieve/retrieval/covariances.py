@@ -232,7 +232,7 @@ def neighbour_pairs(logs: FloatArray) -> NeighbourPairs:
     rows = rows[np.lexsort(logs[rows].T)]  # so that ties do not depend on the order of the table
     points = np.ascontiguousarray(logs[rows])
     lists = neighbour_lists(_blocks(points), len(points))
-    order = rerank("k-reciprocal", lists, parameters=PAIRING)
+    order = rerank(lists, parameters=PAIRING)
     most = min(MOST_NEIGHBORS, order.shape[1] - 1)
     k = min(_distinct_number(order, most), order.shape[1] - 1)
     near = nearest_matrix(order, k)

@@ -14,18 +14,15 @@ References
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, NamedTuple, get_args
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pcretrieve.options import RerankKind
 from pcretrieve.retrieval.distances import DistanceBlock, Positions
 from pcretrieve.values import FloatArray, Neighbors
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
-RERANKINGS: tuple[str, ...] = get_args(RerankKind)
 
 #: Number of results of each query that are sorted again.
 N_RERANKED = 100
@@ -75,7 +72,6 @@ def _first_columns(values: FloatArray, length: int) -> Positions:
 
 
 def rerank(
-    method: str,
     lists: NeighbourLists,
     rows: Positions | None = None,
     *,
@@ -89,7 +85,7 @@ def rerank(
         the query and the shape nearest to it, keep their places.
     """
     rows = np.arange(len(lists.order)) if rows is None else rows
-    if method == "none" or lists.order.shape[1] < 3:
+    if lists.order.shape[1] < 3:
         return lists.order[rows]
     distances = k_reciprocal(lists, rows, parameters)
     distances[:, :2] = -np.inf

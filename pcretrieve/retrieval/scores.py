@@ -183,26 +183,10 @@ def _sample(table: SignatureTable) -> _Sample:
     return _Sample(coordinates(table.values[list(rows_of)], table.metric), list(rows_of.values()), sizes)
 
 
-def _pools(same: FloatArray, total: FloatArray) -> Positions:
-    """Pool intervals so that the shares `same / total` of the pools descend (pool adjacent violators).
-
-    same: (b,) float64, number of pairs of one class in each interval of distances.
-    total: (b,) float64, number of all pairs in it; positive.
-    Returns (b,) intp: the number of the pool of each interval, ascending from 0.
-    """
-    # Not by scikit-learn, whose import takes longer.
-    found: list[tuple[float, float, int]] = []  # pairs of one class, all pairs, intervals
-    for one, every in zip(same.tolist(), total.tolist(), strict=True):
-        pool = (one, every, 1)
-        while found and found[-1][0] * pool[1] <= pool[0] * found[-1][1]:
-            before = found.pop()
-            pool = (before[0] + pool[0], before[1] + pool[1], before[2] + pool[2])
-        found.append(pool)
-    return np.repeat(np.arange(len(found)), [length for _, _, length in found])
-
-
 def _shares(pairs: _Pairs) -> tuple[FloatArray, FloatArray]:
     """Distances, ascending, and the score at each of them."""
+    from scipy.optimize import isotonic_regression
+
     order = np.argsort(pairs.distances, kind="stable")
     distances, same = pairs.distances[order], pairs.same[order]
     ours = np.where(same, pairs.weights[order], 0.0)
@@ -214,7 +198,9 @@ def _shares(pairs: _Pairs) -> tuple[FloatArray, FloatArray]:
     ends = np.append(ends, np.flatnonzero(same)[-1])
     ends = np.unique(np.searchsorted(distances, distances[ends], side="right"))
     number = np.searchsorted(ends, np.arange(len(distances)), side="right")
-    pool = _pools(*_counts(number, ours, pairs.weights[order]))[number]  # of each pair
+    n_same, total = _counts(number, ours, pairs.weights[order])
+    ends = isotonic_regression(n_same / total, weights=total, increasing=False).blocks
+    pool = np.searchsorted(ends, number, side="right") - 1  # of each pair
     n_same, total = _counts(pool, ours, pairs.weights[order])
     # The score of a pool is that of the mean distance of its pairs of one class; the last pool may have none.
     first = distances[np.searchsorted(pool, np.arange(len(total)))]

@@ -36,6 +36,7 @@ from benchmarks.measuring import (
     Table,
     add_data,
     argument_parser,
+    evaluate_table,
     forget_peak,
     is_missing,
     peak_memory,
@@ -51,7 +52,6 @@ from pcretrieve.arrays import DOUBLE_OFFSET, Frame
 from pcretrieve.descriptors import describe
 from pcretrieve.draw.open3d import RayScene, open3d_cloud
 from pcretrieve.errors import BenchmarkError, InputError, PcretrieveError
-from pcretrieve.evaluation import evaluate_table
 from pcretrieve.formats import read_scan
 from pcretrieve.ingestion import in_processes
 from pcretrieve.options import JUDGED, PipelineOptions, RetrievalOptions, WhiteningKind

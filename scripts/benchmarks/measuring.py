@@ -21,12 +21,18 @@ from PIL import Image
 from tqdm import tqdm
 
 from pcretrieve.errors import BenchmarkError, PcretrieveError
-from pcretrieve.evaluation import RetrievalMeasures
+from pcretrieve.evaluation import RetrievalMeasures, rank_table
+from pcretrieve.evaluation.measures import evaluate_rankings
 from pcretrieve.ingestion import in_processes
 from pcretrieve.values import FloatArray
 from pcretrieve.values.files import write_file
 
 Result = TypeVar("Result")
+
+
+def evaluate_table(*table: Any, **how: Any) -> RetrievalMeasures:
+    """The measures of a table of signatures, ranked as by `rank_table`."""
+    return evaluate_rankings(rank_table(*table, **how)[0])
 
 
 def timed(function: Callable[[], Result]) -> tuple[float, Result]:

@@ -30,6 +30,8 @@ import pcretrieve.retrieval
 from benchmarks.measuring import Column, Table, argument_parser, draw_curves, print_lines
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS
+from pcretrieve.errors import BenchmarkError
+from pcretrieve.evaluation.measures import verification
 from pcretrieve.options import PipelineOptions, SignatureOptions, fused_names
 from pcretrieve.retrieval import Positions, coordinates, fit_whitening, people
 from pcretrieve.retrieval.people import BEGINS, SAMPLE
@@ -206,7 +208,10 @@ def recognition(points: FloatArray, person: Positions) -> list[Row]:
         later = np.arange(len(points)) > rows[:, np.newaxis]
         genuine.append(gaps[same & later])
         impostor.append(gaps[~same & later].astype(np.float32))
-    missed, equal = error_rates(np.concatenate(genuine), np.concatenate(impostor))
+    errors_of_pairs = verification(*(np.sort(np.concatenate(pairs)) for pairs in (genuine, impostor)))
+    if errors_of_pairs is None:
+        raise BenchmarkError("the scans must be of two people or more, some person with two of them")
+    missed, equal = errors_of_pairs.missed(ACCEPTED), errors_of_pairs.equal_error
     nearer, n_people = np.concatenate(n_nearer), len(first)
     known = [size for size in SIZES if size < n_people] + [n_people]
     # Of the people who are nearer than the query's own scans, how many are in a random gallery.
@@ -224,13 +229,3 @@ def recognition(points: FloatArray, person: Positions) -> list[Row]:
         Row(size, rank_1, rank_5, equal, missed, "fitted" if size > n_people else "")
         for size, (rank_1, rank_5) in zip(sizes, rates.tolist(), strict=True)
     ]
-
-
-def error_rates(genuine: FloatArray, impostor: FloatArray) -> tuple[float, float]:
-    """The share of pairs of one person beyond the limit of `ACCEPTED`, and the equal error rate."""
-    missed = float((genuine > np.quantile(impostor, ACCEPTED)).mean())
-    genuine = np.sort(genuine)
-    accepted = np.searchsorted(np.sort(impostor), genuine, side="right") / len(impostor)
-    refused = 1 - np.arange(1, len(genuine) + 1) / len(genuine)
-    at = int(np.argmin(np.abs(accepted - refused)))
-    return missed, float((accepted[at] + refused[at]) / 2)

@@ -38,20 +38,20 @@ from benchmarks.measuring import (
     Table,
     add_data,
     argument_parser,
+    evaluate_table,
     measure_values,
     print_lines,
     use_one_core,
 )
 from benchmarks.sets import SETS, ingested, left_out, pooled_vectors, written_set
 from pcretrieve.errors import BenchmarkError, OptionError
-from pcretrieve.evaluation import evaluate_table, rank_table, rerank_table
+from pcretrieve.evaluation import rank_table
 from pcretrieve.evaluation.measures import evaluate_rankings
 from pcretrieve.evaluation.rankings import NO_FAILURES
 from pcretrieve.options import PipelineOptions, RetrievalOptions, SignatureOptions
 from pcretrieve.query import SURE
 from pcretrieve.retrieval import People, pairwise, people, table_whitening
 from pcretrieve.retrieval.distances import table_coordinates
-from pcretrieve.retrieval.reranking import RERANKINGS
 from pcretrieve.retrieval.scores import fit_scores
 from pcretrieve.retrieval.whitening import CALIBRATED, calibrated_whitening
 from pcretrieve.values import FloatArray, Metric, SignatureTable
@@ -186,11 +186,11 @@ def _rows(
         if kind != "within-class":
             known = None if options is None else people(options)
             whitening = table_whitening(table, RetrievalOptions(whitening=kind), people=known)
-        retrieval = RetrievalOptions(whitening=kind)
-        ranked = rerank_table(table, RERANKINGS, retrieval, whitening=whitening, failed=failed)
+        retrieval = RetrievalOptions(whitening=kind, rerank="k-reciprocal")
+        again, plain = rank_table(table, retrieval, whitening=whitening, failed=failed)
         if kind == "within-class":  # without re-ranking, the gallery is the whole set
-            ranked["none"] = rank_table(table, retrieval, failed=failed)
-        for method, rankings in ranked.items():
+            plain, _ = rank_table(table, RetrievalOptions(whitening=kind), failed=failed)
+        for method, rankings in (("none", plain), (retrieval.rerank, again)):
             measures = measure_values(evaluate_rankings(rankings))
             yield TABLE.row(name, table.kind, table.values.shape[1], kind, method, *measures)
     n_people = len(set(table.labels)) if name in PEOPLE else 0

@@ -5,11 +5,12 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from benchmarks.measuring import evaluate_table
 from benchmarks.retrieval import no_match_measures
 from tables import classes_of, posed_logs, table_of
 
 from pcretrieve.errors import BenchmarkError
-from pcretrieve.evaluation import evaluate_table, rank_table, rerank_table
+from pcretrieve.evaluation import rank_table
 from pcretrieve.evaluation.folds import grouped_folds, within_class_folds, within_class_subsets
 from pcretrieve.evaluation.rankings import Subset, rank_subsets
 from pcretrieve.options import RetrievalOptions
@@ -94,22 +95,23 @@ def test_an_evaluation_whitens_the_gallery_in_any_order(distance: str, whitening
         points = fit_whitening(whitening, logs := coordinates(table.values)).apply(logs)
         block = DistanceBlock(np.arange(60), pairwise(distance, points, points))
         subsets = [Subset(np.arange(60), [block])]
-    assert rank_table(table, options) == rank_subsets(subsets, table.ids, table.labels)["none"]
+    assert rank_table(table, options) == rank_subsets(subsets, table.ids, table.labels)
 
 
 # --- re-ranking -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("whitening", ["none", "neighbours", "pca", "within-class"])
-def test_several_methods_at_once_rank_as_each_of_them(whitening: str) -> None:
-    """The nearest shape stays."""
+def test_re_ranking_keeps_the_nearest_shape_and_gives_the_plain_rankings_too(whitening: str) -> None:
     table = round_classes()
-    options = RetrievalOptions(whitening=whitening)
-    found = rerank_table(table, ("none", "k-reciprocal"), options)
-    again = found["k-reciprocal"]
-    assert again == rank_table(table, options.model_copy(update={"rerank": "k-reciprocal"}))
-    assert again != found["none"]
-    assert again.nearest == found["none"].nearest
+    options = RetrievalOptions(whitening=whitening, rerank="k-reciprocal")
+    again, plain = rank_table(table, options)
+    assert (
+        plain in rank_table(table, PLAIN.model_copy(update={"whitening": whitening}))
+        or whitening == "within-class"
+    )
+    assert again.hit_rank.tolist() != plain.hit_rank.tolist()
+    assert again.nearest == plain.nearest
 
 
 def test_overlapping_classes_are_ranked_better() -> None:
@@ -128,18 +130,16 @@ def test_ranks_are_those_of_the_re_ranked_lists_and_then_of_the_distances() -> N
     ids = [f"{number:03}" for number in range(n)]
     labels = [None if number % 10 == 0 else f"class {number % 7}" for number in range(n)]
     block = DistanceBlock(np.arange(n), distances)
-    found = rank_subsets([Subset(np.arange(n), [block])], ids, labels, ("none", "k-reciprocal"))
+    found = rank_subsets([Subset(np.arange(n), [block])], ids, labels, again=True)[0]
     own_first = np.where(np.eye(n, dtype=bool), -1, distances)
     nearest = np.argsort(own_first, axis=1, kind="stable")[:, :101]
-    again = rerank("k-reciprocal", NeighbourLists(nearest, np.take_along_axis(distances, nearest, axis=1)))
-    for number, query in enumerate(map(int, found["k-reciprocal"].ids)):
+    again = rerank(NeighbourLists(nearest, np.take_along_axis(distances, nearest, axis=1)))
+    for number, query in enumerate(map(int, found.ids)):
         order = list(again[query])
         rest = sorted(set(range(n)).difference(order), key=lambda other: (distances[query, other], other))
         ranked = [labels[other] == labels[query] for other in order + rest]
         expected = np.flatnonzero(ranked)[1:]
-        np.testing.assert_array_equal(
-            found["k-reciprocal"].hit_rank[found["k-reciprocal"].hit_query == number], expected
-        )
+        np.testing.assert_array_equal(found.hit_rank[found.hit_query == number], expected)
 
 
 # --- classes that are not in the gallery ----------------------------------------------------------------

@@ -1,7 +1,7 @@
 """Rankings and measures, worked by hand; their files, and comparisons of two results."""
 
 import csv
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import log2
 from pathlib import Path
@@ -22,17 +22,27 @@ from pcretrieve.evaluation.measures import (
     evaluate_rankings,
     precision_recall,
     query_scores,
+    verification,
 )
-from pcretrieve.evaluation.rankings import Rankings, rank_gallery
+from pcretrieve.evaluation.rankings import NO_FAILURES, Rankings, Subset, rank_subsets
 from pcretrieve.retrieval import DistanceBlock
 from pcretrieve.values import FloatArray
+
+
+def rank_gallery(
+    blocks: Iterable[DistanceBlock],
+    ids: Sequence[str],
+    labels: Sequence[str | None],
+    failed: Mapping[str, str | None] = NO_FAILURES,
+) -> Rankings:
+    return rank_subsets([Subset(np.arange(len(ids)), blocks)], ids, labels, failed=failed)[0]
 
 
 def ranked(orders: dict[str, str], labels: Mapping[str, str], failed: str = "") -> Rankings:
     """Shapes that find each other in these orders; and failed ones of some classes."""
     distances = [[0 if j == i else 1 + order.index(j) for j in orders] for i, order in orders.items()]
     block = DistanceBlock(np.arange(len(orders)), np.array(distances, dtype=np.float64))
-    lost = {f"failed {number}": label for number, label in enumerate(failed)}
+    lost: dict[str, str | None] = {f"failed {number}": label for number, label in enumerate(failed)}
     return rank_gallery([block], list(orders), [labels.get(i) for i in orders], failed=lost)
 
 
@@ -107,8 +117,8 @@ def test_classes_larger_than_the_list_of_e_and_than_the_second_tier() -> None:
 
 
 def test_ranks_are_those_of_sorting_by_distance_and_id() -> None:
-    """Whatever the blocks. The average precision is that of scikit-learn."""
-    from sklearn.metrics import average_precision_score
+    """Whatever the blocks. The average precision and the errors of pairs are those of scikit-learn."""
+    from sklearn.metrics import average_precision_score, roc_curve
 
     rng = np.random.default_rng(0)
     labels: list[str | None] = [f"class {number}" for number in rng.integers(0, 8, 200)]
@@ -117,6 +127,14 @@ def test_ranks_are_those_of_sorting_by_distance_and_id() -> None:
     assert rank_gallery([DistanceBlock(np.arange(200), np.round(distances, 1))], ids, labels) == result
     scores = query_scores(rank_gallery(by_rows(distances), ids, labels))
     names = np.array(labels, dtype=str)
+    rates, pairs = verification(result.genuine, result.impostor), ~np.eye(200, dtype=bool)
+    same = (names[:, None] == names)[pairs]
+    matched, accepted, _ = roc_curve(same, -np.round(distances, 1)[pairs], drop_intermediate=False)
+    assert rates is not None
+    np.testing.assert_allclose(rates.false_match, matched)
+    np.testing.assert_allclose(1 - rates.false_non_match, accepted, atol=1e-12)
+    assert rates.equal_error == pytest.approx(0.5, abs=0.05)  # of random distances
+    assert rates.missed(0.3) == 1 - accepted[matched <= 0.3][-1]
     for query in range(200):
         others = [i for i in range(200) if i != query]
         precision = average_precision_score(names[others] == names[query], -distances[query, others])

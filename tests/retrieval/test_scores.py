@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
-from sklearn.isotonic import IsotonicRegression
 from tables import classes_of, table_of
 
 from pcretrieve.errors import InputError
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.query import SURE, UNLIKELY, Match
-from pcretrieve.retrieval import SignatureIndex, pairwise, scores, table_whitening
+from pcretrieve.retrieval import SignatureIndex, pairwise, table_whitening
 from pcretrieve.retrieval.clusters import GAP, near_pairs
 from pcretrieve.retrieval.scores import MatchScores, fit_scores
 from pcretrieve.values import SignatureTable
@@ -31,20 +30,6 @@ def scores_of(table: SignatureTable) -> MatchScores:
     found = fit_scores(table, table_whitening(table, PLAIN))
     assert found is not None
     return found
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_pools_are_those_of_isotonic_regression(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    total = rng.integers(1, 20, size=rng.integers(1, 60)).astype(float)
-    same = np.minimum(rng.poisson(total / 2), total).astype(float)
-    expected = IsotonicRegression(increasing=False).fit_transform(
-        np.arange(len(total)), same / total, sample_weight=total
-    )
-    pools = scores._pools(same, total)
-    shares = (np.bincount(pools, same) / np.bincount(pools, total))[pools]
-    np.testing.assert_allclose(shares, expected, rtol=1e-12, atol=1e-15)
-    np.testing.assert_array_equal(np.diff(pools) > 0, np.diff(shares) < 0)
 
 
 def test_a_score_is_the_share_among_new_pairs_that_near() -> None:

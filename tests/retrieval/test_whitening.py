@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.measuring import evaluate_table
 from tables import classes_of, table_of
 
 from pcretrieve.descriptors import DESCRIPTORS, signature_length
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.evaluation import evaluate_table
 from pcretrieve.options import RetrievalOptions, SignatureOptions
 from pcretrieve.retrieval import People, Whitening, fit_whitening, pairwise, people
 from pcretrieve.retrieval.whitening import calibrated_whitening, read_whitening, write_whitening

@@ -20,9 +20,9 @@ from benchmarks.synthetic import quartered
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
 from pcretrieve.errors import PcretrieveError, ShapeError
-from pcretrieve.evaluation import rank_gallery, rank_table
+from pcretrieve.evaluation import rank_table
 from pcretrieve.evaluation.measures import PrecisionRecall, evaluate_rankings, precision_recall
-from pcretrieve.evaluation.rankings import Rankings
+from pcretrieve.evaluation.rankings import Rankings, Subset, rank_subsets
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import discover_labelled, read_labels
@@ -190,7 +190,7 @@ def _ranked(catalogue: Catalogue, system: System) -> Rankings:
     options = SignatureOptions(method=system.method, n_values=system.n_values, scale=system.scale)
     table, failed = described(catalogue, options)
     retrieval = RetrievalOptions(distance=system.distance, whitening="none")
-    return rank_table(table, retrieval, failed=failed)
+    return rank_table(table, retrieval, failed=failed)[0]
 
 
 def _matched(catalogue: Catalogue, system: System) -> Rankings:
@@ -201,7 +201,8 @@ def _matched(catalogue: Catalogue, system: System) -> Rankings:
     classes = {record.id: record.label for record in catalogue.records()}
     labels = [classes.pop(shape_id) for shape_id in matrix.ids]
     block = DistanceBlock(np.arange(len(matrix)), matrix.values)
-    return rank_gallery([block], matrix.ids, labels, failed=classes)
+    everything = Subset(np.arange(len(matrix)), [block])
+    return rank_subsets([everything], matrix.ids, labels, failed=classes)[0]
 
 
 def _row(system: System, ranked: Rankings, published: Sequence[float] | None) -> str:
@@ -432,7 +433,9 @@ def _vector_rows(folder: Path) -> Iterator[str]:
             cells = []
             for table in tables:
                 fitted = None if kind == "within-class" else table_whitening(table, retrieval)
-                cells.append(f"{evaluate_rankings(rank_table(table, retrieval, whitening=fitted)).map:.3f}")
+                cells.append(
+                    f"{evaluate_rankings(rank_table(table, retrieval, whitening=fitted)[0]).map:.3f}"
+                )
             yield f"{metric:<16}{kind:<19}" + "".join(f"{cell:<16}" for cell in cells).rstrip()
 
 

@@ -10,16 +10,15 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
-from benchmarks.measuring import all_in_workers, in_workers, png
+from benchmarks.measuring import all_in_workers, evaluate_table, in_workers, png
 from benchmarks.paper.spectra import unit_area_spectrum
 from benchmarks.sets import read_mesh, spread, vertex_normals
 from benchmarks.strip import TILE, captioned
 from pcretrieve.descriptors import describe
 from pcretrieve.draw.thumbnail import thumbnail
 from pcretrieve.errors import BenchmarkError, PcretrieveError
-from pcretrieve.evaluation import evaluate_table
 from pcretrieve.evaluation.measures import evaluate_rankings
-from pcretrieve.evaluation.rankings import rank_gallery
+from pcretrieve.evaluation.rankings import Subset, rank_subsets
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import read_labels
 from pcretrieve.options import RemeshOptions, RetrievalOptions, Scale, SignatureOptions
@@ -390,8 +389,9 @@ def figure_5(folder: Path, limit: int | None) -> Iterator[str]:
         cells = []
         for table in tables:
             # A ranking leaves out the query, here its own clean mesh.
-            block = DistanceBlock(np.arange(len(paths)), pairwise("log", table, tables[0]))
-            measured = evaluate_rankings(rank_gallery((block,), [path.stem for path in paths], labels))
+            rows = np.arange(len(paths))
+            subset = Subset(rows, [DistanceBlock(rows, pairwise("log", table, tables[0]))])
+            measured = evaluate_rankings(rank_subsets([subset], [path.stem for path in paths], labels)[0])
             cells.append(f"{measured.nn:.2f} {measured.map:.2f}")
         yield f"{method:<12}{scale:<10}" + "".join(f"{cell:<12}" for cell in cells).rstrip()
 
