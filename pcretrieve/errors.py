@@ -181,7 +181,7 @@ def shape_error(error: BaseException, stage: str | None = None) -> PcretrieveErr
     place = f" (at {Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
     return UnexpectedError(
         f"{type(error).__name__}: {_words(error)}{place}; this is a fault of pcretrieve, or of a package "
-        "that it uses: please report it with the file that `pcretrieve report-problem` writes",
+        "that it uses: please report it with the file that `pcretrieve lab report-problem` writes",
         stage=stage,
     )
 

@@ -11,7 +11,11 @@ from typing import Any
 
 from click.testing import CliRunner, Result
 
-from pcretrieve.cli.main import cli
+from pcretrieve.cli.main import CATALOGUE, COMMANDS, LAB, cli
+
+#: The words of every command.
+NAMES = [name for name in COMMANDS if name not in ("catalogue", "lab")]
+NAMES += [f"catalogue {name}" for name in CATALOGUE] + [f"lab {name}" for name in LAB]
 
 
 def run(*words: object, code: int | None = 0, **environment: str | None) -> Result:

@@ -95,7 +95,10 @@ def test_every_option_is_explained() -> None:
     [
         (b"[surface\n", r"options.toml is not valid TOML: Expected ']'"),
         (b"# \xff\n", r"options.toml is not valid TOML: it is not UTF-8 text"),
-        (b"[surfice]\n", r"options.toml: there is no option 'surfice'; `pcretrieve options` lists them all"),
+        (
+            b"[surfice]\n",
+            r"options.toml: there is no option 'surfice'; `pcretrieve lab options` lists them all",
+        ),
         (b"[surface]\ndepth = 7\n", r"options.toml: in \[surface\], there is no option 'depth'"),
         (
             b"[scan]\nvoxel = 'small'\n[surface]\nmode = 'guess'\n",

@@ -6,9 +6,9 @@ import subprocess
 import sys
 
 import pytest
+from commands import NAMES
 
 import pcretrieve
-from pcretrieve.cli.main import COMMANDS
 
 HEAVY = ("numpy", "scipy", "sklearn", "numba", "open3d", "pytetwild", "trimesh", "pydantic")
 
@@ -22,13 +22,13 @@ def test_every_command_has_a_function() -> None:
         "list": "Catalogue",
         "show": "Catalogue",
         "remove": "Catalogue",
-        "catalogue": "merge_catalogues",
         "export": "write_mesh",
         "options": "PipelineOptions",
         "demo": "ingest",
     }
-    for command in COMMANDS:
-        assert functions.get(command, command.replace("-", "_")) in pcretrieve.__all__, command
+    for command in NAMES:
+        name = command.removeprefix("lab ").removeprefix("catalogue ").replace("-", "_")
+        assert functions.get(name, name) in pcretrieve.__all__, command
 
 
 def test_every_public_name_is_there_and_documented() -> None:

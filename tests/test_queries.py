@@ -192,7 +192,7 @@ def test_scores_come_with_distances_and_least_ones_leave_no_match(catalogue: Pat
     least = float(found.scores[5])
     kept = pr.search(catalogue, "11", k=12, min_score=least)
     assert kept.ids == tuple(name for name in found.ids if plain[name] >= least) != found.ids
-    done = run("query", "11", "-c", catalogue, "--min-score", 1)
+    done = run("query", "11", "-c", catalogue, "--min-score", 1, "--verbose")
     assert done.stdout == "no match\n"
     assert f"score: {scores.reason}" in done.stderr
     assert len(pr.search(catalogue, "11", min_score=1)) == 0
@@ -245,7 +245,7 @@ def test_a_metric_of_labelled_scans_is_used_in_another_catalogue(
     """Eggs of one kind differ in one direction: in another catalogue, that direction counts less."""
     metric, other = tmp_path / "metric.npz", tmp_path / "other.sqlite"
     pr.ingest(folder / "new", other, workers=1)
-    reason = result("calibrate", "-c", catalogue, "-o", metric)["reason"]
+    reason = result("lab", "calibrate", "-c", catalogue, "-o", metric)["reason"]
     learnt = pr.calibrate(catalogue, tmp_path / "again.npz")
     assert (learnt.reason, reason) == ("within-class: 3 classes of 12 shapes",) * 2
     assert (tmp_path / "again.npz").read_bytes() == metric.read_bytes()
@@ -275,7 +275,7 @@ def test_signatures_are_exported(catalogue: Path, tmp_path: Path) -> None:
         wanted = store.signatures().select(["11", "00"])
     for suffix in (".npz", ".parquet", ".csv"):
         path = tmp_path / f"bodies{suffix}"
-        run("export", "--signatures", "-c", catalogue, "-o", path, "11", "00")
+        run("catalogue", "export", "--signatures", "-c", catalogue, "-o", path, "11", "00")
         if suffix == ".npz":
             with np.load(path, allow_pickle=False) as file:
                 ids, labels, values = file["ids"].tolist(), file["labels"].tolist(), file["values"]

@@ -6,14 +6,13 @@ In come records and processed shapes; out come records, shapes, tables of signat
 from pcretrieve.catalogue.catalogue import Catalogue, CatalogueLike, opened
 from pcretrieve.catalogue.check import Defect, find_defects, set_to_be_ingested_again
 from pcretrieve.catalogue.copies import backup, merge_catalogues
-from pcretrieve.catalogue.records import Content, Origin, Record, numbered_id
+from pcretrieve.catalogue.records import Content, Record, numbered_id
 
 __all__ = [
     "Catalogue",
     "CatalogueLike",
     "Content",
     "Defect",
-    "Origin",
     "Record",
     "backup",
     "find_defects",

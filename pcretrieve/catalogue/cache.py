@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.options import PipelineOptions
+from pcretrieve.options import PipelineOptions, fused_names
 from pcretrieve.plugins import METHODS
 from pcretrieve.retrieval import SignatureIndex
 from pcretrieve.retrieval.whitening import read_whitening
@@ -57,7 +57,7 @@ def signatures_digest(options: PipelineOptions) -> str:
     """The digest of the signatures that are compared by some options."""
     # With the version of the package of the descriptor, because other versions may give other values.
     method = options.signature.method
-    if method in METHODS:
+    if METHODS.keys() >= {*fused_names(method)}:
         return options.signature_digest
     from pcretrieve.descriptors import DESCRIPTORS
 

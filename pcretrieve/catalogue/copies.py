@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from pcretrieve.catalogue.catalogue import Catalogue, CatalogueLike, opened
-from pcretrieve.catalogue.records import Origin, check_options
+from pcretrieve.catalogue.records import Record, check_options
 from pcretrieve.catalogue.rows import Rows, file_of
 from pcretrieve.catalogue.sqlite import check_tables, connect, translated
 from pcretrieve.errors import CatalogueError, InputError
@@ -68,9 +68,10 @@ def merge_catalogues(parts: Sequence[CatalogueLike], output: CatalogueLike) -> M
         raise InputError("there must be at least one catalogue to merge, got none: name the parts")
     with ExitStack() as stack:
         sources = [stack.enter_context(opened(part)) for part in parts]
-        target = stack.enter_context(opened(output, sources[0].options, create=True))
         for part in sources:
-            check_options(part.location, part.options, target.options)
+            check_options(part.location, part.options, sources[0].options)
+        _chosen(sources)  # conflicts are an error before there is a new file
+        target = stack.enter_context(opened(output, sources[0].options, create=True))
         return _merge([target, *sources])
 
 
@@ -167,12 +168,12 @@ def _merge(stores: Sequence[Rows]) -> MergedCatalogues:
     return MergedCatalogues(n_added, len(held))
 
 
-def _chosen(stores: Sequence[Rows]) -> tuple[dict[str, tuple[int, Origin]], dict[str, str]]:
+def _chosen(stores: Sequence[Rows]) -> tuple[dict[str, tuple[int, Record]], dict[str, str]]:
     """By path, the number of the store whose shape is kept and the row in it; and its label.
 
     Conflicts are an error, before anything is written.
     """
-    chosen: dict[str, tuple[int, Origin]] = {}
+    chosen: dict[str, tuple[int, Record]] = {}
     labels: dict[str, str] = {}
     conflicts: list[str] = []
     for number, store in enumerate(stores):

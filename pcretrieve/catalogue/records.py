@@ -13,7 +13,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 from uuid import uuid4
 
 from pcretrieve.errors import CatalogueError, OptionError
@@ -147,9 +147,9 @@ class ChangedRow(CatalogueError):
 
 
 def changed_row(location: str, how: str) -> ChangedRow:
-    """The error for a row that `pcretrieve check --repair` removes."""
+    """The error for a row that `pcretrieve catalogue check --repair` removes."""
     return ChangedRow(
-        f"{location} is damaged ({how}): restore a copy, or repair it with `pcretrieve check --repair`"
+        f"{location} is damaged ({how}): restore a copy, or repair it: `pcretrieve catalogue check --repair`"
     )
 
 
@@ -213,17 +213,6 @@ class Record:
     def seconds(self) -> float:
         """Total time of all stages; seconds."""
         return sum(step.seconds for step in self.steps)
-
-
-class Origin(NamedTuple):
-    """Of which file a row is, without its provenance."""
-
-    id: str
-    path: str
-    content_hash: str
-    label: str | None
-    status: Status
-    stamp: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,7 +23,6 @@ from pcretrieve.catalogue.records import (
     RECORDS,
     SHAPE_COLUMNS,
     Entry,
-    Origin,
     Payload,
     Record,
     Status,
@@ -157,14 +156,11 @@ class Rows:
         """All records, or those of one status, in ascending order of id."""
         return [record for page in self.pages(status=status) for record in page]
 
-    def origins(self) -> list[Origin]:
-        """The id, the file, the class and the status of every shape, in ascending order of id."""
-        rows = self._all("SELECT id, path, content_hash, label, status, stamp FROM shapes ORDER BY id")
-        return [Origin._make(row) for row in rows]
-
-    def outlines(self) -> list[Record]:
-        """All records as `origins` has them, without their provenance, which are read much faster."""
-        return [Record(*one[:5], stamp=one.stamp) for one in self.origins()]
+    def origins(self) -> list[Record]:
+        """All records without their provenance, in ascending order of id, which are read much faster."""
+        names = ("id", "path", "content_hash", "label", "status", "stamp")
+        rows = self._all(f"SELECT {', '.join(names)} FROM shapes ORDER BY id")
+        return [Record(**dict(zip(names, row, strict=True))) for row in rows]
 
     def times(self) -> dict[str, str]:
         """When each shape, or its failure, was stored, by id: UTC, as 2026-01-31T12:00:00+00:00."""

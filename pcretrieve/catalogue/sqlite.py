@@ -201,7 +201,7 @@ def connect(path: Path, *, create: bool) -> sqlite3.Connection:
         raise CatalogueError(
             f"{path} is on a file system of the type {_file_system(path)[0]}, whose locks other computers do "
             "not see, so that two writers would damage it: ingest into a file on a local disk, and copy it "
-            "when it is complete (pcretrieve backup); or use PostgreSQL"
+            "when it is complete (pcretrieve catalogue backup); or use PostgreSQL"
         )
     with translated(path):
         if not size or _is_writable(path):

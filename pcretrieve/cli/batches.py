@@ -54,21 +54,18 @@ QUOTED = 5
     opt.PATH,
 )
 @opt.option("--retry-failed", "Process failed scans again too.")
-@opt.option(
-    "--retries N",
-    "Try failing scans again, at most N times, with changes.",
-    opt.NUMBER,
-    default=0,
+@opt.rare_option(
+    "--retries N", "Try failing scans again, at most N times, with changes.", opt.NUMBER, default=0
 )
 @opt.rare_option(
     "--max-failures N",
     "Stop after N scans have failed. The same command goes on from there.",
     opt.COUNT,
 )
-@opt.option("--dry-run", "Show what would be done, and do nothing.")
+@opt.rare_option("--dry-run", "Show what would be done, and do nothing.")
 @opt.progress_option
-@opt.option("--quiet -q", "Print warnings and failures only.")
-@opt.option("--log-file FILE", "Append each stage of each scan, and each repair, to a file.", opt.PATH)
+@opt.rare_option("--quiet -q", "Print warnings and failures only.")
+@opt.rare_option("--log-file FILE", "Append each stage of each scan, and each repair, to a file.", opt.PATH)
 @opt.rare_option(
     "--shard I/N",
     "Process only part I of N, as one task of a job array; `catalogue merge` joins the catalogues.",
@@ -143,7 +140,7 @@ def _facts(record: pr.Record) -> dict[str, object]:
 
 
 @opt.command("retry")
-@opt.catalogue_argument
+@opt.catalogue_option
 @opt.option(
     "--stage STAGE",
     "Only scans that failed in this stage, as `pcretrieve status` names it; worker: those whose "
@@ -160,7 +157,7 @@ def retry_command(catalogue: str, progress: str, **chosen: Any) -> out.Result:
     """Process failed scans again, with the settings of their catalogue.
 
     \b
-    pcretrieve retry bodies.sqlite --stage worker --timeout 3600
+    pcretrieve catalogue retry -c bodies.sqlite --stage worker --timeout 3600
     """
     with pr.Catalogue(catalogue) as store, Progress("retry", progress) as shown:
         summary = pr.retry(store, on_start=shown.start, on_shape=partial(_advance, shown), **chosen)
@@ -206,12 +203,12 @@ def _tell(record: pr.Record) -> None:
 
 
 @opt.command("status")
-@opt.catalogue_argument
+@opt.catalogue_option
 def status_command(catalogue: str) -> out.Result:
     """Show the progress of the last ingest, while it runs and afterwards.
 
     \b
-    pcretrieve status bodies.sqlite
+    pcretrieve status -c bodies.sqlite
     """
     found = pr.status(catalogue)
     document = {"catalogue": without_password(catalogue)} | asdict(found)

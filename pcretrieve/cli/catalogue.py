@@ -1,4 +1,4 @@
-"""Commands that look after a catalogue: list, show, remove, catalogue merge, check, backup, export."""
+"""Commands that look after a catalogue: list, show, remove, and the group `catalogue`."""
 
 from __future__ import annotations
 
@@ -122,15 +122,6 @@ def remove_command(shape_ids: tuple[str, ...], catalogue: str) -> out.Result:
     return out.Result({"removed": [*chosen]})
 
 
-@click.group("catalogue")
-def catalogue_command() -> None:
-    """Join catalogues.
-
-    \b
-    pcretrieve catalogue merge part-*.sqlite -o all.sqlite
-    """
-
-
 @opt.command("merge")
 @click.argument("parts", nargs=-1, required=True, type=opt.CATALOGUE, metavar="PART...")
 @opt.option(
@@ -154,11 +145,8 @@ def merge_command(parts: tuple[str, ...], output: str) -> out.Result:
     return out.Result(asdict(merged))
 
 
-catalogue_command.add_command(merge_command)
-
-
 @opt.command("check")
-@opt.catalogue_argument
+@opt.catalogue_option
 @opt.option(
     "--sample N",
     "Compute N signatures again, from stored surfaces or unchanged files.",
@@ -175,7 +163,7 @@ def check_command(catalogue: str, sample: int, repair: bool) -> out.Result:
     The exit code is 1 if damage is left.
 
     \b
-    pcretrieve check bodies.sqlite --repair
+    pcretrieve catalogue check -c bodies.sqlite --repair
     """
     with pr.Catalogue(catalogue) as store, Progress("check", "bar") as shown:
 
@@ -216,7 +204,7 @@ def backup_command(catalogue: str, file: Path) -> out.Result:
     The copy is a catalogue itself, in SQLite. For large databases `pg_dump` is faster.
 
     \b
-    pcretrieve backup bodies.sqlite bodies-monday.sqlite
+    pcretrieve catalogue backup bodies.sqlite bodies-monday.sqlite
     """
     say(f"copying {catalogue}")
     size = pr.backup(catalogue, file)
@@ -246,9 +234,9 @@ def export_command(
     """Write meshes or signatures of a catalogue to files.
 
     \b
-    pcretrieve export cat0 --catalogue bodies.sqlite -o cat0.obj
-    pcretrieve export --catalogue bodies.sqlite -o meshes/
-    pcretrieve export --signatures --catalogue bodies.sqlite -o bodies.parquet
+    pcretrieve catalogue export cat0 -c bodies.sqlite -o cat0.obj
+    pcretrieve catalogue export -c bodies.sqlite -o meshes/
+    pcretrieve catalogue export --signatures -c bodies.sqlite -o bodies.parquet
     """
     if not signatures:
         opt.refuse("meshes have no such options, which are for --signatures", *opt.COMPARISON)

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable
 from dataclasses import fields
 from functools import partial
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ COLUMNS = dict.fromkeys(("NN", "FT", "ST", "E", "DCG", "mAP"), "number")
 MEASURES = tuple(name.lower() for name in COLUMNS)
 COLUMNS |= {"": "words"}
 FALSE_MATCH_RATES = (0.01, 0.001)
+RARE = ("ST", "E")  # of papers, not needed to judge a collection
 PRECISIONS = {"ID": "text", "CLASS": "text", "A": "number", "B": "number"}
 
 
@@ -39,20 +41,22 @@ PRECISIONS = {"ID": "text", "CLASS": "text", "A": "number", "B": "number"}
     opt.PATH,
     into="folder",
 )
+@opt.verbose_option
 @opt.comparison_options
 def evaluate_command(
     catalogue: str | None,
     labels: str | None,
     per_class: bool,
     folder: Path | None,
+    is_verbose: bool,
     **values: Any,
 ) -> out.Result:
     """Measure how well scans of one class find each other.
 
     Each shape is a query in all others; shapes that failed count as misses. The measures are nearest
-    neighbour (NN), first and second tier (FT, ST), E-measure (E), discounted cumulative gain (DCG) and mean
-    average precision (mAP): means over the queries, with 95 % confidence intervals, and over the classes.
-    Labels do not help the ranking.
+    neighbour (NN), first tier (FT), discounted cumulative gain (DCG) and mean average precision (mAP), with
+    --verbose also second tier (ST) and E-measure (E): means over the queries, with 95 % confidence intervals,
+    and over the classes. Labels do not help the ranking.
 
     \b
     pcretrieve evaluate --catalogue bodies.sqlite --per-class --csv bodies/
@@ -78,9 +82,8 @@ def evaluate_command(
     if folder is not None:
         found.write(folder)
         say(f"queries, classes, confusion, precision_recall, det: .csv files in {folder}")
-    return out.Result(
-        _evaluation_document(found, how, per_class), options, lambda: _write_evaluation(found, how, per_class)
-    )
+    show = partial(_write_evaluation, found, how, per_class, is_verbose)
+    return out.Result(_evaluation_document(found, how, per_class), options, show)
 
 
 def _how(
@@ -144,8 +147,13 @@ def _rows(found: pr.Evaluation, rerank: str, per_class: bool) -> list[tuple[str,
     return rows
 
 
-def _write_evaluation(found: pr.Evaluation, how: dict[str, object], per_class: bool) -> None:
-    out.write_table(COLUMNS, _rows(found, str(how["rerank"]), per_class))
+def _write_evaluation(
+    found: pr.Evaluation, how: dict[str, object], per_class: bool, is_verbose: bool
+) -> None:
+    columns = {name: kind for name, kind in COLUMNS.items() if is_verbose or name not in RARE}
+    kept = [name in columns for name in COLUMNS]
+    rows = _rows(found, str(how["rerank"]), per_class)
+    out.write_table(columns, (tuple(compress(row, kept)) for row in rows))
     rankings, whitening = found.ranked.rankings, found.ranked.whitening
     by = f"scale {how['scale']}" if "scale" in how else f"distances of {how['matrix']}"
     if how.get("size_weight"):
@@ -157,7 +165,7 @@ def _write_evaluation(found: pr.Evaluation, how: dict[str, object], per_class: b
     if rates := found.verification:
         missed = ", ".join(f"{rates.missed(rate):.2%} at {rate:g}" for rate in FALSE_MATCH_RATES)
         say(f"pairs: equal error rate {rates.equal_error:.2%}; missed at a false-match rate: {missed}")
-    if whitening:
+    if whitening and is_verbose:
         say(f"whitening: {whitening}")
     if found.protocol:
         say(found.protocol)
@@ -186,8 +194,8 @@ def compare_command(
     --whitening once for both, or twice: for A and for B.
 
     \b
-    pcretrieve compare A.sqlite A.sqlite --whitening none --whitening pca
-    pcretrieve compare run1.txt run2.txt --labels shrec11.cla
+    pcretrieve lab compare A.sqlite A.sqlite --whitening none --whitening pca
+    pcretrieve lab compare run1.txt run2.txt --labels shrec11.cla
     """
     one, two = (_options_of(comparison, number) for number in range(2))
     found = pr.compare(first, second, options=one, second_options=two, labels=labels)
@@ -260,7 +268,7 @@ def calibrate_command(store: pr.Catalogue, options: pr.PipelineOptions, output: 
 
     \b
     pcretrieve ingest three_people/ --labels people.csv --catalogue three.sqlite
-    pcretrieve calibrate --catalogue three.sqlite -o metric.npz
+    pcretrieve lab calibrate --catalogue three.sqlite -o metric.npz
     pcretrieve query --catalogue bodies.sqlite new_scan.ply --whitening metric.npz
     """
     whitening = pr.calibrate(store, output, options=options)

@@ -51,10 +51,7 @@ def inspect_command(scan: Path, output: Path | None, png: Path | None, **run: An
     asked = {"options": options, "n_rescans": run.pop("n_rescans"), "png": png}
     run |= {"output": output or Path(scan.stem + ".html"), "suffix": ".html", "is_alone": is_alone}
     run["timeout"] *= 1 + asked["n_rescans"]
-    found = [
-        {"scan": name} | facts
-        for name, facts in each_scan("inspect", partial(_inspected, **asked), scan, **run)
-    ]
+    found = list(each_scan("inspect", partial(_inspected, **asked), scan, **run))
     if is_alone:
         _say_checks(found[0])
 
@@ -72,7 +69,6 @@ def _inspected(scan: Path, page: Path, **asked: Any) -> dict[str, Any]:
     """Inspect a scan in a worker process, which writes the page. Returns what JSON has of it."""
     found = pr.inspect(scan, page=page, **asked)
     return {
-        "scan": found.path,
         "page": str(page.absolute()),
         "png": asked["png"],
         "verdict": found.verdict,
@@ -111,7 +107,7 @@ def report_problem_command(scan: Path, output: Path | None, with_scan: bool, **l
     hash and measurements of the scan. It has no points, unless you give --with-scan, and no folder names.
 
     \b
-    pcretrieve report-problem scan.ply
+    pcretrieve lab report-problem scan.ply
     """
     options = opt.load_options(limits)
     output = output or Path(f"{scan.stem}-problem.zip")

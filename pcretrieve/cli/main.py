@@ -10,10 +10,11 @@ import logging
 import os
 import signal
 import sys
+from collections.abc import Mapping
 from contextlib import suppress
 from importlib import import_module
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import click
 
@@ -29,66 +30,81 @@ STANDARD_ERROR = 2
 
 # The commands, each with its module and its line in the list of commands. A command is the function
 # `NAME_command`, with underscores for hyphens; its module is imported when the command or its help is called.
-COMMANDS = {
-    "demo": ("batches", "Try everything on simulated scans"),
-    "merge": ("scans", "Merge views of one body into one scan"),
-    "reconstruct": ("scans", "Turn a scan into a closed surface"),
-    "signature": ("scans", "Print the signatures of scans"),
-    "inspect": ("inspection", "Show what is wrong with a scan"),
-    "report-problem": ("inspection", "Pack a scan that fails for a report to us"),
-    "ingest": ("batches", "Process scans, and store them in a catalogue"),
-    "status": ("batches", "Show progress of the last ingest"),
+CATALOGUE = {
+    "merge": ("catalogue", "Join catalogues"),
     "retry": ("batches", "Process failed scans again"),
-    "watch": ("batches", "Ingest scans as they arrive in a folder"),
-    "query": ("search", "Find the shapes most similar to a scan"),
-    "evaluate": ("evaluation", "Measure how well scans of one class find each other"),
-    "compare": ("evaluation", "Compare the measures of two results"),
-    "calibrate": ("evaluation", "Learn from labelled scans what to ignore"),
-    "matrix": ("search", "Write the distances of all pairs of shapes"),
-    "duplicates": ("search", "Find shapes that look the same"),
-    "cluster": ("search", "Group similar shapes without classes"),
-    "map": ("search", "Plot a 2-D map of shapes"),
-    "report": ("evaluation", "Write a page of queries, results and measures"),
-    "serve": ("search", "Show a catalogue in the browser"),
-    "list": ("catalogue", "List the shapes of a catalogue"),
-    "show": ("catalogue", "Show how a shape was made"),
-    "remove": ("catalogue", "Remove shapes from a catalogue"),
-    "catalogue": ("catalogue", "Join catalogues"),
     "check": ("catalogue", "Check a catalogue for damage"),
     "backup": ("catalogue", "Copy a catalogue to one file"),
     "export": ("catalogue", "Write meshes or signatures to files"),
+}
+LAB = {
+    "reconstruct": ("scans", "Turn a scan into a closed surface"),
+    "signature": ("scans", "Print the signatures of scans"),
+    "matrix": ("search", "Write the distances of all pairs of shapes"),
+    "compare": ("evaluation", "Compare the measures of two results"),
+    "calibrate": ("evaluation", "Learn from labelled scans what to ignore"),
+    "cluster": ("search", "Group similar shapes without classes"),
+    "map": ("search", "Plot a 2-D map of shapes"),
     "options": ("options", "Print all settings with their units"),
+    "report-problem": ("inspection", "Pack a scan that fails for a report to us"),
+}
+COMMANDS = {
+    "demo": ("batches", "Try everything on simulated scans"),
+    "ingest": ("batches", "Process scans, and store them in a catalogue"),
+    "status": ("batches", "Show progress of the last ingest"),
+    "watch": ("batches", "Ingest scans as they arrive in a folder"),
+    "query": ("search", "Find the shapes most similar to a scan"),
+    "serve": ("search", "Show a catalogue in the browser"),
+    "inspect": ("inspection", "Show what is wrong with a scan"),
+    "merge": ("scans", "Merge views of one body into one scan"),
+    "evaluate": ("evaluation", "Measure how well scans of one class find each other"),
+    "report": ("evaluation", "Write a page of queries, results and measures"),
+    "duplicates": ("search", "Find shapes that look the same"),
+    "list": ("catalogue", "List the shapes of a catalogue"),
+    "show": ("catalogue", "Show how a shape was made"),
+    "remove": ("catalogue", "Remove shapes from a catalogue"),
+    "catalogue": (CATALOGUE, f"Look after catalogues: {', '.join(CATALOGUE)}"),
+    "lab": (LAB, "The laboratory: signatures, distances, settings"),
 }
 
 
 class _LazyGroup(click.Group):
     """Commands that are imported when they are called, so that ``--help`` does not wait for imports."""
 
+    def __init__(self, table: Mapping[str, tuple[Any, str]], **settings: Any) -> None:
+        super().__init__(**settings)
+        self._table = table
+
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(COMMANDS)
+        return list(self._table)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in COMMANDS:
+        if cmd_name not in self._table:
             return None
-        module = import_module(f"pcretrieve.cli.{COMMANDS[cmd_name][0]}")
-        command: click.Command = getattr(module, f"{cmd_name.replace('-', '_')}_command")
+        module, text = self._table[cmd_name]
+        if isinstance(module, dict):
+            return _LazyGroup(module, name=cmd_name, help=f"{text}.")
+        found = getattr(import_module(f"pcretrieve.cli.{module}"), f"{cmd_name.replace('-', '_')}_command")
+        command: click.Command = found
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+            formatter.write_dl([(name, text) for name, (_, text) in self._table.items()])
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name = args[0]
-        if name not in COMMANDS and not name.startswith("-") and not ctx.resilient_parsing:
+        if name not in self._table and not name.startswith("-") and not ctx.resilient_parsing:
+            places = [f"{place} {name}" for place in ("lab", "catalogue") if name in COMMANDS[place][0]]
+            meant = f"; did you mean {places[0]!r}?" if places else did_you_mean(name, self._table)
             with errors_as_json(ctx, JSON_FLAG in args):
-                raise click.UsageError(f"there is no command {name!r}{did_you_mean(name, COMMANDS)}", ctx)
+                raise click.UsageError(f"there is no command {name!r}{meant}", ctx)
         return super().resolve_command(ctx, args)
 
 
-@click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=_LazyGroup, table=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="pcretrieve")
 @click.pass_context
 def cli(context: click.Context) -> None:

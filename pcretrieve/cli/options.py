@@ -47,6 +47,9 @@ COMPARISON = ("config", *SIGNATURE_FLAGS, *RETRIEVAL_FLAGS)
 MATCHERS = ("heat-hausdorff", "hks-bow-gallery", "mds-cm-bof", "meshsift")
 WHITENING_NAMES = ("auto", "unsupervised", "none", "people", "neighbours", "pca", "within-class")
 
+# What messages call the values of these types.
+KINDS = {click.IntRange: "whole number", click.FloatRange: "number"}
+
 # Ratio of the largest to the smallest area, from which files probably have different units: the areas of a
 # horse and a mouse have a smaller ratio, those of one body in centimetres and in metres a larger one (1e4).
 MIXED_UNITS = 3000
@@ -84,8 +87,16 @@ class Command(click.Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse; with ``--json``, an error is a document too."""
+        given = [*args]
         with errors_as_json(ctx, JSON_FLAG in args):
-            return super().parse_args(ctx, args)
+            try:
+                return super().parse_args(ctx, args)
+            except click.UsageError as error:
+                stray = [word for word in given if word.endswith(".sqlite")]
+                takes_one = {"-c", "--catalogue"} & {name for one in self.params for name in one.opts}
+                if stray and takes_one and not takes_one & {*given}:
+                    raise click.UsageError(f"write -c before a catalogue: -c {stray[0]}", ctx) from error
+                raise
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run, print the result, and end with its exit code."""
@@ -116,6 +127,8 @@ def option(
     is_flag = kind is None and metavar is None
     settings.setdefault("show_default", settings.get("default") is not None and not is_flag)
     chosen = click.Choice(kind) if isinstance(kind, tuple) else kind
+    if type(kind) in KINDS:
+        kind.name = KINDS[type(kind)]
     names += [into] if into else []
     return click.option(
         *names, cls=Option, type=chosen, metavar=metavar, is_flag=is_flag or None, help=text, **settings
@@ -173,7 +186,7 @@ def _shapes(context: click.Context) -> dict[str, str | None]:
     location = context.params.get("catalogue") or os.environ.get(CATALOGUE_VARIABLE)
     try:
         with pr.Catalogue(location or "") as store:
-            return {record.id: record.label for record in store.outlines()}
+            return {record.id: record.label for record in store.origins()}
     except (PcretrieveError, OSError):
         return {}
 
@@ -203,8 +216,6 @@ PATH = click.Path(path_type=Path)
 COUNT = click.IntRange(min=1)
 NUMBER = click.IntRange(min=0)
 
-#: Of commands whose only argument is a catalogue.
-catalogue_argument = click.argument("catalogue", type=CATALOGUE, envvar=CATALOGUE_VARIABLE)
 catalogue_option = option(
     "--catalogue -c FILE|URL",
     "The catalogue.",
@@ -220,6 +231,9 @@ progress_option = rare_option(
     ("bar", "json", "none"),
     default="bar",
 )
+verbose_option = option(
+    "--verbose -v", "Print how shapes were compared, and all measures.", into="is_verbose"
+)
 labels_option = option("--labels CSV|LAYOUT", "Use these classes, not the stored ones; see `ingest --help`.")
 up_option = rare_option(
     "--up",
@@ -228,8 +242,7 @@ up_option = rare_option(
 )
 config_option = option(
     "--config TOML|PRESET",
-    "Settings: a file made by `pcretrieve options`, or body-scanner, handheld, depth-camera, clean-mesh, "
-    "paper, classic.",
+    "Settings: a file made by `pcretrieve lab options`, or body-scanner, handheld, depth-camera, clean-mesh.",
     PATH,
     shell_complete=complete_presets,
 )
@@ -275,8 +288,8 @@ def load_options(values: dict[str, Any]) -> pr.PipelineOptions:
 
 # --- options of commands that compare shapes -----------------------------------------------------------
 
-matrix_option = option(
-    "--matrix FILE", "Rank by the distances in this file, which `pcretrieve matrix` writes.", PATH
+matrix_option = rare_option(
+    "--matrix FILE", "Rank by the distances in this file, which `pcretrieve lab matrix` writes.", PATH
 )
 method_option = rare_option(
     "--method NAME",
@@ -370,7 +383,7 @@ def changes(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
     if (method := signature.get("method")) in MATCHERS:
         raise click.UsageError(
             f"{method} compares pairs of surfaces, and has no signatures: write its distances by "
-            f"`pcretrieve matrix --matcher {method} -o FILE`, and give `query` or `report` --matrix FILE"
+            f"`pcretrieve lab matrix --matcher {method} -o FILE`, and give `query` or `report` --matrix FILE"
         )
     # A whitening by name replaces a file that the configuration names, and vice versa.
     if "whitening" in retrieval:
@@ -406,7 +419,7 @@ def options_command(**values: Any) -> Result:
     """Print all settings of the pipeline with their units, as TOML for --config.
 
     \b
-    pcretrieve options > mine.toml
+    pcretrieve lab options > mine.toml
     """
     from pcretrieve.options import describe_options
 

@@ -67,11 +67,6 @@ def write_words(text: str) -> None:
     print_text(broken(escaped(without_password(text)), sys.stdout))
 
 
-def write_row(cells: Iterable[str]) -> None:
-    """Print a row of a result, with tabs between its cells."""
-    print_text("\t".join(map(escaped, cells)))
-
-
 def write_csv(text: str) -> None:
     """Print the text of a CSV file: as it is for a program, escaped for a terminal."""
     shown = text.translate(ESCAPES_IN_JSON) if sys.stdout.isatty() else text

@@ -14,7 +14,7 @@ import click
 
 import pcretrieve as pr
 from pcretrieve.cli import options as opt, output as out
-from pcretrieve.cli.messages import Progress, failure_line, say, shown_path
+from pcretrieve.cli.messages import Progress, escaped, failure_line, say, shown_path
 from pcretrieve.errors import ShapeError, Stage, in_stage
 
 MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
@@ -28,10 +28,10 @@ def each_scan(
     progress: str | None,
     is_alone: bool = False,
     **run: Any,
-) -> Iterator[tuple[str, dict[str, Any]]]:
+) -> Iterator[dict[str, Any]]:
     """`map_scans` with progress, if there are several scans; the error of a scan alone is raised.
 
-    Yields the name of each scan, and what the function returns of it, or its failure for JSON.
+    Yields for JSON the path of each scan, and what the function returns of it, or its failure.
     """
     with Progress(command, progress or "none") as shown:
 
@@ -48,12 +48,11 @@ def each_scan(
                 shown.advance(facts | out.failure_facts(outcome), failure_line(stem, outcome, name))
 
         for name, outcome in pr.map_scans(function, paths, on_start=start, on_scan=advance, **run):
-            if not isinstance(outcome, ShapeError):
-                yield name, outcome
-            elif is_alone:
+            if is_alone and isinstance(outcome, ShapeError):
                 raise outcome
-            else:
-                yield name, out.failure_facts(outcome)
+            yield {"path": name} | (
+                out.failure_facts(outcome) if isinstance(outcome, ShapeError) else outcome
+            )
 
 
 # --- merge ---------------------------------------------------------------------------------------------
@@ -149,18 +148,15 @@ def reconstruct_command(scan: Path, output: Path, suffix: str | None, report: bo
     The surface is oriented and manifold. Each scan of a folder gets a mesh of the same name.
 
     \b
-    pcretrieve reconstruct scan.ply -o body.obj --report
-    pcretrieve reconstruct scans/ -o meshes/ --workers 2
+    pcretrieve lab reconstruct scan.ply -o body.obj --report
+    pcretrieve lab reconstruct scans/ -o meshes/ --workers 2
     """
     options, is_alone = opt.load_options(run), not scan.is_dir()
     if is_alone and suffix is not None:
         raise click.UsageError("--suffix is for folders: give the suffix of the mesh with -o")
     run |= {"output": output, "suffix": suffix or ".ply", "kind": "mesh", "is_alone": is_alone}
     # Printed at the end, because they would break a bar.
-    found = [
-        {"scan": name} | facts
-        for name, facts in each_scan("reconstruct", partial(_reconstructed, options=options), scan, **run)
-    ]
+    found = list(each_scan("reconstruct", partial(_reconstructed, options=options), scan, **run))
     made = [facts for facts in found if "mesh" in facts]
     if not is_alone:
         say(f"{len(made)} surfaces are in {output}, {len(found) - len(made)} scans failed")
@@ -168,10 +164,10 @@ def reconstruct_command(scan: Path, output: Path, suffix: str | None, report: bo
     def show() -> None:
         for facts in made if report else ():
             if not is_alone:
-                out.write_lines(shown_path(facts["scan"]))
+                out.write_lines(shown_path(facts["path"]))
             out.write_steps(facts["steps"])
         if is_alone:
-            facts = {name: value for name, value in found[0].items() if name not in ("scan", "steps")}
+            facts = {name: value for name, value in found[0].items() if name not in ("path", "steps")}
             texts = (f"{value:.6g}" if isinstance(value, float) else str(value) for value in facts.values())
             say("  ".join(f"{name} {text}" for name, text in zip(facts, texts, strict=True)))
 
@@ -216,9 +212,9 @@ def signature_command(
     With --from-catalogue, the lines begin with the id, and nothing is reconstructed again.
 
     \b
-    pcretrieve signature body.obj
-    pcretrieve signature scans/ --method shape-dna --json
-    pcretrieve signature --from-catalogue bodies.sqlite T12 T17 --method wks
+    pcretrieve lab signature body.obj
+    pcretrieve lab signature scans/ --method shape-dna --json
+    pcretrieve lab signature --from-catalogue bodies.sqlite T12 T17 --method wks
     """
     changes = {"signature": opt.taken(values, "n_modes", *opt.SIGNATURE_FLAGS)}
     if from_catalogue is not None:
@@ -233,10 +229,9 @@ def signature_command(
         # On a terminal, the signatures themselves show the progress, and would break a bar.
         if progress == "bar" and not out.prints_json() and sys.stdout.isatty():
             progress = None
-        scans = each_scan(
+        rows = each_scan(
             "signature", partial(_described, options=options), paths, progress=progress, **values
         )
-        rows = ({"path": path} | facts for path, facts in scans)
     failures: list[str] = []
 
     def counted() -> Iterator[dict[str, Any]]:
@@ -248,8 +243,8 @@ def signature_command(
     def show() -> None:
         for facts in counted():
             if "values" in facts:
-                name = facts.get("id") or facts["path"]
-                out.write_row([shown_path(name), *(f"{value:.9g}" for value in facts["values"])])
+                name = escaped(shown_path(facts.get("id") or facts["path"]))
+                out.print_text("\t".join([name, *(f"{value:.9g}" for value in facts["values"])]))
 
     return out.Result(counted(), options, show, failures)
 

@@ -54,7 +54,7 @@ PAIR = {"DISTANCE": "number", "LIMIT": "number", "FIRST": "text", "SECOND": "tex
     callback=opt.classes_of,
     shell_complete=opt.complete_labels,
 )
-@opt.option("--exclude-self", "Leave stored queries out of their results.")
+@opt.rare_option("--exclude-self", "Leave stored queries out of their results.")
 @opt.option(
     "--min-score SHARE", 'Hide results below this score; "no match" if none is left.', click.FloatRange(0, 1)
 )
@@ -67,14 +67,16 @@ PAIR = {"DISTANCE": "number", "LIMIT": "number", "FIRST": "text", "SECOND": "tex
 @opt.on_catalogue
 @opt.unit_option
 @opt.limit_options
-@opt.option("--csv", "Print one table of all results, as CSV.", into="as_csv")
+@opt.rare_option("--csv", "Print one table of all results, as CSV.", into="as_csv")
 @opt.option("--html PAGE", "Write an HTML page of all queries too, with pictures.", opt.PATH, into="page")
+@opt.verbose_option
 @opt.up_option
 def query_command(
     store: pr.Catalogue,
     options: pr.PipelineOptions,
     queries: tuple[str, ...],
     as_csv: bool,
+    is_verbose: bool,
     page: Path | None,
     up: str | None,
     **asked: Any,
@@ -113,7 +115,7 @@ def query_command(
         for name, answer in outcomes:
             if not isinstance(answer, ShapeError):
                 _write_table(answer, None if is_alone else name)
-        if asked["matrix"] is None:
+        if is_verbose and asked["matrix"] is None:
             index = store.index(options)
             say(f"whitening: {store.whitening(options).reason}")
             score = index.scores.reason if index.scores else "none, because labels and shapes are too few"
@@ -203,7 +205,7 @@ def matrix_command(
     are named and left out.
 
     \b
-    pcretrieve matrix --catalogue bodies.sqlite -o bodies.txt
+    pcretrieve lab matrix --catalogue bodies.sqlite -o bodies.txt
     pcretrieve evaluate --catalogue bodies.sqlite --matrix bodies.txt
     """
     if matcher is not None:
@@ -261,7 +263,7 @@ def cluster_command(
     The method is HDBSCAN. The table has the columns id and label; a shape in no cluster has no label.
 
     \b
-    pcretrieve cluster --catalogue bodies.sqlite -o clusters.csv
+    pcretrieve lab cluster --catalogue bodies.sqlite -o clusters.csv
     """
     from pcretrieve.values.files import csv_text, write_file
 
@@ -293,7 +295,7 @@ def map_command(store: pr.Catalogue, options: pr.PipelineOptions, output: Path, 
     A page (.html) shows name and thumbnail of the shape under the pointer. A picture (.png) needs matplotlib.
 
     \b
-    pcretrieve map --catalogue bodies.sqlite -o bodies.html
+    pcretrieve lab map --catalogue bodies.sqlite -o bodies.html
     """
     page = pr.draw_map(store, output, options=options, up=up)
     return out.Result({"page": page}, options, lambda: out.write_lines(shown_path(str(page))))

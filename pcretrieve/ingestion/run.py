@@ -286,7 +286,7 @@ def process_scans(
     part: the scans of the shard that is processed; by default all.
     """
     remove_abandoned()  # also where nothing is left to do after a kill
-    records = catalogue.outlines()
+    records = catalogue.origins()
     planner = Planner(paths, records, how, labels, part)
     limits: dict[str, Any] = {"workers": how.workers, "timeout": how.timeout, "memory": how.memory}
     with closing(planner.contents):

@@ -55,7 +55,7 @@ def _explain(error: ValidationError) -> str:
         elif problem["type"] == "value_error":
             clauses.append(f"{name}: {cause}" if name else str(cause))
         elif problem["type"] == "extra_forbidden":
-            clauses.append(f"there is no option {name!r}; `pcretrieve options` lists them all")
+            clauses.append(f"there is no option {name!r}; `pcretrieve lab options` lists them all")
         else:
             clauses.append(
                 f"{name}: {problem['msg'][0].lower()}{problem['msg'][1:]}, got {problem['input']!r}"
@@ -231,7 +231,7 @@ class SignatureOptions(Options):
     """Spectrum and surface → descriptor."""
 
     method: Annotated[str, AfterValidator(_known_method)] = "hapt+r-bihdm"
-    """The descriptor; `pcretrieve signature --help` lists all of them. Names joined by + fuse descriptors."""
+    """The descriptor; `lab signature --help-all` lists all of them. Names joined by + fuse descriptors."""
     n_values: Count = 23
     """Number L of values of the descriptor, or of each that is fused; of bags of features, of words.
     Higher values depend more on how finely a surface is triangulated."""
@@ -280,7 +280,7 @@ class RetrievalOptions(Options):
     within classes (within-class). auto: people if most shapes are like people; else within-class if labels
     suffice, else neighbours; none for few shapes. unsupervised: auto without labels, as in an evaluation."""
     calibration: str | None = None
-    """File of a whitening that `pcretrieve calibrate` has fitted to labelled scans, which replaces that of
+    """File of a whitening that `lab calibrate` has fitted to labelled scans, which replaces that of
     the option whitening; none by default."""
     shrinkage: Shrinkage = "auto"
     """Regularisation of the covariance of a whitening: for pca relative to its largest

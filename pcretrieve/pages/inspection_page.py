@@ -85,6 +85,8 @@ def inspect(
     ------
     InputError
         If `scan` cannot be converted to a cloud or a mesh, or a file cannot be written.
+    ScanReadError
+        If the file is no scan.
     """
     from pcretrieve.pipeline.inspecting import inspect_scan
 

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from pcretrieve.checks import OUTCOMES, Check, Inspection, findings_of, graded
 from pcretrieve.errors import OptionError, ShapeError
-from pcretrieve.formats import ScanLike
+from pcretrieve.formats import ScanLike, is_scan, split_member
 from pcretrieve.formats.identity import printable
 from pcretrieve.options import JUDGED, OptionsLike, PipelineOptions
 from pcretrieve.pipeline.process import Seen, placed, shape_of, signature, signature_of, stages
@@ -55,6 +55,8 @@ def inspect_scan(
                 deviation = _rescan_deviation(seen.scan, options, n_rescans)
                 spread = float(np.sqrt((deviation**2).sum()))
     except ShapeError as error:
+        if path and seen.scan is None and not is_scan(split_member(Path(path))[0]):
+            raise  # a file of another kind, of which there is nothing to show
         failure = Failure(name, error.stage or "worker", type(error).__name__, error.message)
     found = findings_of(seen.cloud, seen.mesh, seen.marks, shape)
     checks = [*found.checks]

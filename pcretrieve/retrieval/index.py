@@ -144,7 +144,7 @@ class SignatureIndex:
     options : RetrievalOptions, optional
         The distance, and the whitening to fit on `table`.
     whitening : Whitening, optional
-        A whitening made before, such as of `pcretrieve calibrate`, instead of the one that `options` name.
+        A whitening made before, such as of `lab calibrate`, instead of the one that `options` name.
     distance : Distance, optional
         A distance of one's own, instead of the one that `options` name.
     scores : MatchScores, optional

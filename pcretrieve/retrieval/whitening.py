@@ -158,7 +158,7 @@ def read_whitening(path: Path) -> Whitening:
             return replace(whitening, reason=f"{whitening.reason}, from {path}")
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError, TypeError, KeyError) as error:
         raise InputError(
-            f"a whitening must be a name such as auto, or a file of `pcretrieve calibrate`, got {path} "
+            f"a whitening must be a name such as auto, or a file of `pcretrieve lab calibrate`, got {path} "
             f"({error})"
         ) from error
 

@@ -14,6 +14,7 @@ from pcretrieve.values.base import Value, numbers
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
+    from typing_extensions import Self
 
 # Smallest ratio of the area of a face to the square of its longest edge. Below it cotangents of the angles
 # exceed 1e8, and rounding errors of the stiffness matrix reach the size of its small eigenvalues.
@@ -45,8 +46,27 @@ class Step:
     notes: tuple[str, ...] = ()
 
 
+class _Processed(Value):
+    """Base class of values that know the stages that made them."""
+
+    __slots__ = ()
+    provenance: tuple[Step, ...]
+
+    @property
+    def up(self) -> FloatArray | None:
+        """(3,) unit normal of the ground that `crop` removed, towards the body; None if it removed none."""
+        for step in self.provenance:
+            if step.stage == "crop" and "up_x" in step.sizes:
+                return np.array([step.sizes[f"up_{axis}"] for axis in "xyz"])
+        return None
+
+    def after(self, step: Step) -> Self:
+        """The same value with one more step in its provenance."""
+        return replace(self, provenance=(*self.provenance, step))  # type: ignore[type-var]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class PointCloud(Value):
+class PointCloud(_Processed):
     """A point cloud, in the unit of the file.
 
     Parameters
@@ -81,11 +101,6 @@ class PointCloud(Value):
             if viewpoints.shape == (3,):
                 object.__setattr__(self, "viewpoints", np.broadcast_to(viewpoints, (n, 3)))
             self._lock("viewpoints", (n, 3))
-
-    @property
-    def up(self) -> FloatArray | None:
-        """(3,) unit normal of the ground that `crop` removed, towards the body; None if it removed none."""
-        return _ground_normal(self.provenance)
 
     @property
     def diagonal(self) -> float:
@@ -127,13 +142,9 @@ class PointCloud(Value):
 
         return picture_html(cloud_thumbnail(self.points) if len(self.points) else None, repr(self))
 
-    def after(self, step: Step) -> PointCloud:
-        """The same cloud with one more step in its provenance."""
-        return replace(self, provenance=(*self.provenance, step))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TriangleMesh(Value):
+class TriangleMesh(_Processed):
     """A triangulated surface, in the unit of the file.
 
     Parameters
@@ -161,11 +172,6 @@ class TriangleMesh(Value):
     def diagonal(self) -> float:
         """Diagonal of the axis-aligned bounding box."""
         return bounding_diagonal(self.vertices)
-
-    @property
-    def up(self) -> FloatArray | None:
-        """(3,) unit normal of the ground that `crop` removed, towards the body; None if it removed none."""
-        return _ground_normal(self.provenance)
 
     @property
     def area_vectors(self) -> FloatArray:
@@ -245,17 +251,6 @@ class TriangleMesh(Value):
         except DegenerateMeshError:  # no area to draw
             picture = None
         return picture_html(picture, repr(self))
-
-    def after(self, step: Step) -> TriangleMesh:
-        """The same surface with one more step in its provenance."""
-        return replace(self, provenance=(*self.provenance, step))
-
-
-def _ground_normal(provenance: tuple[Step, ...]) -> FloatArray | None:
-    for step in provenance:
-        if step.stage == "crop" and "up_x" in step.sizes:
-            return np.array([step.sizes[f"up_{axis}"] for axis in "xyz"])
-    return None
 
 
 def adjacency(mesh: TriangleMesh) -> csr_array:

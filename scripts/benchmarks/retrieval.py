@@ -14,7 +14,7 @@ queries that have a match, and "right" the share of these matches that are of th
 
 Whitenings by neighbours and PCA are fitted to all shapes of a set, without labels. Within-class whitening is
 fitted by grouped folds; if lists are re-ranked, the gallery of a query is its fold. "3-people" is fitted to
-three random classes, as by `pcretrieve calibrate`, which are neither queries nor in the gallery: the mean,
+three random classes, as by `lab calibrate`, which are neither queries nor in the gallery: the mean,
 and below it the standard deviation, of fifty draws. The vectors of SHREC'14 are those of Chiotellis et al.
 (ECCV 2016), compared as they are and, in the sets whose names end in "log", by their logarithms, as the
 signatures of pcretrieve.

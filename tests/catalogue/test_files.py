@@ -121,7 +121,7 @@ def test_catalogues_of_other_versions(path: Path, original: Path) -> None:
             with pytest.raises(CatalogueError, match=said):
                 Catalogue(path)
     copy = path.with_name("egg2.off")
-    for arguments in (("list",), ("show", "2"), ("export", "2", "-o", copy)):
+    for arguments in (("list",), ("show", "2"), ("catalogue", "export", "2", "-o", copy)):
         assert "2" in run(*arguments, "-c", path).output
     exported = read_scan(copy)
     assert isinstance(exported, TriangleMesh)
@@ -230,7 +230,7 @@ def test_damaged_bytes_are_an_error(original: Path, tmp_path: Path) -> None:
 def test_a_whole_catalogue_has_no_defects(path: Path) -> None:
     found = pr.check(path, sample=2, repair=True)
     assert (found.n_shapes, found.n_failed, found.n_recomputed, found.defects) == (N_SHAPES, 1, 2, ())
-    said = run("check", path, "--sample", 0).stdout
+    said = run("catalogue", "check", "-c", path, "--sample", 0).stdout
     assert said == f"{path}: 5 shapes, 1 failed, 0 signatures computed again, 0 defects\n"
 
 
@@ -296,10 +296,10 @@ def test_rows_of_no_shape_are_removed(path: Path) -> None:
     stray = "INSERT INTO signatures SELECT 'own', 99, value FROM signatures LIMIT 1"
     execute(path, "INSERT INTO arrays (shape) VALUES (99)", stray)
     before = content(path)
-    found = result("check", path, "--sample", 0, code=1)
+    found = result("catalogue", "check", "-c", path, "--sample", 0, code=1)
     assert not found["is_whole"]
     assert [defect["kind"] for defect in found["defects"]] == ["orphan", "orphan"]
-    said = run("check", path, "--sample", 0, "--repair").stdout
+    said = run("catalogue", "check", "-c", path, "--sample", 0, "--repair").stdout
     assert re.search("1 rows of arrays are of no shape  +removed\n", said)
     assert pr.check(path, sample=0).defects == ()
     assert content(path) == before

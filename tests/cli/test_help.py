@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import click
 import pytest
-from commands import refusal, run
+from commands import NAMES, refusal, run
 
 from pcretrieve.cli.main import COMMANDS, cli
 
-MOST_LINES, COLUMNS = 40, 80
-NAMES = [(name,) for name in COMMANDS] + [("catalogue", "merge")]
+MOST_LINES, MOST_OPTIONS, COLUMNS = 40, 10, 80
 
 
 def shown(*words: str) -> str:
@@ -29,7 +29,7 @@ def flags(words: tuple[str, ...]) -> set[str]:
     return {one.opts[0] for one in command.params if isinstance(one, click.Option)}
 
 
-@pytest.mark.parametrize("words", [(), *NAMES], ids=" ".join)
+@pytest.mark.parametrize("words", [(), *(tuple(name.split()) for name in NAMES)], ids=" ".join)
 def test_the_help_fits_a_screen_and_names_and_explains_all_options(words: tuple[str, ...]) -> None:
     short = shown(*words, "--help")
     assert len(short.splitlines()) <= MOST_LINES
@@ -39,6 +39,8 @@ def test_the_help_fits_a_screen_and_names_and_explains_all_options(words: tuple[
         assert [line.split()[0] for line in lines] == [*COMMANDS], "one line each"
         return
     assert flags(words) <= {word.rstrip(",") for word in short.split()}
+    listed = short.split("Options:")[1].split("More options")[0]
+    assert words[0] == "lab" or len(re.findall(r"^  -", listed, re.MULTILINE)) <= MOST_OPTIONS
     if "--help-all" in short:
         full = shown(*words, "--help-all")
         assert max(map(len, full.splitlines())) <= COLUMNS
@@ -56,10 +58,10 @@ def test_the_environment_names_the_catalogue(eggs: Path, tmp_path: Path) -> None
     listed = run("list", PCRETRIEVE_CATALOGUE=path).stdout
     assert listed == run("list", "-c", path, PCRETRIEVE_CATALOGUE=str(tmp_path / "absent.sqlite")).stdout
     run("list", PCRETRIEVE_CATALOGUE=None, code=2)
-    for command in ("status", "check"):
-        assert run(command, PCRETRIEVE_CATALOGUE=path).stdout == run(command, path).stdout != ""
-        run(command, PCRETRIEVE_CATALOGUE=None, code=2)
-    refused = run("retry", "--stage", "surface", PCRETRIEVE_CATALOGUE=path, code=1)
+    for words in (("status",), ("catalogue", "check")):
+        assert run(*words, PCRETRIEVE_CATALOGUE=path).stdout == run(*words, "-c", path).stdout != ""
+        run(*words, PCRETRIEVE_CATALOGUE=None, code=2)
+    refused = run("catalogue", "retry", "--stage", "surface", PCRETRIEVE_CATALOGUE=path, code=1)
     assert "failed in the stage surface" in str(refused.exception)
 
 
@@ -74,7 +76,7 @@ def test_a_similar_name_is_suggested(eggs: Path, monkeypatch: pytest.MonkeyPatch
         ("query Ego00", "no file and no shape of"),
         ("query Ego00", "did you mean 'Egg00'?"),
         (
-            "options --config bodyscanner",
+            "lab options --config bodyscanner",
             "there is no preset or file 'bodyscanner'; the presets are body-scanner, handheld, depth-camera, "
             "clean-mesh, paper, classic; did you mean 'body-scanner'?",
         ),

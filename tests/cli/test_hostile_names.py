@@ -58,6 +58,6 @@ def test_a_terminal_finds_nothing_to_act_on_and_each_shape_has_one_line(tmp_path
 def test_meshes_are_written_into_their_folder_alone(eggs: Path, tmp_path: Path) -> None:
     """Also if a catalogue from elsewhere has ids with slashes."""
     assert "/" in NASTY
-    run("export", "-c", eggs, "-o", tmp_path / "inside", "--", NASTY, "Egg00")
+    run("catalogue", "export", "-c", eggs, "-o", tmp_path / "inside", "--", NASTY, "Egg00")
     written = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.ply")}
     assert written == {f"inside/{NASTY.replace('/', '%2F')}.ply", "inside/Egg00.ply"}

@@ -103,7 +103,7 @@ def test_the_status_of_an_ingest_and_a_retry_of_its_failures(folder: Path) -> No
     catalogue = folder / "c.sqlite"
     pr.Catalogue(catalogue, create=True).close()
     assert pr.status(catalogue).state == "none"
-    assert "no ingest into it is known" in run("status", catalogue).stdout
+    assert "no ingest into it is known" in run("status", "-c", catalogue).stdout
     (folder / ".c.sqlite.batch").write_text("{}, or so")
     assert pr.status(catalogue).state == "none"
     ingest(folder)
@@ -113,19 +113,19 @@ def test_the_status_of_an_ingest_and_a_retry_of_its_failures(folder: Path) -> No
     assert found.scans_per_second > 0
     assert sum(found.stages.values()) == pytest.approx(1)
     assert {"read", "spectrum"} <= found.stages.keys()
-    assert result("status", catalogue)["stages"] == found.stages
-    said = run("status", catalogue).stdout
+    assert result("status", "-c", catalogue)["stages"] == found.stages
+    said = run("status", "-c", catalogue).stdout
     assert f"ingest finished: 6 of 6 scans: 2 done, {N_BAD} failed" in said
     assert f"2 shapes, {N_BAD} failed\n" in said
     table = [line.split() for line in said.splitlines()[-2:]]
     assert table == [["NUMBER", "FAILURE"], [str(N_BAD), "ScanReadError", "in", "read"]]
-    refused = refusal("retry", catalogue, "--stage", "surface")
+    refused = refusal("catalogue", "retry", "-c", catalogue, "--stage", "surface")
     assert "failed in the stage surface; stages with failures: read" in refused
-    again = result("retry", catalogue, "--stage", "read", code=3)
+    again = result("catalogue", "retry", "-c", catalogue, "--stage", "read", code=3)
     assert {failure["id"] for failure in again["failed"]} == {f"bad-{number}" for number in range(N_BAD)}
     for number in range(N_BAD):
         egg(folder / "scans" / f"bad-{number}.off", 3 + number)
-    assert len(result("retry", catalogue)["done"]) == N_BAD
+    assert len(result("catalogue", "retry", "-c", catalogue)["done"]) == N_BAD
     with pytest.raises(pr.InputError, match=r"no shape of .* failed"):
         pr.retry(catalogue)
 
@@ -142,16 +142,16 @@ def test_a_running_ingest_and_one_that_was_killed(tmp_path: Path) -> None:
     with subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True) as running:
         try:
             # The file is empty for a moment before it is a catalogue.
-            assert wait_for(lambda: run("status", catalogue, code=None).exit_code == 0)
-            assert wait_for(lambda: result("status", catalogue)["n_shapes"] > 0)
-            found = result("status", catalogue)
+            assert wait_for(lambda: run("status", "-c", catalogue, code=None).exit_code == 0)
+            assert wait_for(lambda: result("status", "-c", catalogue)["n_shapes"] > 0)
+            found = result("status", "-c", catalogue)
             assert (found["state"], found["n_scans"]) == ("running", n_scans)
         finally:
             os.killpg(running.pid, signal.SIGKILL)
     assert pr.status(catalogue).state == "killed"
-    assert "the same command of ingest goes on from there" in run("status", catalogue).stdout
+    assert "the same command of ingest goes on from there" in run("status", "-c", catalogue).stdout
     run(*words)
-    found = result("status", catalogue)
+    found = result("status", "-c", catalogue)
     assert (found["state"], found["n_shapes"]) == ("finished", n_scans)
     assert found["n_skipped"] > 0
 

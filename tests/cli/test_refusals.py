@@ -41,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     write_mesh(shapes.ellipsoid(), place / "egg.off")
     write_mesh(shapes.icosphere(3), place / "ball.off")
     assert run("ingest", place / "egg.off", place / "ball.off", "-c", place / "good.sqlite") == 0
-    assert run("matrix", "-c", place / "good.sqlite", "-o", place / "m.txt") == 0
+    assert run("lab", "matrix", "-c", place / "good.sqlite", "-o", place / "m.txt") == 0
     (place / "value.toml").write_text("[surface]\npoisson_depth = 80\n")
     (place / "empty").mkdir()
     (place / "folder.ply").mkdir()
@@ -65,18 +65,21 @@ CASES = (
     ("ingest egg.off -c new.sqlite --log-file no/night.log", 1, "cannot write the log file"),
     ("ingest -c good.sqlite", 2, "name at least one scan"),
     ("query egg.off", 2, "Missing option"),
-    ("query egg -c good.sqlite --method meshsift", 2, "pcretrieve matrix --matcher meshsift -o FILE"),
+    ("query good.sqlite egg", 2, "write -c before a catalogue: -c good.sqlite"),
+    ("query egg -c good.sqlite -k 80x", 2, "'80x' is not a valid whole number"),
+    ("matrix -c good.sqlite", 2, "did you mean 'lab matrix'?"),
+    ("query egg -c good.sqlite --method meshsift", 2, "pcretrieve lab matrix --matcher meshsift -o FILE"),
     ("evaluate -c good.sqlite", 1, "give --labels"),
     ("remove egg nobody -c good.sqlite", 1, "holds no shape 'nobody'"),
-    ("signature", 2, "name at least one scan"),
-    ("signature --from-catalogue good.sqlite --surface keep", 2, "own: leave out --surface"),
-    ("signature --from-catalogue good.sqlite --workers 2", 2, "own: leave out --workers"),
+    ("lab signature", 2, "name at least one scan"),
+    ("lab signature --from-catalogue good.sqlite --surface keep", 2, "own: leave out --surface"),
+    ("lab signature --from-catalogue good.sqlite --workers 2", 2, "own: leave out --workers"),
     ("query egg -c good.sqlite --matrix m.txt --unit mm", 2, "no scan is read: leave out --unit"),
-    ("reconstruct egg.off -o egg.doc", 1, ".ply .obj .off .stl .glb"),
-    ("reconstruct egg.off -o nowhere/egg.ply", 1, "no folder nowhere"),
-    ("reconstruct egg.off -o a.ply --suffix .ply", 2, "--suffix is for folders"),
-    ("reconstruct *.off -o a.ply", 1, "names 2 scans: name one of them"),
-    ("reconstruct . -o meshes", 1, "whose files are read: name another folder with -o"),
+    ("lab reconstruct egg.off -o egg.doc", 1, ".ply .obj .off .stl .glb"),
+    ("lab reconstruct egg.off -o nowhere/egg.ply", 1, "no folder nowhere"),
+    ("lab reconstruct egg.off -o a.ply --suffix .ply", 2, "--suffix is for folders"),
+    ("lab reconstruct *.off -o a.ply", 1, "names 2 scans: name one of them"),
+    ("lab reconstruct . -o meshes", 1, "whose files are read: name another folder with -o"),
     ("inspect empty", 2, "name a folder for the pages of the scans"),
     ("inspect few.ply -o folder.ply", 1, "is a folder"),
     ("merge -o out.ply", 2, "name at least two views"),
@@ -90,17 +93,18 @@ CASES = (
 
 # What a worker process refuses, or what ends it.
 BY_WORKERS = (
-    ("signature value.toml", 3, "no reader"),
+    ("lab signature value.toml", 3, "no reader"),
     ("inspect few.ply --png few.ply", 1, "is one of the files to be read"),
+    ("inspect value.toml", 1, "no reader"),
     ("inspect few.ply --rescans 1", 2, "at least 2 rescans, got 1"),
     ("merge ball.ply few.ply -o out.ply", 1, "view 1 must have more than 16"),
-    ("reconstruct crash.vicious -o out.off", 1, "the process that worked on it ended with SIGSEGV"),
-    ("signature crash.vicious", 3, "the process that worked on it ended with SIGSEGV"),
+    ("lab reconstruct crash.vicious -o out.off", 1, "the process that worked on it ended with SIGSEGV"),
+    ("lab signature crash.vicious", 3, "the process that worked on it ended with SIGSEGV"),
     ("inspect crash.vicious --rescans 0", 1, "the process that worked on it ended with SIGSEGV"),
     ("query crash.vicious -c good.sqlite", 1, "the process that worked on it ended with SIGSEGV"),
     ("merge egg.off crash.vicious -o out.ply", 1, "the process that worked on it ended with SIGSEGV"),
     ("query hang.vicious -c good.sqlite --timeout 2", 1, "not finished within 2 s: raise --timeout"),
-    ("signature fill.vicious --memory 1", 3, "than --memory allows: raise that, or thin the scan"),
+    ("lab signature fill.vicious --memory 1", 3, "than --memory allows: raise that, or thin the scan"),
 )
 
 

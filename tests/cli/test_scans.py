@@ -45,13 +45,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_signatures_are_those_of_the_single_scans_in_their_order(folder: Path, tmp_path: Path) -> None:
-    done = run("signature", folder, "--workers", 2, code=3)
+    done = run("lab", "signature", folder, "--workers", 2, code=3)
     assert done.stderr.startswith("signature: 4 scans\n")
     assert "failed: [bad / read]" in done.stderr
     lines = [line.split("\t") for line in done.stdout.splitlines()]
     assert [Path(line[0]).stem for line in lines] == ["a", "b", "c"]
     path, *values = lines[1]
-    assert run("signature", path).stdout.strip().split("\t")[1:] == values
+    assert run("lab", "signature", path).stdout.strip().split("\t")[1:] == values
     # From a catalogue they are those of what it stores, also if the files are gone.
     catalogue, *files = tmp_path / "c.sqlite", *(tmp_path / name for name in ("b.off", "bad.off"))
     for file in files:
@@ -59,20 +59,20 @@ def test_signatures_are_those_of_the_single_scans_in_their_order(folder: Path, t
     run("ingest", *files, "-c", catalogue, "--workers", 1, "--quiet", code=3)
     for file in files:
         file.unlink()
-    stored = run("signature", "--from-catalogue", catalogue, "bad", "b", "--method", "wks", code=3)
+    stored = run("lab", "signature", "--from-catalogue", catalogue, "bad", "b", "--method", "wks", code=3)
     assert stored.stderr.startswith("failed: [bad / read] ")
     name, *numbers = stored.stdout.strip().split("\t")
-    direct = run("signature", folder / "b.off", "--method", "wks").stdout.strip().split("\t")[1:]
+    direct = run("lab", "signature", folder / "b.off", "--method", "wks").stdout.strip().split("\t")[1:]
     assert name == "b"
     np.testing.assert_allclose([*map(float, numbers)], [*map(float, direct)], rtol=1e-6)
-    found = result("signature", "--from-catalogue", catalogue, "bad", "b", code=3)
+    found = result("lab", "signature", "--from-catalogue", catalogue, "bad", "b", code=3)
     assert [("error" in row, row["id"]) for row in found] == [(True, "bad"), (False, "b")]
 
 
 def test_each_scan_of_a_folder_is_reconstructed(folder: Path, tmp_path: Path) -> None:
-    done = run("reconstruct", folder, "-o", tmp_path / "meshes", "--suffix", ".obj", "--json", code=3)
+    done = run("lab", "reconstruct", folder, "-o", tmp_path / "meshes", "--suffix", ".obj", "--json", code=3)
     assert {path.name for path in (tmp_path / "meshes").iterdir()} == {"a.obj", "b.obj", "c.obj"}
-    by_name = {Path(found["scan"]).stem: found for found in json.loads(done.stdout)["result"]}
+    by_name = {Path(found["path"]).stem: found for found in json.loads(done.stdout)["result"]}
     assert by_name["bad"]["error"] == "ScanReadError"
     for name, length in LENGTHS.items():
         mesh = pr.read_scan(tmp_path / "meshes" / f"{name}.obj")
@@ -138,7 +138,7 @@ def test_a_scan_that_fails_is_packed_without_its_points_and_its_folder(
     monkeypatch.chdir(tmp_path)
     scan = private / "sheet.xyz"
     scan.write_text("".join(f"{i % 9} {i // 9} 0\n" for i in range(8)))
-    done = run("report-problem", scan, "--unit", "cm")
+    done = run("lab", "report-problem", scan, "--unit", "cm")
     assert done.stdout == "sheet-problem.zip\n"
     files = packed("sheet-problem.zip")
     assert sorted(files) == ["log.txt", "options.toml", "problem.json"]
@@ -150,11 +150,11 @@ def test_a_scan_that_fails_is_packed_without_its_points_and_its_folder(
     assert "Jane Doe" not in "".join(files.values())
     Path("options.toml").write_text(files["options.toml"])
     assert pr.PipelineOptions.from_toml("options.toml").scan.unit == "cm"
-    run("report-problem", scan, "--with-scan", "-o", "p.zip")
+    run("lab", "report-problem", scan, "--with-scan", "-o", "p.zip")
     assert packed("p.zip")["scan/sheet.xyz"] == scan.read_text()
     # Where the process is ended and nothing measured, there are the versions, the options and the error.
     write_mesh(shapes.icosphere(6), private / "ball.off")
-    run("report-problem", private / "ball.off", "--timeout", 1, "--surface", "reconstruct")
+    run("lab", "report-problem", private / "ball.off", "--timeout", 1, "--surface", "reconstruct")
     assert json.loads(packed("ball-problem.zip")["problem.json"])["failure"]["error"] == "StageTimeout"
 
 

@@ -93,7 +93,7 @@ def test_sizes_are_compared_in_one_unit_or_not_at_all(tmp_path: Path) -> None:
         ("query", "large"),
         ("evaluate", "--labels", labels),
         ("report", "-o", tmp_path / "page.html"),
-        ("matrix", "-o", tmp_path / "matrix.txt"),
+        ("lab", "matrix", "-o", tmp_path / "matrix.txt"),
     ):
         said = refusal(*command, "-c", catalogue, *sized)
         assert "some shapes are in metres, the unit of others is unknown; ingest all" in said
@@ -135,12 +135,12 @@ def test_a_query_of_another_resolution_is_told(eggs: Path, tmp_path: Path) -> No
 
 def test_a_matcher_makes_a_matrix_that_ranks(eggs: Path, tmp_path: Path) -> None:
     path, catalogue = tmp_path / "heat.npy", tmp_path / "c.sqlite"
-    run("backup", eggs / "eggs.sqlite", catalogue)
+    run("catalogue", "backup", eggs / "eggs.sqlite", catalogue)
     (tmp_path / "broken.off").write_text("OFF\n")
     (tmp_path / "labels.csv").write_text("file,class\nbroken,kind0\n")
     ingest = ("ingest", tmp_path / "broken.off", "--labels", tmp_path / "labels.csv", "--workers", 1)
     run(*ingest, "-c", catalogue, code=3)
-    asked = ("matrix", "-c", catalogue, "--matcher")
+    asked = ("lab", "matrix", "-c", catalogue, "--matcher")
     run(*asked, "heat-hausdorff", "-o", path)
     made = pr.matrix(catalogue, matcher="heat-hausdorff")
     with pr.Catalogue(catalogue) as store:
@@ -159,14 +159,14 @@ def test_a_matcher_makes_a_matrix_that_ranks(eggs: Path, tmp_path: Path) -> None
 def test_re_ranking_is_a_row_more_and_works_by_a_matrix(eggs: Path, tmp_path: Path) -> None:
     catalogue, labels = eggs / "eggs.sqlite", eggs / "labels.csv"
     chosen = ("-c", catalogue, *PLAIN)
-    run("matrix", *chosen, "-o", tmp_path / "eggs.npy")
+    run("lab", "matrix", *chosen, "-o", tmp_path / "eggs.npy")
     own = run("evaluate", *chosen, "--rerank", "k-reciprocal").stdout.splitlines()
     assert own[1].endswith("  micro-average, plain")
     assert own[2].endswith("  micro-average, k-reciprocal")
     by_matrix = ("evaluate", "--matrix", tmp_path / "eggs.npy", "--rerank", "k-reciprocal")
     assert run(*by_matrix, "--labels", labels).stdout.splitlines() == own
     assert run(*by_matrix, "-c", catalogue).stdout.splitlines() == own
-    refused = refusal("matrix", *chosen, "--rerank", "k-reciprocal", "-o", tmp_path / "x.npy")
+    refused = refusal("lab", "matrix", *chosen, "--rerank", "k-reciprocal", "-o", tmp_path / "x.npy")
     assert "distances are not re-ranked: leave out --rerank" in refused
     np.save(tmp_path / "far.npy", np.where(np.eye(16) > 0, 0, np.inf))
     (tmp_path / "far.ids").write_text((tmp_path / "eggs.ids").read_text())
@@ -180,7 +180,7 @@ def test_two_settings_matrices_and_files_give_one_comparison(eggs: Path, tmp_pat
     catalogue = eggs / "eggs.sqlite"
     settings = {"one": ("--distance", "log"), "two": ("--distance", "d1", "--n-values", "5")}
     for name, flags in settings.items():
-        run("matrix", "-c", catalogue, *PLAIN, *METHOD, *flags, "-o", tmp_path / f"{name}.txt")
+        run("lab", "matrix", "-c", catalogue, *PLAIN, *METHOD, *flags, "-o", tmp_path / f"{name}.txt")
         run("evaluate", "-c", catalogue, *PLAIN, *METHOD, *flags, "--csv", tmp_path / name)
     plain = {"retrieval": {"whitening": "none"}, "signature": {"method": "r-bihdm"}}
     short = {
@@ -194,19 +194,19 @@ def test_two_settings_matrices_and_files_give_one_comparison(eggs: Path, tmp_pat
     files = (tmp_path / "one" / "queries.csv", tmp_path / "two" / "queries.csv")
     assert pr.compare(*files) == expected
     both = ("--distance", "log", "--distance", "d1", "--n-values", 23, "--n-values", 5)
-    found = result("compare", catalogue, catalogue, *PLAIN, *METHOD, *both, "--changes", 3)
+    found = result("lab", "compare", catalogue, catalogue, *PLAIN, *METHOD, *both, "--changes", 3)
     assert found["difference"] == dict(zip(MEASURES, expected.difference.tolist(), strict=True))
     assert found["low"] == dict(zip(MEASURES, expected.interval[0].tolist(), strict=True))
     assert [one["id"] for one in found["changes"]] == [one.shape_id for one in expected.changes[:3]]
-    printed = run("compare", *files).stdout.splitlines()
+    printed = run("lab", "compare", *files).stdout.splitlines()
     assert printed[3].split()[:6] == [f"{value:+.3f}" for value in expected.difference]
     assert printed[1].endswith(f"  A: {files[0]}")
     change = expected.changes[0]
     precisions = f"{change.first:.4f}", f"{change.second:.4f}"
     assert printed[8].split() == [change.shape_id, change.label, *precisions]
-    said = refusal("compare", catalogue, matrices[0])
+    said = refusal("lab", "compare", catalogue, matrices[0])
     assert "a distance matrix has no classes: give labels" in said
-    said = refusal("compare", catalogue, catalogue, *("--distance", "d1") * 3)
+    said = refusal("lab", "compare", catalogue, catalogue, *("--distance", "d1") * 3)
     assert "--distance is given at most twice, got 3" in said
 
 
@@ -238,7 +238,7 @@ def test_duplicates_are_nearer_than_the_noise(near: Path) -> None:
 
 def test_a_map_is_a_picture_or_a_page(near: Path, tmp_path: Path) -> None:
     page, picture = tmp_path / "map.html", tmp_path / "map.png"
-    assert run("map", "-c", near, "-o", page).stdout == f"{page}\n"
+    assert run("lab", "map", "-c", near, "-o", page).stdout == f"{page}\n"
     assert pr.draw_map(near, picture) == picture
     with Image.open(picture) as opened:
         assert opened.size[0] > 600

@@ -88,7 +88,7 @@ def test_nothing_is_wider_than_the_terminal(folder: Path) -> None:
     assert incomplete.count("wider") + incomplete.count("others") == 2 * REASON.count("wider")
     # A path that is a result is not broken, so that a page can be opened from the terminal.
     page = f"{'a page with blanks ' * 5}.html"
-    assert on_terminal(folder, "map", "-c", "c.sqlite", "-o", page).splitlines()[-1] == page
+    assert on_terminal(folder, "lab", "map", "-c", "c.sqlite", "-o", page).splitlines()[-1] == page
 
 
 def test_messages_are_broken_between_words(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -193,7 +193,7 @@ def test_what_cannot_be_printed_ends_no_batch(redirection: str, tmp_path: Path) 
 
 @needs_full
 def test_results_that_cannot_be_printed_are_an_error(tmp_path: Path) -> None:
-    done = redirected(tmp_path, f"options >{FULL}")
+    done = redirected(tmp_path, f"lab options >{FULL}")
     assert done.returncode == 1
     assert done.stderr == (
         "Error: cannot print the result: No space left on device; print it to another place\n"

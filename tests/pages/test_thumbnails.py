@@ -106,7 +106,7 @@ def test_what_is_up_can_be_said_for_each_page(
     pictures = Thumbnails(up)
     assert [is_upright(pictures.of(catalogue, one) or b"") for one in catalogue.records()] == [stands] * 3
     np.testing.assert_array_equal(drawn, [direction] * 3)
-    for words in (("report",), ("map",), ("query", "0", "-k", "3", "--html")):
+    for words in (("report",), ("lab", "map"), ("query", "0", "-k", "3", "--html")):
         drawn.clear()
         output = () if "--html" in words else ("-o",)
         run(*words, *output, tmp_path / f"{words[0]}.html", "--up", up, "-c", catalogue.location)
