@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
+from benchmarks.turning import TurningOptions, turning_frames, write_frames
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -22,7 +23,6 @@ from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.conf import image_poses, trajectory_file
 from pcretrieve.options import PipelineOptions
 from pcretrieve.points.register.alignment import moved
-from pcretrieve.simulation.turning import TurningOptions, turning_frames, write_frames
 from pcretrieve.values import FloatArray
 
 CAMERA = TurningOptions(n_frames=30, width=120, height=160, focal=170.0)

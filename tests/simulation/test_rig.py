@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import shapes
 from benchmarks.samples import write, write_views
+from benchmarks.turning import TurningOptions, turning_frames, write_frames
 from benchmarks.uniform import UniformOptions, scan_uniformly
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -34,7 +35,6 @@ from pcretrieve.simulation import (
 )
 from pcretrieve.simulation.samples import random_motion, write_samples
 from pcretrieve.simulation.skeleton import Bone, Pose, RoundCone, Subject
-from pcretrieve.simulation.turning import TurningOptions, turning_frames, write_frames
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 # The ball is made of flat faces whose middles lie at most this much below it.
