@@ -450,7 +450,8 @@ def _expanded(
     if is_folder and (isinstance(query, Path) or catalogue.get(str(query)) is None):
         from pcretrieve.ingestion.discover import discover
 
-        scans = list(discover([str(query)]))
+        limits = {"timeout": question.timeout, "memory": question.memory}
+        scans = list(discover([str(query)], limits=None if question.timeout is None else limits))
     for scan in scans:
         name = scan.kind if isinstance(scan, Signature) else str(scan)
         try:

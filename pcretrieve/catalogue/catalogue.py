@@ -175,16 +175,7 @@ class Catalogue(Rows):
         return sizes | {name: len(arrays) for name, arrays in entry.payloads.items()}
 
     def put(self, record: Record, content: Content | None = None) -> Record:
-        """Store a shape, or with no content its failure, by its path, in one transaction.
-
-        The id is assigned in this transaction, because other processes may have stored shapes since `record`
-        was made: a path that the catalogue has keeps its id, and an id that belongs to another path gets the
-        next free number. A failure never replaces a finished shape.
-
-        record: path, content hash, label and provenance of the shape.
-
-        Returns Record: the one that the catalogue now has for this path.
-        """
+        """Store a shape, or with no content its failure, as by `store`; the record that is then stored."""
         added = datetime.now(timezone.utc).isoformat(timespec="seconds")
         record = replace(record, options_digest=self.options.digest, added=added)
         if content is None:

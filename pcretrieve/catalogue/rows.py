@@ -242,10 +242,11 @@ class Rows:
         return sorted(entries, key=lambda entry: entry.record.id)
 
     def store(self, entry: Entry) -> Record:
-        """Store a shape by its path, and replace an earlier shape of this path.
+        """Store a shape by its path; the record that the catalogue then has for this path.
 
-        A path that the catalogue has keeps its id; an id that belongs to another path is replaced by one with
-        the next free number. A failure never replaces a finished shape.
+        An earlier shape of the path is replaced, and its id kept. An id that belongs to another path, which
+        another process may have stored since the record was made, is replaced by one with the next free
+        number. A failure never replaces a finished shape.
         """
         record = entry.record
 

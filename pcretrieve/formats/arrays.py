@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.depth import camera_parts, depth_scan, has_camera
+from pcretrieve.formats.depth import camera_parts, depth_scan
 from pcretrieve.formats.format import (
     DEFLATE_RATIO,
     NORMAL_FIELDS,
@@ -37,16 +37,14 @@ VIEWPOINTS = ("viewpoints", "viewpoint", "sensors", "sensor")
 
 
 def read_npy(path: Path) -> RawScan:
-    """Read a NumPy array of points; rows of zeros are dropped with a note.
+    """Read a NumPy array of points (n, c) or (h, w, c), of records, or of depths; rows of zeros are dropped.
 
-    It is an array (n, c) of c ≥ 3 columns, of which the first three are coordinates, and the next three the
-    normals if all have unit length; an organised array (h, w, c); or an array of records with the fields
-    ``x y z``, and ``nx ny nz`` or ``normal_x normal_y normal_z``. A larger array (h, w) is a depth image, if
-    the file of its camera lies beside it: see `depth_scan`.
+    Columns four to six are normals if all have unit length. An array (h, w) of more than `MOST_COLUMNS` is a
+    depth image, if the file of its camera lies beside it: see `depth_scan`.
     """
     with path.open("rb") as file:
         array = _array(file, path.stat().st_size)
-    if _is_image(array.shape, array.dtype) and has_camera(path):
+    if _is_image(array.shape, array.dtype) and camera_parts(path):
         return depth_scan(path, array)
     return without_zeros(_scan_of(array))
 
@@ -91,7 +89,7 @@ def recognise_npy(path: Path) -> bool:
     """Whether the array has the shape of a table of points."""
     shape, dtype = _declared(path)
     if _is_image(shape, dtype):
-        return has_camera(path)
+        return bool(camera_parts(path))
     if dtype.names:
         return {*POINT_FIELDS.split()} <= {*dtype.names}
     return (

@@ -43,6 +43,7 @@ NO_ANSWER = 65535
 
 # Files beside an image, or in the folder above, that hold the parameters of its camera.
 STEMS, SUFFIXES = ("camera", "camera_intrinsic", "intrinsic", "intrinsics"), (".json", ".toml")
+NAMES = [stem + suffix for stem in STEMS for suffix in SUFFIXES]
 # Largest size of such a file: those of Open3D have less than a kilobyte.
 MOST_BYTES = 1 << 16
 # The file of a folder in the layout of the TUM RGB-D benchmark, which names the images in its folder depth.
@@ -84,12 +85,7 @@ def _camera_file(image: Path) -> Path | None:
     """The file with the parameters of the camera of an image."""
     own = [image.with_suffix(suffix) for suffix in SUFFIXES]
     folder = image.absolute().parent
-    near = [
-        place / f"{stem}{suffix}"
-        for place in (folder, folder.parent)
-        for stem in STEMS
-        for suffix in SUFFIXES
-    ]
+    near = [place / name for place in (folder, folder.parent) for name in NAMES]
     listed = [folder.parent / TUM_LIST] if folder.name == "depth" else []
     return next((file for file in (*own, *near, *listed) if file.is_file()), None)
 
@@ -160,11 +156,6 @@ def depth_scan(path: Path, depth: NDArray[Any]) -> RawScan:
     return scan._replace(notes=(camera.note, *scan.notes) if camera.note else scan.notes, unit="m")
 
 
-def has_camera(path: Path) -> bool:
-    """Whether the parameters of the camera of an image lie beside it."""
-    return _camera_file(path) is not None
-
-
 def camera_parts(path: Path) -> tuple[Part, ...]:
     """The file of the camera, which belongs to an image."""
     file = _camera_file(path)
@@ -204,7 +195,7 @@ def read_depth(path: Path) -> RawScan:
 
 def is_depth_image(path: Path) -> bool:
     """Whether an image has the channel of a depth image, and a camera."""
-    if not has_camera(path):
+    if not camera_parts(path):
         return False
     with _image(path) as image:
         return image.mode in DEPTH_MODES

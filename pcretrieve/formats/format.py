@@ -249,11 +249,7 @@ def scan_of_fields(
     def table(wanted: str) -> NDArray[np.float64] | None:
         if not {*wanted.split()} <= {*names}:
             return None
-        columns = [column(name) for name in wanted.split()]
-        joined = np.empty((len(columns[0]), len(columns)))
-        for k, values in enumerate(columns):
-            joined[:, k] = values
-        return joined
+        return np.stack([column(name) for name in wanted.split()], axis=1, dtype=np.float64)
 
     points = table(POINT_FIELDS)
     if points is None:

@@ -2,8 +2,7 @@
 
 A file is a tree in JSON, and buffers with the values: a part of a GLB file, data URIs, or files below the
 folder of a glTF file. trimesh allocates what an accessor declares before it can be checked, takes minutes for
-nodes that lie deep in each other, reads normalised positions as whole numbers,
-and leaves out fans of triangles.
+nodes that lie deep in each other, reads normalised positions as whole numbers, and leaves out fans.
 
 References
 ----------
@@ -26,7 +25,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.format import Damaged, Part, RawScan, check_file, distinct_names, joined
-from pcretrieve.formats.meshes import Scene, check_size, moved
+from pcretrieve.formats.meshes import Scene, check_bodies, check_size, moved
 from pcretrieve.values import FloatArray
 
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -139,26 +138,23 @@ def _placed(tree: Any, n_bytes: int) -> dict[int, tuple[int, FloatArray]]:
         for mesh in {mesh for mesh, _ in placed.values()}
     }
     check_size(sum(sizes[mesh] for mesh, _ in placed.values()), n_bytes)
+    check_bodies(len(placed))
     return placed
 
 
 def _transform(node: Any) -> FloatArray:
     """The (4, 4) transform from the frame of a node to that of its parent: M T R S."""
+    import trimesh
+
     matrix = np.array(node.get("matrix", np.eye(4).ravel()), dtype=np.float64).reshape(4, 4).T
     if "translation" in node:
         translation = np.eye(4)
         translation[:3, 3] = node["translation"]
         matrix = matrix @ translation
     if "rotation" in node:
-        quaternion = np.array(node["rotation"], dtype=np.float64)
-        x, y, z, w = quaternion * np.sqrt(2 / (quaternion @ quaternion))
-        rotation = np.eye(4)
-        rotation[:3, :3] = [
-            [1 - y * y - z * z, x * y - z * w, x * z + y * w],
-            [x * y + z * w, 1 - x * x - z * z, y * z - x * w],
-            [x * z - y * w, y * z + x * w, 1 - x * x - y * y],
-        ]
-        matrix = matrix @ rotation
+        x, y, z, w = node["rotation"]
+        rotation: Any = trimesh.transformations
+        matrix = matrix @ rotation.quaternion_matrix([w, x, y, z])
     if "scale" in node:
         matrix = matrix @ np.diag([*node["scale"], 1.0])
     return np.asarray(matrix)

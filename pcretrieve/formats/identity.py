@@ -73,9 +73,8 @@ def file_hash(file: Path) -> str:
 def stamp_of(file: Path) -> Stamp | None:
     """The stamp of a file. Two equal stamps of a path, the first of them settled, are of one content.
 
-    Every writing to a file, and every change of its attributes, sets its ctime, which no user can set to
-    another time: a file whose mtime was put back has another stamp. The device is left out, because its
-    number may change when the computer starts, and differs between the computers of a cluster.
+    Every change of a file sets its ctime, which no user can set to another time. The number of the device is
+    left out, because it may change when the computer starts, and differs between the computers of a cluster.
     """
     if url_of(file) is not None:
         return None

@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 import zipfile
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import IO, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,16 +24,8 @@ from pcretrieve.values import FloatArray, TriangleMesh, unit_of
 LARGEST_NUMBER = 2**40
 
 # Names of units in 3MF files; the last is that of trimesh, where a file names none.
-UNITS = {
-    "micron": "um",
-    "millimeter": "mm",
-    "centimeter": "cm",
-    "meter": "m",
-    "inch": "in",
-    "foot": "ft",
-    "millimeters": "mm",
-    "meters": "m",
-}
+NAMED = "micron millimeter centimeter meter inch foot millimeters meters"
+UNITS = dict(zip(NAMED.split(), ["um", "mm", "cm", "m", "in", "ft", "mm", "m"], strict=True))
 
 # Largest compression ratio of an archive of markup as a whole, and number of bytes to which any may expand.
 # The ratio of meshes in XML is small, 7.3 of a grid of a million vertices with integer coordinates: an
@@ -41,9 +33,17 @@ UNITS = {
 MARKUP_RATIO = 100
 ANY_MARKUP = 10_000_000
 
+# Elements of 3MF and of COLLADA files: scenes, nodes, and what refers to a node or to a mesh.
+SCENES = ("{*}build", "{*}visual_scene")
+NODES = ("{*}object", "{*}node")
+USES = ("{*}item", "{*}component", "{*}instance_node", "{*}instance_geometry", "{*}instance_controller")
+
 # A mesh is repeated in a scene for each node that refers to it. The number of vertices and indices in the
 # scene is limited to the number of bytes of the file, or to this number if the file is smaller.
 MOST_OF_SMALL_FILE = 1_000_000
+
+# Largest number of bodies of a scene: each is a scan.
+MOST_BODIES = 1000
 
 
 def mesh_bytes(mesh: TriangleMesh, file_type: str) -> bytes:
@@ -153,6 +153,12 @@ def check_size(n_values: int, n_bytes: int) -> None:
         raise Damaged(f"its scene declares {n_values} values, it has {n_bytes} bytes")
 
 
+def check_bodies(n: int) -> None:
+    """Check the number of bodies of a scene, before they are made."""
+    if n > MOST_BODIES:
+        raise Damaged(f"its scene has {n} bodies, {MOST_BODIES} may be")
+
+
 def moved(mesh: RawScan, motion: FloatArray) -> RawScan:
     """A mesh that a (4, 4) motion places; a reflection reverses the orientation of its triangles."""
     import trimesh
@@ -167,9 +173,13 @@ def three_mf_scene(path: Path) -> Scene:
     """The bodies of a 3MF file."""
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
-    size, packed = sum(info.file_size for info in members), sum(info.compress_size for info in members)
-    if size > max(ANY_MARKUP, MARKUP_RATIO * packed):
-        raise Damaged(f"its members declare {size} bytes in {packed}")
+        size, packed = sum(info.file_size for info in members), sum(info.compress_size for info in members)
+        if size > max(ANY_MARKUP, MARKUP_RATIO * packed):
+            raise Damaged(f"its members declare {size} bytes in {packed}")
+        for info in members:
+            if "3d/3dmodel.model" in info.filename.lower():
+                with archive.open(info) as file:
+                    _check_instances(file)
     bodies, unit = _markup(path, "3mf", size)
     if unit is not None and unit not in UNITS:
         raise Damaged(f"its unit is {unit[:20]!r}")
@@ -178,6 +188,8 @@ def three_mf_scene(path: Path) -> Scene:
 
 def collada_scene(path: Path) -> Scene:
     """The bodies of a COLLADA file."""
+    with path.open("rb") as file:
+        _check_instances(file)
     bodies, said = _markup(path, "dae", path.stat().st_size)
     if said is None:
         return _scene(bodies, None)
@@ -186,6 +198,23 @@ def collada_scene(path: Path) -> Scene:
         raise Damaged(f"its unit is {metres:g} m")
     unit = unit_of(metres)
     return _scene(bodies, unit) if unit else _scene(bodies, "m", metres)
+
+
+def _check_instances(file: IO[bytes]) -> None:
+    """Check how many bodies markup has, of which trimesh makes one for each way from its scene to a mesh."""
+    from lxml import etree  # type: ignore[import-untyped,unused-ignore]
+
+    uses: dict[str, list[str]] = {}  # of other nodes and of meshes, by the name of a node; "": by the scene
+    for _, node in etree.iterparse(file, tag=SCENES + NODES, resolve_entities=False, huge_tree=True):
+        named = [one.get("objectid") or one.get("url", "")[1:] for one in node.iter(*USES)]
+        is_scene = node.tag.endswith(("build", "visual_scene"))
+        uses.setdefault("" if is_scene else node.get("id"), []).extend(named)
+
+    @cache
+    def count(name: str) -> int:
+        return sum(map(count, uses.get(name, ()))) or 1
+
+    check_bodies(count(""))
 
 
 def _markup(path: Path, file_type: str, n_bytes: int) -> tuple[list[tuple[str, RawScan]], str | None]:

@@ -14,12 +14,14 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from pcretrieve.errors import InputError, OptionError, ScanReadError
 from pcretrieve.formats import Part, is_scan, members_of, missing_extra, parts_of, split_member
 from pcretrieve.formats.format import url_of
-from pcretrieve.formats.registry import INSTEAD, suffixes
+from pcretrieve.formats.registry import FORMATS, INSTEAD, suffixes
 from pcretrieve.formats.remote import remote_files
+from pcretrieve.ingestion.pool import in_processes
 
 logger = logging.getLogger(__name__)
 
@@ -35,15 +37,27 @@ MOST_NAMED = 8
 END = 4096
 
 
-def discover(arguments: Sequence[str | Path], beside: Iterable[str | Path] = ()) -> list[Path]:
-    """Find the files of scans; a warning names the files in a folder that are not scans, nor in `beside`."""
+def discover(
+    arguments: Sequence[str | Path],
+    beside: Iterable[str | Path] = (),
+    limits: Mapping[str, Any] | None = None,
+) -> list[Path]:
+    """Find the files of scans; a warning names the files in a folder that are not scans, nor in `beside`.
+
+    limits: of processes that look into files of several scans; without limits, this process does.
+    """
     known = {_absolute(Path(path)) for path in beside}
     found: dict[Path, None] = {}
     for argument in arguments:
         for path in _expand(argument, known):
             found.setdefault(_absolute(path))
     parts = {part.path for path in found for part in parts_in(path)}
-    return [scan for path in found if path not in parts for scan in _scans_in(path)]
+    whole = [path for path in found if path not in parts]
+    # A file at a URL is not copied to be looked into. A format of another package may have names.
+    several = [path for path in whole if url_of(path) is None and _may_be_several(path.suffix.lower())]
+    looked = map(_looked, several) if limits is None else in_processes(members_of, several, **limits)
+    members = {path: scans for path, scans in looked if isinstance(scans, tuple)}
+    return [scan for path in whole for scan in members.get(path) or (path,)]
 
 
 def shape_ids(paths: Collection[str], taken: Mapping[str, str]) -> dict[str, str]:
@@ -212,16 +226,19 @@ def _files_below(path: Path) -> list[Path]:
     return [file for file in found if not file.name.startswith(".")]
 
 
-def _scans_in(path: Path) -> tuple[Path, ...]:
-    """The scans in a file of several, or the file itself; one at a URL is not copied to be looked into."""
+def _may_be_several(suffix: str) -> bool:
+    return suffix in suffixes() and getattr(FORMATS.own.get(suffix), "names", True) is not None
+
+
+def _looked(path: Path) -> tuple[Path, tuple[Path, ...]]:
     with suppress(ScanReadError, OSError):  # reading it as a scan will report why
-        return (() if url_of(path) else members_of(path)) or (path,)
-    return (path,)
+        return path, members_of(path)
+    return path, ()
 
 
 def parts_in(path: Path) -> list[Part]:
     """The files that belong to a scan, by their absolute names; of one at a URL, none is looked for."""
-    with suppress(ScanReadError, OSError):  # reading the file as a scan will report the error
+    with suppress(Exception):  # reading the file as a scan will report the error
         if url_of(path) is None:
             return [Part(_absolute(part.path), part.pose) for part in parts_of(path)]
     return []

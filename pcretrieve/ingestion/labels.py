@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.formats import split_member
@@ -101,9 +101,12 @@ LAYOUTS: Mapping[str, Layout] = MappingProxyType(
 
 
 def discover_labelled(
-    arguments: Sequence[str | Path], labels: str | Path | None, beside: Iterable[str | Path] = ()
+    arguments: Sequence[str | Path],
+    labels: str | Path | None,
+    beside: Iterable[str | Path] = (),
+    limits: Mapping[str, Any] | None = None,
 ) -> tuple[list[Path], dict[str, str]]:
-    """Find the files of scans, and their classes; files in `beside` are known not to be scans."""
+    """Find the files of scans, as by `discover`, and their classes."""
     layout = LAYOUTS.get(str(labels))
     files = [*beside]
     if layout is None:
@@ -112,7 +115,7 @@ def discover_labelled(
         folders = [Path(argument) for argument in arguments if Path(argument).is_dir()]
         files += [file for folder in folders for name in layout.place for file in folder.rglob(name)]
     try:
-        scans = discover(arguments, files)
+        scans = discover(arguments, files, limits)
     except InputError as error:
         if layout is None:
             raise

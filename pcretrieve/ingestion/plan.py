@@ -14,10 +14,11 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from threading import Condition, Thread
+from typing import Any
 
 from pcretrieve import __version__
 from pcretrieve.catalogue import Catalogue, Record
-from pcretrieve.errors import PcretrieveError, ShapeError, Stage, StageTimeout
+from pcretrieve.errors import PcretrieveError, ShapeError, Stage, StageTimeout, shape_error
 from pcretrieve.formats import split_member
 from pcretrieve.formats.format import url_of
 from pcretrieve.formats.identity import file_hash, printable, scan_hash, stamp_of
@@ -68,6 +69,11 @@ class Processing:
     retries: int = 0
     max_failures: int | None = None
     on_shape: Callable[[Record], None] = lambda record: None
+
+    @property
+    def limits(self) -> dict[str, Any]:
+        """Those of an executor."""
+        return {"workers": self.workers, "timeout": self.timeout, "memory": self.memory}
 
 
 @dataclass(slots=True, eq=False)
@@ -236,11 +242,8 @@ def _is_gone(path: str) -> bool:
 class Contents:
     """Hashes of scans, computed in threads: in advance with `expect`, or on demand with `of`.
 
-    Each file is read once, also if it holds several scans. A file whose stamp is that of its record is not
-    read: its hash is that of the record.
-
-    timeout: longest time to read one file; seconds. Reading a file on a network that is not connected may
-        never end: its thread then continues, is not counted, and does not prevent the program from ending.
+    Each file is read once. A file whose stamp is that of its record is not read. A thread that reads a file
+    for more than `timeout` seconds, as on a network that is not connected, is not waited for any more.
     """
 
     def __init__(
@@ -318,8 +321,8 @@ class Contents:
                 # A file that was written meanwhile has one of two stamps.
                 if stamp is not None and stamp.changed < now - SETTLED and stamp == stamp_of(file):
                     settled = stamp.text
-        except Exception as error:  # noqa: BLE001  `of` raises it
-            content = error
+        except Exception as error:  # noqa: BLE001  the row of this file
+            content = shape_error(error, Stage.READ)
         with self._changed:
             if settled is not None:
                 self._stamps[file] = settled

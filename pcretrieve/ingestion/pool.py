@@ -180,13 +180,7 @@ def in_processes(
 def alone(
     function: Callable[..., Answer], /, *arguments: Any, timeout: float = 600.0, memory: float | None = None
 ) -> Answer:
-    """Call a function once, in a process of its own.
-
-    A function that imports modules when it is called saves the calling process these imports.
-
-    timeout: seconds.
-    memory: largest heap of the process; GiB.
-    """
+    """Call a function once, in a process of its own, with limits as of `in_processes`."""
     call = partial(function, *arguments)
     ((_, outcome),) = in_processes(_called, [call], workers=1, timeout=timeout, memory=memory)
     if isinstance(outcome, PcretrieveError):

@@ -10,7 +10,6 @@ from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from pcretrieve.catalogue import Catalogue, CatalogueLike, Content, Record, opened
 from pcretrieve.errors import InputError, PcretrieveError
@@ -144,15 +143,16 @@ def ingest(
     PcretrieveError
         If `max_failures` scans have failed.
     """
+    how = Processing(workers, timeout, memory, executor, retry_failed, retries, max_failures, on_shape)
     scans, names = discover_labelled(
         [paths] if isinstance(paths, (str, Path)) else paths,
         labels if isinstance(labels, (str, Path)) else None,
         [catalogue] if isinstance(catalogue, (str, Path)) else [],
+        how.limits,
     )
     chosen = None if options is None else PipelineOptions.of(options)
     classes = labels if isinstance(labels, Mapping) else names
     part = scans_of(shard, scans)
-    how = Processing(workers, timeout, memory, executor, retry_failed, retries, max_failures, on_shape)
     on_start(len(part))
     if dry_run:
         is_path = isinstance(catalogue, (str, Path)) and "://" not in str(catalogue)
@@ -264,7 +264,7 @@ def watch(
     how = Processing(workers, timeout, memory, executor, retries=retries, on_shape=on_shape)
     with opened(catalogue, chosen, create=True) as store:
         while True:
-            if scans := arrivals.look():
+            if scans := discover(arrivals.look(), limits=how.limits):
                 yield process_scans(scans, store, how)
             else:
                 time.sleep(interval)
@@ -278,17 +278,10 @@ def process_scans(
     labels: Mapping[str, str] | None = None,
     part: Collection[Path] | None = None,
 ) -> Summary:
-    """Process scans, and store the results, including failures.
-
-    Each shape is stored as soon as it is finished, so that an interrupted run can be continued by starting it
-    again.
-
-    part: the scans of the shard that is processed; by default all.
-    """
+    """Process scans, those of a shard or all, and store each result, or failure, as soon as it is there."""
     remove_abandoned()  # also where nothing is left to do after a kill
     records = catalogue.origins()
     planner = Planner(paths, records, how, labels, part)
-    limits: dict[str, Any] = {"workers": how.workers, "timeout": how.timeout, "memory": how.memory}
     with closing(planner.contents):
         if changed := planner.changed(records):
             catalogue.revise(removed=changed)
@@ -296,9 +289,8 @@ def process_scans(
             run = _Run(catalogue, how, counts)
             attempts: Iterable[Attempt] = run.queue(planner)
             while True:
-                with closing(
-                    how.executor(partial(work_on, catalogue.options), attempts, **limits)
-                ) as outcomes:
+                work = partial(work_on, catalogue.options)
+                with closing(how.executor(work, attempts, **how.limits)) as outcomes:
                     for attempt, outcome in outcomes:
                         run.finish(attempt, outcome)
                 if not run.later:
@@ -391,7 +383,7 @@ class Arrivals:
         self._given: dict[Path, State] = {}
 
     def look(self) -> list[Path]:
-        """Find the scans whose files are unchanged since the last look, and changed since they were found.
+        """Find the files of scans that are unchanged since the last look, and changed since they were found.
 
         A scan of several files is found when all its views are there.
         """
@@ -404,15 +396,11 @@ class Arrivals:
                     owned.update(part.path for part in parts)
                     needed = (part.path for part in parts if part.pose is not None or part.path.exists())
                     with suppress(OSError):  # it has vanished meanwhile, or a view is not there yet
-                        now[path] = tuple(_state(file) for file in (path, *needed))
+                        states = (file.stat() for file in (path, *needed))
+                        now[path] = tuple((one.st_ino, one.st_size, one.st_mtime_ns) for one in states)
         found = [
             path for path, state in now.items() if self._seen.get(path) == state != self._given.get(path)
         ]
         self._seen = now
         self._given |= {path: now[path] for path in found}
-        return discover(sorted({*found} - owned))
-
-
-def _state(file: Path) -> tuple[int, int, int]:
-    found = file.stat()
-    return found.st_ino, found.st_size, found.st_mtime_ns
+        return sorted({*found} - owned)

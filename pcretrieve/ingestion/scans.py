@@ -76,7 +76,8 @@ def map_scans(
         If a path does not exist or names no scans, or the output cannot be written or is among the scans.
     """
     given = [Path(path) for path in ([paths] if isinstance(paths, (str, Path)) else paths)]
-    scans = discover(given)
+    limits: dict[str, Any] = {"workers": workers, "timeout": timeout, "memory": memory}
+    scans = discover(given, limits=limits)
     files = [None] * len(scans) if output is None else _files(given, scans, Path(output), suffix, kind)
     tasks = [_Task(scan, file) for scan, file in zip(scans, files, strict=True)]
     on_start(len(tasks))
@@ -84,7 +85,7 @@ def map_scans(
     remaining = iter(tasks)
     upcoming = next(remaining, None)
     applied = partial(_applied, function)
-    running = in_processes(applied, tasks, workers=workers, timeout=timeout, memory=memory)
+    running = in_processes(applied, tasks, **limits)
     with closing(running):
         for task, outcome in running:
             if isinstance(outcome, PcretrieveError):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -73,7 +73,8 @@ def merge_views(
     chosen = PipelineOptions.of({"merge": options} if isinstance(options, MergeOptions) else options)
     named = [views] if isinstance(views, (str, Path)) else views
     paths = [view for view in named if isinstance(view, (str, Path))]
-    files = view_files(paths)[0] if len(paths) == len(named) else []
+    limits = None if timeout is None else {"timeout": timeout, "memory": memory}
+    files = view_files(paths, limits)[0] if len(paths) == len(named) else []
     if output is not None:
         check_output(Path(output), files, "point")
     if not files:
@@ -92,13 +93,15 @@ def _merged(paths: Sequence[str | Path], options: PipelineOptions) -> Merged:
     return merge_clouds(read.clouds, options.merge, options.scan, poses=read.poses)
 
 
-def view_files(paths: Sequence[str | Path]) -> tuple[list[Path], FloatArray | None]:
-    """Find the files of views, and their poses.
+def view_files(
+    paths: Sequence[str | Path], limits: Mapping[str, float | None] | None = None
+) -> tuple[list[Path], FloatArray | None]:
+    """Find the files of views, as `discover` does, and their poses.
 
     Returns poses : (v, 4, 4) float64 or None: rigid motions of the views into a common frame, if the files,
         or a trajectory beside them, give those of all views.
     """
-    files = discover(paths)
+    files = discover(paths, limits=limits)
     for file in files:
         try:
             views = [view for view in parts_of(file) if view.pose is not None]

@@ -213,6 +213,7 @@ def test_the_file_of_a_buffer_belongs_to_the_scan_if_it_lies_below(tmp_path: Pat
         ("/etc/passwd", "its buffers must be files below its own folder, got '/etc/passwd'"),
         ("../a.bin", "its buffers must be files below its own folder"),
         ("https://example.org/a.bin", "its buffers must be files below its own folder"),
+        ("//[", r"not a complete GLTF file \(Invalid IPv6 URL\)"),
         ("gone.bin", r"its buffer gone\.bin: No such file or directory"),
         ("short.bin", "its binary part is too short for"),
     ):
@@ -249,6 +250,14 @@ def test_a_collada_file_says_how_long_its_unit_is(tmp_path: Path) -> None:
         found = read_raw(tmp_path / "a.dae")
         assert found.unit == unit
         np.testing.assert_allclose(found.points.mean(axis=0), scale * np.array([1, 2, 3]), atol=1e-6)
+    twice = 2 * '<instance_node url="#n{}"/>'
+    nodes = "".join(f'<node id="n{k}">{twice.format(k - 1, k - 1)}</node>' for k in range(30))
+    scene = f'<library_nodes>{nodes}</library_nodes><library_visual_scenes><visual_scene id="scene"><node>'
+    scene += '<instance_node url="#n29"/></node></visual_scene></library_visual_scenes>'
+    text = re.sub("(?s)<library_visual_scenes>.*</library_visual_scenes>", scene, collada(BALL))
+    (tmp_path / "a.dae").write_text(text)
+    with pytest.raises(ScanReadError, match="its scene has 1073741824 bodies, 1000 may be"):
+        read_scan(tmp_path / "a.dae")
 
 
 @needs(".3mf")
@@ -258,9 +267,12 @@ def test_damaged_archives_and_those_that_expand_to_much_more(tmp_path: Path) -> 
     with zipfile.ZipFile(file, "a", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("3D/blanks.model", b" " * 20_000_000)
     items = '<item objectid="1"/>' * 200
+    part = '<object id="{}"><components>{}</components></object>'
+    nested = "".join(part.format(k, f'<component objectid="{k - 1}"/>' * 2) for k in range(2, 32))
     for content, words in (
         (file.read_bytes(), r"its members declare 2\d+ bytes in \d+"),
         (three_mf(shapes.icosphere(3), items=items), "its scene declares 1153200 values"),
+        (three_mf(BALL, items=f"<item objectid='31'/>{nested}"), r"its scene has \d{10} bodies, 1000 may"),
         (b"PK\x03\x04", "not a complete 3MF file"),
         (three_mf(BALL, items=""), "not a complete 3MF file"),
         (whole[:-30], "not a complete 3MF file"),

@@ -22,8 +22,9 @@ VICIOUS = """
 import contextlib, ctypes, os, signal, sys
 import numpy as np
 from pcretrieve.errors import ScanReadError
+from pcretrieve.formats import Format
 
-def read(path):
+def read(path, name=None):
     DEEDS[path.stem]()
     raise ScanReadError(f"after the deed {path.stem}")
 
@@ -61,6 +62,8 @@ class Speechless(BaseException):
 def be_speechless():
     raise Speechless
 
+# Also when the file is only looked into for the names of its scans.
+FORMAT = Format(read, names=read)
 DEEDS = {name: deed for name, deed in globals().items() if callable(deed)}
 """
 
@@ -87,7 +90,7 @@ def test_each_fault_is_one_row_with_words_and_the_batch_goes_on(
         write_mesh(shapes.ellipsoid((1, 1, length), subdivisions=3), tmp_path / "scans" / f"{name}.off")
     for deed in EXPECTED:
         (tmp_path / "scans" / f"{deed}.vicious").write_text(deed)
-    entry_points = "[pcretrieve.readers]\n.vicious = vicious:read\n"
+    entry_points = "[pcretrieve.readers]\n.vicious = vicious:FORMAT\n"
     install(tmp_path / "site", "vicious", {"vicious": VICIOUS}, entry_points, monkeypatch)
     limits = ("--workers", 2, "--timeout", TIMEOUT, "--memory", 1)
     path = os.pathsep.join(filter(None, sys.path))
