@@ -29,6 +29,7 @@ from pcretrieve.catalogue.records import (
     Entry,
     Payload,
     Record,
+    inserting,
     row_of,
     settings_of,
     stored_options,
@@ -211,6 +212,22 @@ class Catalogue(Rows):
         except CatalogueError:  # another process has locked it, or the disk is full
             return False
         return True
+
+    @property
+    def up(self) -> str | None:
+        """The axis of the files that points upwards, such as ``-y``, if it was said."""
+        return self.settings().get("up")
+
+    def keep_up(self, axis: str | None) -> None:
+        """Store which axis points upwards, or with None that pictures show it for each shape, drawn again."""
+        if not self.database.is_writable:
+            return
+        with self.database.writing():
+            self.database.execute("DELETE FROM meta WHERE key = 'up'")
+            if axis is not None:
+                self.database.execute(inserting("meta"), ["up", axis])
+            else:
+                self.database.execute("UPDATE arrays SET thumbnails = NULL WHERE meshes IS NOT NULL")
 
     # --- signatures -------------------------------------------------------------------------------------
 

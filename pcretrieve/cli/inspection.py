@@ -36,7 +36,7 @@ def inspect_command(scan: Path, output: Path | None, png: Path | None, **run: An
     """Show what is wrong with a scan, and what to do about it, on an HTML page.
 
     The page shows points, normals and surface from all sides and in 3D; points that were removed; gaps that
-    were filled, and parts that were cut or joined; and the signature with its error bar. If a stage fails,
+    were filled, and parts that were cut or joined; and the error bar of the signature. If a stage fails,
     the page shows the stages before it, and the exit code is 3. Each scan of a folder gets a page and a line.
 
     \b

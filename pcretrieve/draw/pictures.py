@@ -63,9 +63,9 @@ class Camera:
         return seen
 
 
-def cameras_around(points: FloatArray) -> list[Camera]:
-    """Cameras on four sides of a body, with one scale and all points in the field of view."""
-    axes = principal_axes(points, np.full(len(points), 1 / len(points)))
+def cameras_around(points: FloatArray, axes: FloatArray | None = None) -> list[Camera]:
+    """Cameras on four sides of a body, in front of which `axes` are, with all points in the field of view."""
+    axes = principal_axes(points, np.full(len(points), 1 / len(points))) if axes is None else axes
     return cameras_framing(points, [rotation(azimuth, ELEVATION) @ axes for azimuth in AZIMUTHS])
 
 

@@ -56,19 +56,20 @@ def plot_signature(
     return axes
 
 
-def draw_places(groups: Sequence[tuple[str | None, FloatArray, str, str]], *, title: str) -> bytes:
+def draw_places(groups: Sequence[tuple[str | None, FloatArray, str]], *, title: str) -> bytes:
     """A picture (PNG) of places in the plane, with a key of the groups.
 
-    groups: for each group its name (None: unknown), the (n, 2) places, a colour, and a marker of matplotlib.
+    groups: for each group its name (None: unknown), the (n, 2) places, and a colour.
     """
     _pyplot()  # raises an error if matplotlib is not installed
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9, 7), layout="constrained")
     axes = figure.subplots()
-    for name, places, colour, marker in groups:
+    for number, (name, places, colour) in enumerate(groups):
         label = "class unknown" if name is None else name
         x, y = places.T
+        marker = "os^Dv"[number // 8 % 5]  # of more classes than colours
         axes.scatter(x, y, s=30, c=colour, marker=marker, edgecolors="white", linewidths=0.5, label=label)
     axes.set_aspect("equal")
     axes.set(xticks=[], yticks=[], title=title)

@@ -15,9 +15,9 @@ from pcretrieve.arrays import FloatArray, IntArray, bounding_diagonal
 from pcretrieve.draw.axes import body_axes
 from pcretrieve.draw.pictures import (
     CLAY,
-    MARGIN,
     SUPERSAMPLING,
     cameras_around,
+    cameras_framing,
     depth_picture,
     face_brightness,
     pooled,
@@ -38,7 +38,7 @@ AZIMUTH, ELEVATION = 20.0, 10.0
 
 # How a picture was drawn, and which direction is upwards in it, which its PNG file says. To be changed when
 # bodies are drawn differently, so that pictures of earlier versions in catalogues are drawn again.
-DRAWN_BY = "pcretrieve drawing 1, up"
+DRAWN_BY = "pcretrieve drawing 2, up"
 DIRECTION = re.compile(rb"Comment\0" + DRAWN_BY.encode() + rb"((?: -?[0-9]\.[0-9]{4}){3})")
 
 # The palette has one entry for the background, and one for each brightness at each coverage, at most 256 in
@@ -68,7 +68,8 @@ def thumbnail(
             stage=Stage.THUMBNAIL,
         )
     axes = body_axes(vertices, faces, up)
-    framed = _framed(vertices @ (rotation(AZIMUTH, ELEVATION) @ axes).T, faces)
+    (camera,) = cameras_framing(vertices[faces.ravel()], [rotation(AZIMUTH, ELEVATION) @ axes])
+    framed = camera.seen(vertices)
     face = visible_faces(framed, faces, size)
     covered = (face >= 0).astype(np.float64)
     return _png(pooled(np.append(face_brightness(framed, faces), 0.0)[face]), pooled(covered), axes[1])
@@ -80,9 +81,11 @@ def resized(picture: bytes, size: int) -> bytes:
         if image.width <= size:
             return picture
         pixels = np.asarray(image.convert("RGBA"), np.float64) / 255  # (n, n, 4)
-    coverage = pixels[:, :, 3]
-    shade = coverage * pixels[:, :, 0] / CLAY[0]
-    return _png(_smaller(shade, size), _smaller(coverage, size), direction_upwards(picture))
+    coverage = pixels[:, :, 3].astype(np.float32)
+    shade = (coverage * pixels[:, :, 0] / CLAY[0]).astype(np.float32)
+    smaller = [Image.fromarray(a).resize((size, size), Image.Resampling.BOX) for a in (shade, coverage)]
+    shade, coverage = (np.asarray(each) for each in smaller)
+    return _png(shade.astype(np.float64), coverage.astype(np.float64), direction_upwards(picture))
 
 
 def direction_upwards(picture: bytes) -> FloatArray | None:
@@ -110,21 +113,6 @@ def picture_html(picture: bytes | None, words: str) -> str:
     if picture is not None:
         image = f'<img alt="" src="data:image/png;base64,{b64encode(picture).decode("ascii")}"><br>'
     return f"<div>{image}<code>{escape(words)}</code></div>"
-
-
-def _framed(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """(n, 3) image coordinates in which the surface fills [-1, 1]² up to the margin, and is below z = 0."""
-    used = vertices[faces.ravel()]
-    low, high = used.min(axis=0), used.max(axis=0)
-    centre = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, high[2]]
-    framed: FloatArray = (vertices - centre) * (2 - 4 * MARGIN) / (high - low)[:2].max()
-    return framed
-
-
-def _smaller(values: FloatArray, size: int) -> FloatArray:
-    """The means of (n, n) values over the areas of (size, size) pixels."""
-    image = Image.fromarray(values.astype(np.float32)).resize((size, size), Image.Resampling.BOX)
-    return np.asarray(image, np.float64)
 
 
 def _png(shade: FloatArray, coverage: FloatArray, up: FloatArray | None) -> bytes:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from base64 import b64encode
 from functools import cache
 from pathlib import Path
+from tempfile import gettempdir
 from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from pcretrieve.draw.pictures import rgb
-from pcretrieve.values import FloatArray
 from pcretrieve.values.files import write_file
 
 
@@ -40,6 +41,7 @@ def _environment() -> Environment:
     environment.filters |= {
         "three_digits": _three_digits,
         "base64": encoded,
+        "without_folders": without_folders,
         "css": lambda colour: "#" + bytes(rgb(colour)).hex(),
         # A name as one part of an address; slashes in it too are escaped.
         "in_address": lambda name: quote(name, safe=""),
@@ -59,6 +61,12 @@ def encoded(content: bytes) -> str:
     return b64encode(content).decode("ascii")
 
 
-def line_of(across: FloatArray, down: FloatArray) -> str:
-    """Points as the attribute of an SVG line."""
-    return " ".join(f"{x:.4f},{y:.4f}" for x, y in zip(across, down, strict=True))
+def without_folders(text: str, folder: Path | None = None) -> str:
+    """A message without the folders of absolute paths in it: of ``/data/scans/a.ply`` the name remains.
+
+    The folders of this computer are nobody's business.
+    """
+    for known in (folder, Path(gettempdir())):
+        if known is not None and known.name:
+            text = text.replace(f"{known}/", "/")
+    return re.sub(r"(?<![\w./])(?:/[^/\s'\"]+)*/(?=[^/\s])", "", text)

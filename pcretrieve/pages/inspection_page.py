@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 from pcretrieve import Inspection, PointCloud
 from pcretrieve.draw.pictures import CLAY, Colour, rgb
 from pcretrieve.options import OptionsLike
-from pcretrieve.pages.html import encoded, line_of, page_of, write_page
+from pcretrieve.pages.html import encoded, page_of, write_page
 from pcretrieve.pages.inspection_pictures import (
     AWAY,
     BRIDGE,
@@ -42,13 +42,6 @@ REMOVED_IN_VIEW = 90
 # The sheet of pictures: its margin, the height of a line and of the title, in pixels, and its two greys.
 MARGIN, LINE, TITLE = 16, 22, 34
 DARK, GREY = (0.1, 0.1, 0.1), (0.3, 0.3, 0.3)
-
-
-class Served(NamedTuple):
-    """Where a page of a server leads to."""
-
-    title: str
-    back: str
 
 
 def inspect(
@@ -107,8 +100,8 @@ def inspect(
     return found
 
 
-def inspection_html(inspection: Inspection, served: Served | None = None) -> bytes:
-    """The page of an inspection."""
+def inspection_html(inspection: Inspection, served: tuple[str, str] | None = None) -> bytes:
+    """The page of an inspection; of a server, with its title and the address that the page leads back to."""
     return page_of("inspection.html", **_shown(inspection, served))
 
 
@@ -117,9 +110,9 @@ def write_inspection_page(inspection: Inspection, path: str | Path) -> Path:
     return write_page(path, "inspection.html", **_shown(inspection, None))
 
 
-def _shown(it: Inspection, served: Served | None) -> dict[str, Any]:
+def _shown(it: Inspection, served: tuple[str, str] | None) -> dict[str, Any]:
     """What the template shows."""
-    return {"it": it, "rows": rows_of(it), "scene": _scene(it), "plot": _plot(it), "served": served}
+    return {"it": it, "rows": rows_of(it), "scene": _scene(it), "served": served}
 
 
 def _scene(it: Inspection) -> dict[str, Any] | None:
@@ -161,28 +154,6 @@ def _point_layers(it: Inspection, scan: PointCloud, cube: Cube) -> list[dict[str
         label = f"{int(chosen.sum()):,} {words}" + (f", {n_far:,} of them too far away" if n_far else "")
         layers.append(cube.layer(name, label, thinned(scan.points[chosen & inside]), colour, width=width))
     return layers
-
-
-def _plot(it: Inspection) -> dict[str, Any] | None:
-    """Logarithms of a signature in the unit square of an SVG, whose y axis points down."""
-    if it.signature is None:
-        return None
-    logs = np.log(it.signature.values)  # (L,)
-    deviation = np.zeros_like(logs) if it.rescan_deviation is None else it.rescan_deviation
-    low, high = float((logs - deviation).min()), float((logs + deviation).max())
-    across = (np.arange(len(logs)) + 0.5) / len(logs)
-    largest, tiny = float(deviation.max()), np.finfo(float).tiny
-    rows = (logs, logs + deviation, logs - deviation)
-    line, above, below = ((high - values) / max(high - low, tiny) for values in rows)
-    heights = (deviation / max(largest, tiny)).tolist()
-    return {
-        "line": line_of(across, line),
-        "band": line_of(across, above) + " " + line_of(across[::-1], below[::-1]),
-        "bars": list(zip(across.tolist(), heights, strict=True)),
-        "highest": high,
-        "lowest": low,
-        "largest": largest,
-    }
 
 
 def write_inspection_png(inspection: Inspection, path: str | Path) -> Path:

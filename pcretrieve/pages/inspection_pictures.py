@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from pcretrieve import Inspection, PointCloud, TriangleMesh
+from pcretrieve.draw.axes import body_axes
 from pcretrieve.draw.pictures import (
     CLAY,
     DARKEST,
@@ -87,7 +88,8 @@ class Row:
 
 def inspection_cameras(it: Inspection) -> list[Camera]:
     """The cameras of all pictures of an inspection."""
-    return cameras_around(it.body) if len(it.body) else []
+    axes = None if it.mesh is None else body_axes(it.mesh.vertices, it.mesh.faces, it.mesh.up)
+    return cameras_around(it.body, axes) if len(it.body) else []
 
 
 def rows_of(it: Inspection) -> list[Row]:

@@ -78,8 +78,10 @@ def query_page(
         many = [queries] if isinstance(queries, (str, Path)) else [*queries]
         files = [Path(one) for one in (store.location, *many) if isinstance(one, (str, Path))]
         check_target(Path(path), files)
-        outcomes = list(search_many(store, many, options=chosen, has_pictures=True, up=up, **asked))
-        thumbnails = Thumbnails(up)
+        thumbnails = Thumbnails(store, up)
+        outcomes = list(
+            search_many(store, many, options=chosen, has_pictures=True, up=thumbnails.up, **asked)
+        )
         panels = [
             {"name": name} | _panel(store, one, thumbnails)
             for name, one in outcomes

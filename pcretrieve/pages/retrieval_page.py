@@ -1,7 +1,7 @@
 """The retrieval page: retrieval measures, and queries with their ranked results.
 
-It is one self-contained HTML file that makes no requests: each picture is inlined once, however often it is
-shown. A script sorts and searches the queries; without it, the page shows the same.
+It is one self-contained HTML file that makes no requests: each picture is inlined once for all queries and
+results, and once for the map. A script sorts and searches the queries; without it, the page shows the same.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from pcretrieve import (
 )
 from pcretrieve.errors import InputError
 from pcretrieve.options import OptionsLike
-from pcretrieve.pages.html import line_of, write_page
-from pcretrieve.pages.map_page import map_drawing
+from pcretrieve.pages.html import write_page
+from pcretrieve.pages.map_page import map_drawing, map_pictures
 from pcretrieve.pages.queries_page import settings_in_words
 from pcretrieve.pages.thumbnails import Thumbnails
 
@@ -39,10 +39,6 @@ MOST_MAPPED = 2000
 
 # Number of queries that a comparison lists.
 N_CHANGES = 10
-
-# Largest number of letters of a class beside the confusion matrix, and the width of a letter in cells.
-MOST_LETTERS = 20
-LETTER = 0.36
 
 # The measures, explained for readers who do not know retrieval benchmarks.
 MEASURES = {
@@ -148,11 +144,10 @@ def report(
             raise InputError(f"no class in {store.location} has two shapes: there are no measures to compare")
         # The worst first, then those that have no average precision.
         queries = sorted(ranking.ids, key=lambda shape_id: precision.get(shape_id, 2.0))
-        facts = {"shapes": str(len(ranking.ids)), "classes": str(len(sizes))}
-        facts |= _facts(store, chosen, matrix, measured)
+        facts = {"classes": str(len(sizes))} | settings_in_words(store, chosen, matrix)
         if len(queries) > n_queries:
             facts["queries"] = f"the {n_queries} with the lowest average precision of {len(queries)}"
-        thumbnails = Thumbnails(up, PIXELS)
+        thumbnails = Thumbnails(store, up, PIXELS)
         panels = []
         for one in queries[:n_queries]:
             hits = _near(ranking, one, k, chosen.retrieval.rerank)
@@ -172,31 +167,11 @@ def report(
             pictures={picture: number for number, picture in enumerate(shown)},
             measured=measured,
             comparison=comparison,
-            compared_with=versus.location if isinstance(versus, Catalogue) else str(versus),
+            compared_with=Path(versus.location if isinstance(versus, Catalogue) else str(versus)).name,
             drawing=_map(ranking, records),
+            map_pictures=map_pictures(store, ranking.ids, thumbnails),
             failures=[record for records in store.pages(status="failed") for record in records],
         )
-
-
-def _facts(
-    catalogue: Catalogue,
-    options: PipelineOptions,
-    matrix: DistanceMatrix | None,
-    measured: dict[str, Any] | None,
-) -> dict[str, str]:
-    """How shapes are compared."""
-    facts = settings_in_words(catalogue, options, matrix)
-    for left_out in ("searched", "score"):
-        facts.pop(left_out, None)
-    if matrix is None:
-        facts["scale"] = options.signature.scale
-    else:
-        facts["distance"] = f"that of a matrix of {len(matrix)} shapes"
-    if measured is not None and measured["whitening"]:
-        # One that is fitted without labels is the same for the measures.
-        is_same = measured["whitening"].startswith(facts["whitening"])
-        facts["whitening" if is_same else "whitening of the measures"] = measured["whitening"]
-    return facts
 
 
 def _measured(found: Evaluation) -> dict[str, Any]:
@@ -211,35 +186,10 @@ def _measured(found: Evaluation) -> dict[str, Any]:
                 MEASURES.items(), means, found.interval.T.tolist(), strict=True
             )
         ],
-        "curve": line_of(curve.recall, 1 - curve.precision),
+        "curve": " ".join(f"{x:.4f},{1 - y:.4f}" for x, y in zip(curve.recall, curve.precision, strict=True)),
         "precision": curve.precision.tolist(),
         "classes": sorted(found.classes, key=lambda one: (one.means[-1], one.label)),
-        "confusion": _confusion(found),
-        "whitening": found.ranked.whitening,
     }
-
-
-def _confusion(found: Evaluation) -> dict[str, Any]:
-    """A confusion matrix whose cells have side 1."""
-    matrix = found.confusion
-    counts = matrix.counts
-    n_columns = len(matrix.nearest) - (not counts[:, -1].any())
-    nearest = ["no class" if label is None else label for label in matrix.nearest[:n_columns]]
-    totals = counts.sum(axis=1)
-    cells, n_right = [], 0
-    for y, x in np.argwhere(counts).tolist():
-        label, n, right = matrix.labels[y], int(counts[y, x]), matrix.nearest[x] == matrix.labels[y]
-        words = f"{label}: the nearest shape of {n} of {totals[y]} is {nearest[x]}"
-        cells.append({"x": x, "y": y, "share": n / float(totals[y]), "right": right, "words": words})
-        n_right += n if right else 0
-    rows, columns = [[_short(label) for label in labels] for labels in (matrix.labels, nearest)]
-    margin = 0.5 + LETTER * max(map(len, rows + columns), default=0)
-    drawn = {"cells": cells, "rows": rows, "columns": columns, "margin": margin}
-    return drawn | {"n_right": n_right, "n": int(counts.sum())}
-
-
-def _short(label: str) -> str:
-    return label if len(label) <= MOST_LETTERS else label[: MOST_LETTERS - 1] + "…"
 
 
 def _compared(found: Comparison) -> dict[str, Any]:

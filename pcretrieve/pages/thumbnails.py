@@ -1,14 +1,15 @@
-"""Thumbnails of the shapes of a catalogue: those that it keeps, or drawn anew."""
+"""Thumbnails of the shapes of a catalogue: those that it keeps, or drawn anew where bodies would lie."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
+from contextlib import suppress
 from threading import Lock
 
 import numpy as np
 
-from pcretrieve import Catalogue, Record, TriangleMesh
-from pcretrieve.draw.axes import FEWEST_BODIES, NEAR_AXIS, common_axis, upward
+from pcretrieve import Catalogue, Record
+from pcretrieve.draw.axes import body_axes, common_axis, upward
 from pcretrieve.draw.thumbnail import THUMBNAIL_PIXELS, direction_upwards, resized, thumbnail
 from pcretrieve.errors import ShapeError
 from pcretrieve.values import FloatArray
@@ -19,20 +20,26 @@ MOST_KEPT = 5_000
 # Number of thumbnails that show along which axis the bodies of a catalogue stand.
 N_ASKED = 200
 
+# Largest distance of the direction upwards of a picture, of length 1, from an axis that was said, as pictures
+# have four decimals; and from one that was guessed: 10 degrees, which are not worth a new picture.
+SAID, GUESSED = 1e-3, 0.17
+
 
 class Thumbnails:
     """The thumbnails of one catalogue that were used last; any thread may ask for one.
 
+    up: the axis that points upwards, which the catalogue keeps; by default that which it has, or shows.
     size: side of the square pictures, at most 200; pixels.
     """
 
-    def __init__(self, up: str | None = None, size: int = THUMBNAIL_PIXELS) -> None:
-        self._given, self._size = upward(up), size
-        self._common: FloatArray | None = None
-        self._has_asked = False
-        self._keeps = up is None
+    def __init__(self, catalogue: Catalogue, up: str | None = None, size: int = THUMBNAIL_PIXELS) -> None:
+        upward(up)  # raises
+        self._size, self._lock = size, Lock()
         self._kept: OrderedDict[tuple[str, str], bytes | None] = OrderedDict()
-        self._lock = Lock()
+        self._keeps = True
+        if up is not None:
+            catalogue.keep_up(up)
+        self._choose(catalogue, up or catalogue.up)
 
     def of(self, catalogue: Catalogue, record: Record) -> bytes | None:
         """The thumbnail of a shape."""
@@ -48,39 +55,45 @@ class Thumbnails:
                 self._kept.popitem(last=False)
         return picture
 
-    def up(self, catalogue: Catalogue, mesh: TriangleMesh) -> FloatArray | None:
-        """(3,) the direction upwards of a surface, as given, known of the scan or common; None if unknown."""
-        if self._given is not None:
-            return self._given
-        return self._common_axis(catalogue) if mesh.up is None else mesh.up
+    def say(self, catalogue: Catalogue, up: str | None) -> None:
+        """Turn all shapes, so that an axis points upwards, or with None as they show."""
+        upward(up)
+        catalogue.keep_up(up)
+        with self._lock:
+            self._kept.clear()
+        self._choose(catalogue, up)
+
+    def turn(self, catalogue: Catalogue, record: Record, *, forwards: bool) -> None:
+        """Turn one shape by a quarter, to its side or forwards, if there is no axis for all."""
+        picture, mesh = self.of(catalogue, record), catalogue.mesh(record.id)
+        axes = body_axes(mesh.vertices, mesh.faces, direction_upwards(picture or b""))
+        catalogue.keep_thumbnail(record, thumbnail(mesh.vertices, mesh.faces, up=axes[2 if forwards else 0]))
+        with self._lock:
+            self._kept.pop((record.id, record.content_hash), None)
+
+    def _choose(self, catalogue: Catalogue, said: str | None) -> None:
+        self.said = said
+        self.up = said or self._guessed(catalogue)
 
     def _picture(self, catalogue: Catalogue, record: Record) -> bytes | None:
-        kept = None if self._given is not None else catalogue.thumbnail(record.id)
+        kept, up = catalogue.thumbnail(record.id), upward(self.up)
         drawn = None if kept is None else direction_upwards(kept)
-        common = self._common_axis(catalogue)
-        is_upright = drawn is not None and (common is None or drawn @ common > np.cos(NEAR_AXIS))
-        if kept is not None and is_upright:
-            return resized(kept, self._size)
-        try:
-            mesh = catalogue.mesh(record.id)
-            if kept is not None and drawn is not None and mesh.up is not None:
-                return resized(kept, self._size)
-            picture = thumbnail(mesh.vertices, mesh.faces, up=self.up(catalogue, mesh))
-        except ShapeError:
-            return None
-        # Not again after a failure, because a lock of another process is waited for.
-        self._keeps = self._keeps and catalogue.keep_thumbnail(record, picture)
-        return resized(picture, self._size)
+        # Without a stored surface, the picture is left as it is.
+        with suppress(ShapeError):
+            if drawn is None or not self._is_right(drawn, up):
+                mesh = catalogue.mesh(record.id)
+                up = mesh.up if mesh.up is not None and self.said is None else up
+                if drawn is None or not self._is_right(drawn, up):
+                    kept = thumbnail(mesh.vertices, mesh.faces, up=up)
+                    # Not again after a failure, because a lock of another process is waited for.
+                    self._keeps = self._keeps and catalogue.keep_thumbnail(record, kept)
+        return kept and resized(kept, self._size)
 
-    def _common_axis(self, catalogue: Catalogue) -> FloatArray | None:
-        if self._given is None and not self._has_asked:
-            records = next(catalogue.pages(status="done"), [])
-            kept = [catalogue.thumbnail(one.id) for one in records[:: -(-len(records) // N_ASKED) or 1]]
-            found = [direction_upwards(picture) for picture in kept if picture is not None]
-            self._common = common_axis(np.reshape([one for one in found if one is not None], (-1, 3)))
-            # Of fewer bodies the next answer may be another one.
-            self._has_asked = len(records) >= FEWEST_BODIES
-            if self._common is not None:
-                with self._lock:
-                    self._kept.clear()
-        return self._common
+    def _is_right(self, drawn: FloatArray, up: FloatArray | None) -> bool:
+        return up is None or bool(np.linalg.norm(drawn - up) < (SAID if self.said else GUESSED))
+
+    def _guessed(self, catalogue: Catalogue) -> str | None:
+        records = next(catalogue.pages(status="done"), [])
+        kept = [catalogue.thumbnail(one.id) for one in records[:: -(-len(records) // N_ASKED) or 1]]
+        found = [direction_upwards(picture) for picture in kept if picture is not None]
+        return common_axis(np.reshape([one for one in found if one is not None], (-1, 3)))

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from threading import Barrier, local
 from typing import Any, TypeVar
 from urllib.parse import parse_qsl, quote, unquote
+from zlib import crc32
 
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
@@ -24,8 +25,9 @@ from starlette.staticfiles import StaticFiles
 
 from pcretrieve import Answer, Catalogue, PipelineOptions, Record
 from pcretrieve.errors import CatalogueError, InputError, PcretrieveError
-from pcretrieve.pages.html import page_of
+from pcretrieve.pages.html import page_of, without_folders
 from pcretrieve.pages.thumbnails import Thumbnails
+from pcretrieve.values import UPWARD
 from pcretrieve.web.comparison import Maps, compared, mesh_of, scene_document
 from pcretrieve.web.documents import (
     class_names,
@@ -36,16 +38,14 @@ from pcretrieve.web.documents import (
     similar_csv,
     similar_document,
     similar_to,
-    without_folders,
 )
 from pcretrieve.web.jobs import Job, Jobs
 from pcretrieve.web.requests import ONE_FILE, Listing, Refused, Similar, checked_suffix, received
 
 logger = logging.getLogger(__name__)
 
-# Answers that belong to one state of the catalogue are asked for again each time, pictures once in an hour.
+# Answers belong to one state of the catalogue, and are asked for again each time.
 FRESH = {"cache-control": "private, no-cache"}
-KEPT = {"cache-control": "private, max-age=3600"}
 
 # Time between two looks at a job, and the longest time until the connection of a refused scan is closed, as
 # browsers may read the answer after they have sent the rest, which is not kept; seconds.
@@ -190,6 +190,8 @@ def _collection(asked: _Asked) -> Response:
         suffixes=() if asked.site.given_jobs is None else ONE_FILE,
         most_bytes=asked.site.most_bytes,
         keeps_scans=asked.site.keeps_scans,
+        axes=("", *UPWARD),
+        pictures=asked.site.thumbnails,
     )
 
 
@@ -201,6 +203,7 @@ def _shape(asked: _Asked) -> Response:
         asked=asked.similar,
         found=asked.found() if record.status == "done" else None,
         classes=class_names(asked.catalogue),
+        can_be_turned=asked.site.given_jobs is not None and asked.site.thumbnails.up is None,
     )
 
 
@@ -250,7 +253,11 @@ def _thumbnail(asked: _Asked) -> Response:
     picture = asked.site.thumbnails.of(asked.catalogue, asked.record)
     if picture is None:
         raise Refused(f"the shape {asked.name!r} has no picture, because its mesh is not stored")
-    return Response(picture, headers=KEPT, media_type="image/png")
+    # Browsers keep pictures, and ask whether they have been turned.
+    headers = FRESH | {"etag": f'"{crc32(picture):x}"'}
+    if asked.request.headers.get("if-none-match") == headers["etag"]:
+        return Response(status_code=304, headers=headers)
+    return Response(picture, headers=headers, media_type="image/png")
 
 
 def _glb(asked: _Asked) -> Response:
@@ -294,13 +301,36 @@ async def _keep_scan(request: Request) -> Response:
 
 async def _keep_scan_by_form(request: Request) -> Response:
     """For the form of the page: the fields are in the body, and the answer is the page of the shape."""
+    record = await _kept(request, await _form(request))
+    return RedirectResponse(f"/shape/{quote(record.id, safe='')}", 303, headers=FRESH)
+
+
+async def _form(request: Request) -> dict[str, str]:
     body = b""
     async for chunk in request.stream():
         body += chunk
         if len(body) > LONGEST_FORM:
             raise Refused(f"the form may have at most {LONGEST_FORM} bytes", 413)
-    record = await _kept(request, dict(parse_qsl(body.decode("utf-8", "replace"))))
-    return RedirectResponse(f"/shape/{quote(record.id, safe='')}", 303, headers=FRESH)
+    return dict(parse_qsl(body.decode("utf-8", "replace")))
+
+
+# --- which way is up --------------------------------------------------------------------------------------
+
+
+async def _say_up(request: Request) -> Response:
+    """All shapes of a catalogue stand along an axis of their files."""
+    up, site = (await _form(request)).get("up"), _site(request)
+    await site.drawing.read(lambda catalogue: site.thumbnails.say(catalogue, up))
+    return RedirectResponse("/", 303, headers=FRESH)
+
+
+async def _turn(request: Request) -> Response:
+    """One shape is turned by a quarter."""
+    forwards, site, name = (await _form(request)).get("way") == "forwards", _site(request), _name(request)
+    await site.drawing.read(
+        lambda catalogue: site.thumbnails.turn(catalogue, record_of(catalogue, name), forwards=forwards)
+    )
+    return RedirectResponse(f"/shape/{quote(name, safe='')}", 303, headers=FRESH)
 
 
 async def _kept(request: Request, fields: Mapping[str, str]) -> Record:
@@ -328,6 +358,8 @@ async def _events(jobs: Jobs, job_id: str) -> AsyncIterator[str]:
             return
         await asyncio.sleep(LOOK)
 
+
+TURNS = (Route("/up", _say_up, methods=["POST"]), Route("/shape/{id}/turn", _turn, methods=["POST"]))
 
 # --- addresses --------------------------------------------------------------------------------------------
 
@@ -369,6 +401,7 @@ def application(site: Site) -> Starlette:
             Route("/scans/{id}/keep", _keep_scan, methods=["POST"]),
             Route("/scan/{id}/keep", _keep_scan_by_form, methods=["POST"]),
             Route("/scans/{id}/events", _scan_events),
+            *(() if site.given_jobs is None else TURNS),
             Mount("/assets", StaticFiles(packages=[("pcretrieve.pages", "assets")])),
         ],
         exception_handlers={PcretrieveError: _refused, HTTPException: _nowhere, Exception: _refused},

@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from pcretrieve import Catalogue, PipelineOptions, SignatureIndex, TriangleMesh
+from pcretrieve.draw.thumbnail import direction_upwards
 from pcretrieve.errors import InputError, ShapeError
+from pcretrieve.pages.html import without_folders
 from pcretrieve.pages.map_page import map_drawing
 from pcretrieve.pages.scene import surface_scene
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.values import FloatArray
-from pcretrieve.web.documents import record_of, shape_document, without_folders
+from pcretrieve.web.documents import record_of, shape_document
 from pcretrieve.web.requests import Refused
 
 # Largest number of faces that are sent to the viewer of a browser.
@@ -50,7 +52,8 @@ def compared(catalogue: Catalogue, a: str, b: str, options: PipelineOptions) -> 
 def scene_document(catalogue: Catalogue, shape_id: str, thumbnails: Thumbnails) -> dict[str, Any]:
     """The surface of a shape for the viewer of a browser, simplified if it has too many faces."""
     mesh = mesh_of(catalogue, shape_id)
-    up = thumbnails.up(catalogue, mesh)
+    picture = thumbnails.of(catalogue, record_of(catalogue, shape_id))
+    up = None if picture is None else direction_upwards(picture)
     if len(mesh.faces) > MOST_FACES:
         coarse = mesh.to_open3d().simplify_quadric_decimation(MOST_FACES)
         mesh = TriangleMesh(np.array(coarse.vertices), np.array(coarse.triangles, dtype=np.int32))

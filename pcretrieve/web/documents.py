@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections import defaultdict
 from dataclasses import asdict
 from pathlib import Path
-from tempfile import gettempdir
 from typing import TYPE_CHECKING, Any
 
 from pcretrieve import Answer, Catalogue, PipelineOptions, Record, __version__
+from pcretrieve.pages.html import without_folders
 from pcretrieve.query import Described, Question, answer_to
 from pcretrieve.values.files import csv_text
 from pcretrieve.web.requests import Listing, Refused, Similar
@@ -26,17 +25,6 @@ PAGE = 60
 DAY = 10
 
 CSV_COLUMNS = ("query", "rank", "id", "label", "distance", "score", "file")
-
-
-def without_folders(text: str, folder: Path | None = None) -> str:
-    """A message without the folders of absolute paths in it: of ``/data/scans/a.ply`` the name remains.
-
-    The folders of the server are nobody's business.
-    """
-    for known in (folder, Path(gettempdir())):
-        if known is not None and known.name:
-            text = text.replace(f"{known}/", "/")
-    return re.sub(r"(?<![\w./])(?:/[^/\s'\"]+)*/(?=[^/\s])", "", text)
 
 
 def record_of(catalogue: Catalogue, shape_id: str) -> Record:
@@ -120,7 +108,13 @@ def job_document(job: Job) -> Document:
         document["verdict"] = asdict(job.described.verdict)
     if job.error is not None:
         kind = type(job.error).__name__
-        document |= {"stage": job.error.stage, "error": kind, "message": without_folders(job.error.message)}
+        document |= {
+            "stage": job.error.stage,
+            "error": kind,
+            "message": without_folders(job.error.message).replace(
+                f"scan{Path(job.name).suffix.lower()}", job.name
+            ),
+        }
     return document
 
 
@@ -156,7 +150,4 @@ def similar_csv(name: str, answer: Answer) -> str:
 
 
 def _without_path(row: Document) -> Document:
-    return {
-        "file" if name == "path" else name: Path(value).name if name == "path" else value
-        for name, value in row.items()
-    }
+    return row | {"file": Path(row.pop("path")).name}

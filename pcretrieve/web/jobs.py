@@ -17,6 +17,7 @@ from typing import Any, Literal
 from pcretrieve import PipelineOptions, Record
 from pcretrieve.errors import MemoryExceeded, PcretrieveError, StageTimeout, WorkerDied, shape_error
 from pcretrieve.ingestion import TemporaryFolder, in_processes
+from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.query import Described
 from pcretrieve.web.keeping import Collection, described, inspection_page, stages_of
 from pcretrieve.web.requests import Refused
@@ -77,11 +78,11 @@ class Jobs:
         *,
         timeout: float,
         memory: float | None,
-        up: str | None = None,
+        thumbnails: Thumbnails,
         collection: Collection | None = None,
     ) -> None:
         self.collection = collection
-        self._described = partial(described, options, up)
+        self._described, self._thumbnails = partial(described, options), thumbnails
         self._inspected = partial(inspection_page, title, options)
         self._limits: dict[str, Any] = {"workers": 1, "timeout": timeout, "memory": memory}
         self._idle: list[Any] = []
@@ -146,7 +147,8 @@ class Jobs:
         job.state = "running"
         outcome: Described | PcretrieveError
         try:
-            ((_, outcome),) = in_processes(self._described, [scan], idle=self._idle, **self._limits)
+            items = [(scan, self._thumbnails.up)]
+            ((_, outcome),) = in_processes(self._described, items, idle=self._idle, **self._limits)
             job.stages = stages_of(job.folder)
         except Exception as error:  # noqa: BLE001  processes cannot be started, or the disk is full
             outcome = shape_error(error)

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 from pcretrieve import Catalogue, PipelineOptions, ingest
 from pcretrieve.errors import InputError
+from pcretrieve.pages.html import without_folders
 from pcretrieve.query import Described, described_scan
-from pcretrieve.web.documents import without_folders
 
 if TYPE_CHECKING:
-    from pcretrieve import Inspection, Record
+    from pcretrieve import Record
 
 # An id that is the name of a file on every system, and no hidden one.
 ID = re.compile(r"\w[\w .+-]{0,99}(?<![ .])")
@@ -28,8 +28,12 @@ LOG = "stages.log"
 STAGE = re.compile(r"^\S+: ([\w-]+) in ([0-9]+\.?[0-9]*) s", re.MULTILINE)
 
 
-def described(options: PipelineOptions, up: str | None, scan: Path) -> Described:
-    """The signature and the picture of a scan, in a worker process, which logs its stages beside the scan."""
+def described(options: PipelineOptions, item: tuple[Path, str | None]) -> Described:
+    """The signature and the picture of a scan, in a worker process, which logs its stages beside the scan.
+
+    item: (Path, str or None), the file, and the axis that points upwards on its picture.
+    """
+    scan, up = item
     stages, handler = logging.getLogger("pcretrieve.pipeline"), logging.FileHandler(scan.parent / LOG)
     stages.setLevel(logging.INFO)
     stages.addHandler(handler)
@@ -57,28 +61,11 @@ def inspection_page(title: str, options: PipelineOptions, item: tuple[str, str, 
     """
     # Imported here, because the server does not need the stages.
     from pcretrieve import inspect
-    from pcretrieve.pages.inspection_page import Served, inspection_html
+    from pcretrieve.pages.inspection_page import inspection_html
 
     name, back, scan = item
     found = inspect(scan, options, n_rescans=0)
-    return inspection_html(_shown(found, name), Served(title, back))
-
-
-def _shown(found: Inspection, name: str) -> Inspection:
-    """An inspection whose texts name no folder."""
-    failure = found.failure
-    checks = tuple(
-        replace(check, shown=without_folders(check.shown), words=without_folders(check.words))
-        for check in found.checks
-    )
-    return replace(
-        found,
-        name=name,
-        path="",
-        checks=checks,
-        failure=failure and replace(failure, message=without_folders(failure.message)),
-        steps=tuple(replace(step, notes=tuple(map(without_folders, step.notes))) for step in found.steps),
-    )
+    return inspection_html(replace(found, name=name), (title, back))
 
 
 @dataclass(frozen=True, slots=True)

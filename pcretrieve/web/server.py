@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pcretrieve import Catalogue, PipelineOptions
-from pcretrieve.draw.axes import upward
 from pcretrieve.errors import InputError
 from pcretrieve.options import OptionsLike
 
@@ -93,11 +92,10 @@ def serve(
     from pcretrieve.web.jobs import Jobs
     from pcretrieve.web.keeping import Collection
 
-    upward(up)  # raises, before anything is opened
     with Catalogue(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
         store.index(chosen)  # so that it is made, and what it lacks is said, before the first request
-        title = Path(store.location).name
+        title, thumbnails = Path(store.location).name, Thumbnails(store, up)
         scanned = store.options.model_copy(update={"signature": chosen.signature})
     key = token or secrets.token_urlsafe(24)
     if not TOKEN.fullmatch(key):
@@ -107,9 +105,11 @@ def serve(
     location, jobs = str(catalogue), None
     if not read_only:
         kept = None if keep is None else Collection(location, Path(keep).absolute(), timeout, memory)
-        jobs = Jobs(location, title, scanned, timeout=timeout, memory=memory, up=up, collection=kept)
+        jobs = Jobs(
+            location, title, scanned, timeout=timeout, memory=memory, thumbnails=thumbnails, collection=kept
+        )
     searching, drawing = Readers(location, 1), Readers(location, N_DRAWING)
-    site = Site(searching, drawing, title, chosen, jobs, most_bytes, Thumbnails(up))
+    site = Site(searching, drawing, title, chosen, jobs, most_bytes, thumbnails)
     try:
         with _listening(port) as listener:
             address = f"http://{ADDRESS}:{listener.getsockname()[1]}/?token={key}"

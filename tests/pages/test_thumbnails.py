@@ -77,7 +77,7 @@ def is_upright(picture: bytes) -> bool:
 def test_a_catalogue_keeps_the_pictures_that_would_be_drawn_and_pages_use_them(
     catalogue: Catalogue, folder: Path, tmp_path: Path, drawn: list[object]
 ) -> None:
-    pictures = Thumbnails()
+    pictures = Thumbnails(catalogue)
     for record in catalogue.records():
         mesh = catalogue.mesh(record.id)
         kept = catalogue.thumbnail(record.id)
@@ -103,14 +103,23 @@ def test_what_is_up_can_be_said_for_each_page(
         pr.report(catalogue, tmp_path / "report.html", up="w")
     direction = np.zeros(3)
     direction["xyz".index(up[-1])] = -1 if up[0] == "-" else 1
-    pictures = Thumbnails(up)
+    pictures = Thumbnails(catalogue, up)
+    assert catalogue.up == up
     assert [is_upright(pictures.of(catalogue, one) or b"") for one in catalogue.records()] == [stands] * 3
-    np.testing.assert_array_equal(drawn, [direction] * 3)
+    assert all((one == direction).all() for one in np.array(drawn))
+    other = "y" if up == "x" else "x"
     for words in (("report",), ("lab", "map"), ("query", "0", "-k", "3", "--html")):
-        drawn.clear()
         output = () if "--html" in words else ("-o",)
-        run(*words, *output, tmp_path / f"{words[0]}.html", "--up", up, "-c", catalogue.location)
+        for axis in (other, up):
+            drawn.clear()
+            run(*words, *output, tmp_path / f"{words[0]}.html", "--up", axis, "-c", catalogue.location)
+            assert catalogue.up == axis and len(drawn) == 3, words[0]
         np.testing.assert_array_equal(drawn, [direction] * 3, err_msg=words[0])
+    pictures.say(catalogue, None)
+    assert catalogue.up is None and catalogue.thumbnail("0") is None, "drawn again as it shows"
+    shown = pictures.of(catalogue, catalogue.record("0")) or b""
+    pictures.turn(catalogue, catalogue.record("0"), forwards=False)
+    assert is_upright(catalogue.thumbnail("0") or b"") != is_upright(shown)
 
 
 def test_bodies_of_one_collection_stand_along_one_axis(tmp_path: Path, drawn: list[object]) -> None:
@@ -123,11 +132,11 @@ def test_bodies_of_one_collection_stand_along_one_axis(tmp_path: Path, drawn: li
         places = np.stack([x, y, z] if number > 1 else [x, z, y], axis=1)
         write_mesh(TriangleMesh(places, egg.faces), tmp_path / f"{number:02}.off")
     with ingested(tmp_path, "lying.sqlite") as store:
-        pictures, records = Thumbnails(), store.records()
+        pictures, records = Thumbnails(store), store.records()
         assert [is_upright(pictures.of(store, one) or b"") for one in records] == [False] * 2 + [True] * 10
         np.testing.assert_array_equal(drawn, [[0, 0, 1]] * 2)
-        np.testing.assert_array_equal(pictures.up(store, store.mesh("00")), [0, 0, 1])
-        again = Thumbnails()
+        assert (pictures.said, pictures.up) == (None, "z")
+        again = Thumbnails(store)
         assert [again.of(store, one) for one in records] == [pictures.of(store, one) for one in records]
         assert len(drawn) == 2, "what was drawn is kept"
         assert store.thumbnail("00") == pictures.of(store, records[0])
@@ -137,23 +146,26 @@ def test_bodies_of_one_collection_stand_along_one_axis(tmp_path: Path, drawn: li
 def test_what_was_not_stored_is_drawn_once_and_kept_if_it_can_be_written(
     folder: Path, drawn: list[object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As of a catalogue that an earlier version made; with a given axis, nothing is kept."""
+    """As of a catalogue that an earlier version made; without its surface, a picture is left as it is."""
     monkeypatch.setattr("pcretrieve.catalogue.sqlite.LOCK_TIMEOUT", 1.0)
     with ingested(folder, "earlier.sqlite") as store:
         before = [store.thumbnail(record.id) for record in store.records()]
         with closing(sqlite3.connect(store.location)) as other, other:
             other.execute("UPDATE arrays SET thumbnails = NULL")
-        for up, number in (("x", 3), (None, 6), (None, 6)):
-            pictures = Thumbnails(up)
+        for _ in range(2):
+            pictures = Thumbnails(store)
             found = [pictures.of(store, record) for record in store.records()]
-            assert None not in found and len(drawn) == number
-            assert store.thumbnail("0") == (None if up else before[0])
-        assert found == before
+            assert found == before and len(drawn) == 3
         with closing(sqlite3.connect(store.location)) as other:
             other.execute("UPDATE arrays SET thumbnails = NULL")
             other.commit()
             other.execute("BEGIN IMMEDIATE")  # another process writes: drawn all the same
-            pictures = Thumbnails()
+            pictures = Thumbnails(store)
             assert [pictures.of(store, record) for record in store.records()] == before
-        assert len(drawn) == 9
+            other.rollback()
+        assert len(drawn) == 6
         assert {store.thumbnail(record.id) for record in store.records()} == {None}
+        assert store.keep_thumbnail(store.record("0"), before[0] or b"")
+        with closing(sqlite3.connect(store.location)) as other, other:
+            other.execute("UPDATE arrays SET meshes = NULL")
+        assert Thumbnails(store, "x").of(store, store.record("0")) == before[0]

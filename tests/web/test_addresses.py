@@ -10,7 +10,7 @@ from urllib.parse import quote
 import pytest
 from search_server import NASTY, Server
 
-from pcretrieve.web.documents import without_folders
+from pcretrieve.pages.html import without_folders
 
 
 def ids(page: bytes) -> list[str]:

@@ -45,6 +45,8 @@ def test_from_a_shape_to_its_nearest_and_on(page: Page, eggs: Path) -> None:
     page.get_by_role("heading", name="Egg11").wait_for()
     expected = [name for name in search(eggs, "Egg11", k=12).ids if name != "Egg11"]
     assert names(page) == expected
+    page.locator("canvas[data-drawn]").wait_for()
+    page.get_by_text("Change the search").click()
     page.get_by_label("Results").fill("3")
     page.get_by_label("Results").press("Enter")
     page.wait_for_url("**k=3**")
@@ -130,6 +132,39 @@ def test_a_dropped_scan_is_processed_and_fails_in_words(page: Page) -> None:
     assert not page.get_by_role("heading", name="Nearest shapes").is_visible()
 
 
+def test_lying_shapes_are_turned_by_a_click(browser: Browser, eggs: Path, tmp_path: Path) -> None:
+    lying = tmp_path / "lying.sqlite"
+    shutil.copy(eggs, lying)
+    with running(lying) as server, opened(browser, server.address) as page:
+        seen = {"If-None-Match": server.ask("/shapes/Egg20/thumbnail.png").headers["etag"]}
+        assert server.ask("/shapes/Egg20/thumbnail.png", headers=seen).status == 304
+        page.get_by_text("Does anything lie?").click()
+        page.get_by_role("button", name="-x").click()
+        page.get_by_text("The axis -x is up").wait_for()
+        assert server.ask("/shapes/Egg20/thumbnail.png", headers=seen).status == 200
+    with Catalogue(lying) as store:
+        assert store.up == "-x"
+
+
+def test_a_line_round_shapes_of_the_map_chooses_them(page: Page, server: Server) -> None:
+    assert wait_for(lambda: b'id="waiting"' not in server.ask("/map").body)
+    page.get_by_role("link", name="Map").click()
+    page.locator(".map image[href]").nth(11).wait_for()
+    box: dict[str, float] = dict(page.locator(".map > svg").bounding_box() or {})  # type: ignore[arg-type]
+    x, y, width, height = (box[name] for name in ("x", "y", "width", "height"))
+    page.mouse.move(x + 1, y + 1)
+    page.mouse.down()
+    for across, down in ((1, 0), (1, 1), (0, 1)):
+        page.mouse.move(x + 1 + across * (width - 2), y + 1 + down * (height - 2), steps=5)
+    page.mouse.up()
+    page.get_by_text("12 shapes are chosen.").wait_for()
+    page.get_by_role("button", name="Nearer").click()
+    page.get_by_role("button", name="<kind 1> 4").click()
+    assert page.locator(".chosen a").all_inner_texts() == ["Egg10", "Egg11", "Egg12", "Egg13"]
+    page.locator(".chosen a").first.click()
+    page.get_by_role("heading", name="Egg10").wait_for()
+
+
 def test_keys_suffice(page: Page) -> None:
     # From the beginning, because the browser is told without an answer that its dialogs are to be caught.
     choosers: list[FileChooser] = []
@@ -143,6 +178,8 @@ def test_keys_suffice(page: Page) -> None:
         if not choosers:
             page.wait_for_timeout(50)  # in which events arrive, unlike in time.sleep
     assert choosers[0].element.get_attribute("name") == "scan"
+    reached(page, "summary")
+    page.keyboard.press("Enter")
     reached(page, "input[type=search]")
     page.keyboard.type("egg2")
     page.get_by_text("3 shapes").wait_for()

@@ -79,11 +79,12 @@ def scans_in(place: Path) -> list[Path]:
 def test_hostile_files_are_refused_in_words_and_inspected(target: Server) -> None:
     for name, body, words in HOSTILE:
         job = target.outcome(name, body)
-        assert (job["state"], job["inspection"]) == ("failed", "done")
+        is_other = words in ("Python objects", "not a complete NPY")  # no scan, of which nothing can be shown
+        assert (job["state"], job["inspection"]) == ("failed", "failed" if is_other else "done")
         assert job["error"] in ("ScanReadError", "ReconstructionError")
         assert words in job["message"]
         page = target.ask(f"/scan/{job['job']}/inspection").body.decode()
-        assert f"No signature, the {job['stage']} stage failed" in page
+        assert is_other or f"No signature, the {job['stage']} stage failed" in page
         assert target.ask(f"/scans/{job['job']}/thumbnail.png").status == 404
         assert not Path("pickled").exists()
 
@@ -110,7 +111,7 @@ def test_names_say_what_kind_of_file_it_is_and_are_of_no_file(target: Server) ->
     for name in WORDS:
         job = target.outcome(name, b"OFF")
         assert job["name"] == name
-        assert job["message"].startswith("scan.off: not a complete OFF file")
+        assert job["message"].startswith(f"{job['name']}: not a complete OFF file")
 
 
 def test_addresses_lead_to_no_file(target: Server) -> None:
