@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from threading import Condition, Thread
 from typing import Any
@@ -42,8 +42,12 @@ FILES_AT_ONCE = 32
 def versions() -> dict[str, str]:
     """Versions of pcretrieve and of the libraries on which results depend, by package name."""
     # Not from metadata: a source folder on the path has no metadata, or the metadata of another version.
-    others = ("open3d", "pytetwild", "numpy", "scipy")
-    return {"pcretrieve": __version__} | {name: version(name) for name in others}
+    others = {name: version(name) for name in ("pytetwild", "numpy", "scipy")}
+    try:
+        open3d = version("open3d")
+    except PackageNotFoundError:  # its package without CUDA has another name
+        open3d = version("open3d-cpu")
+    return {"pcretrieve": __version__, "open3d": open3d} | others
 
 
 def failed(record: Record, error: PcretrieveError) -> Record:

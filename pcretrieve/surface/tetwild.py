@@ -20,7 +20,10 @@ import sys
 import tempfile
 import threading
 import time
+from importlib import import_module
+from importlib.metadata import distribution
 from pathlib import Path
+from types import ModuleType
 from typing import IO, Any
 
 import numpy as np
@@ -125,16 +128,9 @@ def tetrahedralize(
     ----------
     .. [1] Hu, Schneider, Wang, Zorin and Panozzo, "Fast tetrahedral meshing in the wild", ACM TOG 2020.
     """
-    answer = _server.ask(
-        {
-            "vertices": vertices,
-            "faces": faces,
-            "edge_length": np.array(edge_length),
-            "envelope": np.array(envelope),
-            "optimize": np.array(optimize),
-            "timeout": np.array(timeout),
-        }
-    )
+    scalars = {"edge_length": edge_length, "envelope": envelope, "optimize": optimize, "timeout": timeout}
+    arrays = {name: np.array(value) for name, value in scalars.items()}
+    answer = _server.ask({"vertices": vertices, "faces": faces} | arrays)
     if "error" in answer:
         raise RemeshError(f"fTetWild failed: {answer['error']}")
     if not len(answer["tetrahedra"]):
@@ -220,13 +216,18 @@ def _receive(pipe: IO[bytes] | None) -> Arrays:
         return dict(archive)
 
 
-def _answer(question: Arrays) -> Arrays:
-    import pytetwild
+def _library() -> ModuleType:
+    """The functions of arrays of pytetwild; its own ``__init__`` imports PyVista and VTK, for others."""
+    sys.modules["pytetwild"] = package = ModuleType("pytetwild")
+    package.__path__ = [str(distribution("pytetwild").locate_file("pytetwild"))]
+    return import_module("pytetwild.pytetwild")
 
+
+def _answer(pytetwild: ModuleType, question: Arrays) -> Arrays:
     # The signal of the timer ends this process although fTetWild holds the interpreter lock.
     signal.setitimer(signal.ITIMER_REAL, float(question["timeout"]))
     try:
-        nodes, tetrahedra = pytetwild.tetrahedralize(  # type: ignore[attr-defined]
+        nodes, tetrahedra = pytetwild.tetrahedralize(
             question["vertices"],
             question["faces"],
             edge_length_fac=float(question["edge_length"]),
@@ -269,7 +270,7 @@ def serve() -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         os.dup2(nowhere, stream)
-    import pytetwild  # noqa: F401  imported before the client sends its first surface
+    pytetwild = _library()  # before the client sends its first surface
 
     # fTetWild writes files into the working directory, which it cannot if the directory was removed.
     folder = Path(tempfile.mkdtemp(prefix="pcretrieve-"))
@@ -277,4 +278,4 @@ def serve() -> None:
     folder.rmdir()
     with contextlib.suppress(EOFError, BrokenPipeError):
         while True:
-            _send(answers, _answer(_receive(sys.stdin.buffer)))
+            _send(answers, _answer(pytetwild, _receive(sys.stdin.buffer)))
