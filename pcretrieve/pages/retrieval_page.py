@@ -154,6 +154,10 @@ def report(
             found = [(records[name], thumbnails.of(store, records[name]), gap) for name, gap in hits]
             query = _Card(records[one], thumbnails.of(store, records[one]))
             panels.append(_Panel(query, _judged(query.record.label, found, sizes), precision.get(one)))
+        drawing = None
+        if isinstance(ranking, SignatureIndex) and len(ranking) <= MOST_MAPPED:
+            labels = [records[shape_id].label for shape_id in ranking.ids]
+            drawing = map_drawing(ranking.ids, labels, ranking.places())
         cards = [card for panel in panels for card in (panel.query, *panel.results)]
         shown = dict.fromkeys(card.picture for card in cards if card.picture is not None)
         return write_page(
@@ -168,7 +172,7 @@ def report(
             measured=measured,
             comparison=comparison,
             compared_with=Path(versus.location if isinstance(versus, Catalogue) else str(versus)).name,
-            drawing=_map(ranking, records),
+            drawing=drawing,
             map_pictures=map_pictures(store, ranking.ids, thumbnails),
             failures=[record for records in store.pages(status="failed") for record in records],
         )
@@ -202,13 +206,6 @@ def _compared(found: Comparison) -> dict[str, Any]:
         rows.append((short, *numbers, verdict))
     changes = [change for change in found.changes if change.first != change.second][:N_CHANGES]
     return {"of": found, "rows": rows, "changes": changes}
-
-
-def _map(ranking: SignatureIndex | DistanceMatrix, records: Mapping[str, Record]) -> dict[str, object] | None:
-    if not isinstance(ranking, SignatureIndex) or len(ranking) > MOST_MAPPED:
-        return None
-    labels = [records[shape_id].label for shape_id in ranking.ids]
-    return map_drawing(ranking.ids, labels, ranking.places())
 
 
 def _near(

@@ -208,8 +208,8 @@ def _shape(asked: _Asked) -> Response:
 
 
 def _compare(asked: _Asked) -> Response:
-    first, second = (asked.fields.get(name, "") for name in ("a", "b"))
-    return asked.page("compare.html", **compared(asked.catalogue, first, second, asked.site.options))
+    pair, site = [asked.fields.get(name, "") for name in ("a", "b")], asked.site
+    return asked.page("compare.html", **compared(asked.catalogue, pair, site.options, site.thumbnails))
 
 
 def _scan(asked: _Asked) -> Response:
@@ -384,7 +384,7 @@ OTHERS: dict[str, Callable[[_Asked], Response]] = {
     "/shapes": lambda asked: _Json(listing_document(asked.catalogue, Listing.of(asked.fields))),
     "/shapes/{id}/thumbnail.png": _thumbnail,
     "/shapes/{id}/scene": lambda asked: _Json(
-        scene_document(asked.catalogue, asked.name, asked.site.thumbnails)
+        scene_document(asked.catalogue, asked.name, asked.site.thumbnails, asked.fields.get("than"))
     ),
     "/shapes/{id}/mesh.glb": _glb,
     "/scans/{id}/thumbnail.png": _scan_thumbnail,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor, TimeoutError as NotYet
+from contextlib import suppress
 from threading import Lock
 from typing import Any
 
@@ -13,7 +14,7 @@ from pcretrieve.draw.thumbnail import direction_upwards
 from pcretrieve.errors import InputError, ShapeError
 from pcretrieve.pages.html import without_folders
 from pcretrieve.pages.map_page import map_drawing
-from pcretrieve.pages.scene import surface_scene
+from pcretrieve.pages.scene import measures, surface_scene
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.values import FloatArray
 from pcretrieve.web.documents import record_of, shape_document
@@ -30,34 +31,47 @@ SEED = 0
 PATIENCE = 1.0
 
 
-def compared(catalogue: Catalogue, a: str, b: str, options: PipelineOptions) -> dict[str, Any]:
+def compared(
+    catalogue: Catalogue, pair: list[str], options: PipelineOptions, thumbnails: Thumbnails
+) -> dict[str, Any]:
     """What the page of two shapes shows."""
-    records = [record_of(catalogue, shape_id) for shape_id in (a, b)]
+    records = [record_of(catalogue, shape_id) for shape_id in pair]
     for record in records:
         if record.status != "done":
             raise InputError(f"{record.id} failed in the stage {record.stage}: it cannot be compared")
     index = catalogue.index(options)
-    distance = float(index.between([a, b])[0, 1])
+    distance = float(index.between(pair)[0, 1])
     score = None if index.scores is None else float(index.scores.of(np.array([distance]))[0])
-    first, second = (shape_document(record) for record in records)
+    rows: list[tuple[str, float, float]] = []
+    with suppress(Refused):
+        first, second = (measures(*_mesh_and_up(catalogue, name, thumbnails)) for name in pair)
+        rows = [(name, first[name], second[name]) for name in first if name in second]
     return {
-        "shapes": (first, second),
+        "shapes": [shape_document(record) for record in records],
         "distance": distance,
         "measure": options.retrieval.distance,
         "score": score,
-        "rows": _rows(first, second),
+        "rows": rows,
     }
 
 
-def scene_document(catalogue: Catalogue, shape_id: str, thumbnails: Thumbnails) -> dict[str, Any]:
-    """The surface of a shape for the viewer of a browser, simplified if it has too many faces."""
-    mesh = mesh_of(catalogue, shape_id)
-    picture = thumbnails.of(catalogue, record_of(catalogue, shape_id))
-    up = None if picture is None else direction_upwards(picture)
+def scene_document(
+    catalogue: Catalogue, shape_id: str, thumbnails: Thumbnails, other: str | None
+) -> dict[str, Any]:
+    """The surface of a shape for the viewer of a browser, coloured by where another one differs."""
+    mesh, up = _mesh_and_up(catalogue, shape_id, thumbnails)
+    return surface_scene(mesh, up, None if other is None else _mesh_and_up(catalogue, other, thumbnails)[0])
+
+
+def _mesh_and_up(
+    catalogue: Catalogue, shape_id: str, thumbnails: Thumbnails
+) -> tuple[TriangleMesh, FloatArray | None]:
+    """A surface, simplified if it has too many faces, and the direction that is up in its picture."""
+    mesh, picture = mesh_of(catalogue, shape_id), thumbnails.of(catalogue, record_of(catalogue, shape_id))
     if len(mesh.faces) > MOST_FACES:
         coarse = mesh.to_open3d().simplify_quadric_decimation(MOST_FACES)
         mesh = TriangleMesh(np.array(coarse.vertices), np.array(coarse.triangles, dtype=np.int32))
-    return surface_scene(mesh, up)
+    return mesh, direction_upwards(picture or b"")
 
 
 def mesh_of(catalogue: Catalogue, shape_id: str) -> TriangleMesh:
@@ -67,19 +81,6 @@ def mesh_of(catalogue: Catalogue, shape_id: str) -> TriangleMesh:
         return catalogue.mesh(shape_id)
     except (ShapeError, InputError):
         raise Refused(f"the surface of the shape {shape_id!r} is not stored") from None
-
-
-def _rows(first: dict[str, Any], second: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Properties of both shapes, as they are shown."""
-    names = {"area": "area", "vertices": "n_vertices", "faces": "n_faces", "Euler characteristic": "euler"}
-    rows = []
-    for name, key in names.items():
-        one, other = ("unknown" if it[key] is None else f"{it[key]:,.6g}" for it in (first, second))
-        rows.append((name, one, other))
-    if first["area"] and second["area"]:
-        ratio = (second["area"] / first["area"]) ** 0.5
-        rows.append(("size, the root of the area", "1", f"{ratio:.3f} times"))
-    return rows
 
 
 class Maps:

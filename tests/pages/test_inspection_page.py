@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 import shapes
 from numpy.typing import NDArray
 
@@ -18,6 +19,8 @@ from pcretrieve.checks.stages import fit_checks, surface_checks
 from pcretrieve.draw.pictures import Colour
 from pcretrieve.pages import write_inspection_page
 from pcretrieve.pages.inspection_pictures import DROPPED, KEPT, inspection_cameras, rows_of
+from pcretrieve.pages.scene import measures, thicker
+from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.values import Failure, PointCloud, Signature
 
 SPHERE = shapes.icosphere(5)
@@ -155,6 +158,17 @@ def test_the_summary_says_what_is_wrong() -> None:
         failed, signature=None, failure=Failure("b.ply", "surface", "ReconstructionError", "no")
     )
     assert stopped.summary == "No signature, the surface stage failed; look at: noise."
+
+
+def test_two_bodies_are_measured_and_compared() -> None:
+    slim, stout = (shapes.ellipsoid((width, width, 2.0), subdivisions=3) for width in (1.0, 1.3))
+    assert 0.3 < np.median(thicker(stout, slim)) < 0.7 and np.median(thicker(slim, slim)) == 0
+    ball = measures(SPHERE, np.array([0.0, 0, 1]))
+    assert ball == pytest.approx({"height": 2, "area": 4 * np.pi, "volume": 4 / 3 * np.pi}, rel=0.01)
+    subject = make_subject("person", np.random.default_rng(3))
+    stands, walks = (measures(body(subject, POSES["person"][pose]), None) for pose in ("stand", "walk"))
+    for name, least in (("head to foot", 1.5), ("waist", 0.6), ("thigh", 0.3), ("upper arm", 0.2)):
+        assert least < stands[name] < 2 * least and walks[name] == pytest.approx(stands[name], rel=0.1), name
 
 
 # --- the checks ---------------------------------------------------------------------------------------

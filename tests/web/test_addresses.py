@@ -57,7 +57,7 @@ def test_any_name_is_one_part_of_an_address(server: Server) -> None:
 ADDRESSES = {
     200: [
         *("/", "/map", "/shapes", "/shapes/broken", "/shape/Egg00", "/shape/broken", "/shapes/Egg00/similar"),
-        *("/shapes/Egg00/similar.csv", "/shapes/Egg00/scene", "/shapes/Egg00/mesh.glb"),
+        *("/shapes/Egg00/similar.csv", "/shapes/Egg00/scene?than=Egg20", "/shapes/Egg00/mesh.glb"),
         "/compare?a=Egg00&b=Egg01",
     ],
     400: [
@@ -67,13 +67,7 @@ ADDRESSES = {
     ],
     404: [
         "/shapes/README.md/similar",  # a file of this folder, which `pcretrieve query` would read
-        *(
-            "/shapes/none",
-            "/shapes/none/similar",
-            "/shape/none",
-            "/shapes/none/scene",
-            "/shapes/none/mesh.glb",
-        ),
+        *("/shapes/none", "/shapes/none/similar", "/shape/none", "/shapes/none/mesh.glb"),
         *("/shapes/broken/mesh.glb", "/scans/none", "/compare?a=Egg00", "/nothing", "//evil.example"),
         *("/assets/../html.py", "/assets/..%2Fhtml.py"),
     ],

@@ -75,7 +75,7 @@ def test_two_shapes_turn_together(page: Page) -> None:
     page.keyboard.press("ArrowLeft")
     after = [canvas.screenshot() for canvas in page.locator("canvas").all()]
     assert all(one != other for one, other in zip(before, after, strict=True))
-    assert page.get_by_text("Euler characteristic").count() > 0
+    assert page.get_by_role("row", name="volume").count() == 1
     with page.expect_download() as mesh:
         page.get_by_role("link", name="GLB of Egg13").click()
     assert mesh.value.path().read_bytes().startswith(b"glTF")
@@ -105,8 +105,6 @@ def test_a_chosen_scan_is_answered_and_kept_when_it_is_asked_for(
             page.locator("input[name=label]").press("Enter")
             page.wait_for_url("**/shape/anna%20sits")
             page.get_by_role("heading", name="anna sits").wait_for()
-            page.goto(f"{origin(keeper.address)}/?q=anna")
-            page.get_by_text("1 shape", exact=True).wait_for()
         assert (folder / "anna sits.off").read_bytes() == scan
         found = keeper.outcome("again.off", scan)
         nearest = keeper.ask(f"/scans/{found['job']}/similar?k=1").json["results"][0]
@@ -142,8 +140,6 @@ def test_lying_shapes_are_turned_by_a_click(browser: Browser, eggs: Path, tmp_pa
         page.get_by_role("button", name="-x").click()
         page.get_by_text("The axis -x is up").wait_for()
         assert server.ask("/shapes/Egg20/thumbnail.png", headers=seen).status == 200
-    with Catalogue(lying) as store:
-        assert store.up == "-x"
 
 
 def test_a_line_round_shapes_of_the_map_chooses_them(page: Page, server: Server) -> None:
@@ -154,8 +150,8 @@ def test_a_line_round_shapes_of_the_map_chooses_them(page: Page, server: Server)
     x, y, width, height = (box[name] for name in ("x", "y", "width", "height"))
     page.mouse.move(x + 1, y + 1)
     page.mouse.down()
-    for across, down in ((1, 0), (1, 1), (0, 1)):
-        page.mouse.move(x + 1 + across * (width - 2), y + 1 + down * (height - 2), steps=5)
+    for across, down in ((width - 1, 1), (width - 1, height - 1), (1, height - 1)):
+        page.mouse.move(x + across, y + down, steps=5)
     page.mouse.up()
     page.get_by_text("12 shapes are chosen.").wait_for()
     page.get_by_role("button", name="Nearer").click()
@@ -183,9 +179,6 @@ def test_keys_suffice(page: Page) -> None:
     reached(page, "input[type=search]")
     page.keyboard.type("egg2")
     page.get_by_text("3 shapes").wait_for()
-    reached(page, "#results .shapes a")
-    page.keyboard.press("Enter")
-    page.get_by_role("heading", name="Nearest shapes").wait_for()
     reached(page, "#results .shapes a")
     page.keyboard.press("Enter")
     page.get_by_role("heading", name="Nearest shapes").wait_for()

@@ -1,16 +1,16 @@
 "use strict";
 // Layers of points and faces, drawn by WebGL as seen from far away; and how pointers, wheel and keys turn them.
 const VERTEX = `
-attribute vec3 at; attribute vec3 normal;
+attribute vec3 at; attribute vec3 normal; attribute vec3 tint;
 uniform mat3 turn; uniform vec2 scale; uniform float width; uniform float lit; uniform float over;
-uniform vec3 colour; uniform vec3 back;
+uniform vec3 colour; uniform vec3 back; uniform float tinted;
 varying vec3 shown;
 void main() {
   vec3 seen = turn * (2.0 * at - 1.0);
   gl_Position = vec4(seen.xy * scale, over > 0.5 ? -0.99 : -0.5 * seen.z, 1.0);
   gl_PointSize = width;
   float facing = lit > 0.5 ? dot(turn * normal, vec3(0, 0, 1)) : 1.0;
-  shown = (facing < 0.0 ? back : colour) * (0.35 + 0.65 * abs(facing));
+  shown = (facing < 0.0 ? back : tinted > 0.5 ? tint : colour) * (0.35 + 0.65 * abs(facing));
   if (lit < 0.5 && over < 0.5) shown *= 0.7 + 0.3 * seen.z;
 }`;
 const FRAGMENT = `
@@ -95,6 +95,9 @@ class View {
       layer.count = at.length / 3;
       layer.places = this.buffer(at);
       layer.normals = normals && this.buffer(normals);
+      // The colour of a face, at each of its corners.
+      const tints = layer.tints && decode(layer.tints, Uint8Array);
+      layer.colours = tints && this.buffer(tints.constructor.from({length: 3 * tints.length}, (_, k) => tints[3 * Math.floor(k / 9) + k % 3]));
     }
   }
 
@@ -114,14 +117,15 @@ class View {
       gl.bindBuffer(gl.ARRAY_BUFFER, layer.places);
       gl.enableVertexAttribArray(0);
       gl.vertexAttribPointer(0, 3, gl.UNSIGNED_SHORT, true, 0, 0);
-      const normal = gl.getAttribLocation(this.program, "normal");
-      if (layer.normals) {
-        gl.bindBuffer(gl.ARRAY_BUFFER, layer.normals);
-        gl.enableVertexAttribArray(normal);
-        gl.vertexAttribPointer(normal, 3, gl.BYTE, true, 0, 0);
-      } else {
-        gl.disableVertexAttribArray(normal);
+      for (const [name, buffer, kind] of [["normal", layer.normals, gl.BYTE], ["tint", layer.colours, gl.UNSIGNED_BYTE]]) {
+        const part = gl.getAttribLocation(this.program, name);
+        gl.disableVertexAttribArray(part);
+        if (!buffer) continue;
+        gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+        gl.enableVertexAttribArray(part);
+        gl.vertexAttribPointer(part, 3, kind, true, 0, 0);
       }
+      gl.uniform1f(place("tinted"), layer.colours ? 1 : 0);
       gl.uniform1f(place("lit"), layer.normals ? 1 : 0);
       gl.uniform1f(place("over"), layer.over ? 1 : 0);
       gl.uniform1f(place("round"), points ? 1 : 0);
