@@ -39,7 +39,6 @@ class Stage(str, Enum):
     TOPOLOGY = "topology"
     SPECTRUM = "spectrum"
     SIGNATURE = "signature"
-    THUMBNAIL = "thumbnail"
     WORKER = "worker"  # the worker process ended, in an unknown stage
     CHECK = "check"  # what was stored of a finished shape was damaged
 

@@ -28,7 +28,7 @@ from pcretrieve.descriptors import signature_length
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.formats import ScanLike
 from pcretrieve.options import OptionsLike, PipelineOptions, Shrinkage, SignatureOptions
-from pcretrieve.pipeline.process import signature
+from pcretrieve.pipeline.process import remembered, signature_of
 from pcretrieve.retrieval import (
     Positions,
     Whitening,
@@ -278,14 +278,15 @@ class SignatureTransformer(ClassNamePrefixFeaturesOutMixin, TransformerMixin, Ba
         return self
 
     def transform(self, X: Iterable[ScanLike]) -> FloatArray:
-        """The log-signatures (n, L) float64 of n files, arrays, or values of geometry, processed in turn.
+        """The log-signatures (n, L) float64 of n files, arrays, or values of geometry.
 
-        Dimensionless, except for the scale ``absolute``.
+        Dimensionless, except for the scale ``absolute``. The surfaces of 200 scans are remembered by their
+        content, so that a grid search makes each once.
         """
         if isinstance(X, (str, Path)):
             raise InputError(f"X must be a sequence of scans, got the path {X}: put it into a list")
         options = self._chosen()
-        made = [signature(scan, options) for scan in X]
+        made = [signature_of(remembered(scan, options), options, scan) for scan in X]
         rows = [coordinates(one.values, one.metric) for one in made]
         return np.array(rows).reshape(-1, self._n_features_out)
 

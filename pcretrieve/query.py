@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pcretrieve.catalogue import Catalogue, CatalogueLike, Record, opened
+from pcretrieve.catalogue import Catalogue, CatalogueLike, Record, opened, thumbnails
 from pcretrieve.errors import (
-    DegenerateMeshError,
     InputError,
     OptionError,
     PcretrieveError,
@@ -21,7 +20,7 @@ from pcretrieve.errors import (
     ShapeError,
     did_you_mean,
 )
-from pcretrieve.options import JUDGED, OptionsLike, PipelineOptions
+from pcretrieve.options import JUDGED, OptionsLike, PipelineOptions, check_many
 from pcretrieve.retrieval import SignatureIndex
 from pcretrieve.retrieval.clusters import NearPair, cluster_numbers, near_pairs
 from pcretrieve.retrieval.covariances import LEAST_SHAPES
@@ -145,6 +144,9 @@ class Answer(Value):
             return "no match"
         return f"nearest {self.records[0].id}" if self.match is None else str(self.match)
 
+    def _repr_html_(self) -> str:
+        return f"{self.neighbors._repr_html_()}<p>{escape(str(self))}</p>"
+
     def rows(self) -> list[dict[str, Any]]:
         """The results, with the names that commands and the search page give their columns."""
         known = self.neighbors.scores
@@ -222,7 +224,7 @@ def search(
         asked = _query_of(store, query, question) if isinstance(query, (str, Path, Signature)) else query
         if not isinstance(asked, (str, Described)):
             asked = described_scan(question.scan_options(store), False, None, asked)
-        return _cut(_ranked(store, asked, question), question)
+        return _cut(store, _ranked(store, asked, question), question)
 
 
 def search_many(
@@ -275,6 +277,7 @@ def search_many(
     CatalogueError, InputError
         As by `search`, before the first answer.
     """
+    check_many("queries", queries)
     with opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
         how = (matrix, timeout, memory, has_pictures, up, far)
@@ -315,7 +318,7 @@ def answer_to(catalogue: Catalogue, query: str | Described, question: Question) 
         if shape_id != query and (label := known[shape_id].label) is not None
     ]
     scores = None if question.matrix is not None else catalogue.index(question.options).scores
-    found = _cut(ranked, question)
+    found = _cut(catalogue, ranked, question)
     return Answer(found, tuple(known[i] for i in found.ids), _match(labelled, scores, question.far), query)
 
 
@@ -371,12 +374,8 @@ def duplicates(
             retrieval={"distance": "log", "whitening": "none", "calibration": None},
         )
         table = store.signatures(plain)
-        errors = {
-            record.id: LEAST_ERROR if record.verdict is None else max(LEAST_ERROR, record.verdict.uncertainty)
-            for page in store.pages(status="done")
-            for record in page
-            if not record.is_incomplete
-        }
+        sound = (record for record in store if not record.is_incomplete)
+        errors = {one.id: max(LEAST_ERROR, one.verdict.uncertainty if one.verdict else 0) for one in sound}
         ids = [shape_id for shape_id in table.ids if shape_id in errors]
         if not ids:
             return []
@@ -412,10 +411,8 @@ def cluster(
     with opened(catalogue) as store:
         index = store.index(PipelineOptions.of(options, store.options).without_labels)
         numbers = cluster_numbers(index, min_size=min_size).tolist()
-        return {
-            shape_id: f"cluster-{number}" if number else None
-            for shape_id, number in zip(index.ids, numbers, strict=True)
-        }
+        names = (f"cluster-{number}" if number else None for number in numbers)
+        return dict(zip(index.ids, names, strict=True))
 
 
 def described_scan(options: PipelineOptions, has_picture: bool, up: str | None, scan: ScanLike) -> Described:
@@ -429,8 +426,7 @@ def described_scan(options: PipelineOptions, has_picture: bool, up: str | None, 
         from pcretrieve.draw.axes import upward
         from pcretrieve.draw.thumbnail import thumbnail
 
-        with suppress(DegenerateMeshError):
-            picture = thumbnail(mesh.vertices, mesh.faces, up=mesh.up if up is None else upward(up))
+        picture = thumbnail(mesh.vertices, mesh.faces, up=mesh.up if up is None else upward(up))
     return Described(signature, shape.verdict, picture, None if mesh is None else len(mesh.faces))
 
 
@@ -530,6 +526,7 @@ def _ranked(catalogue: Catalogue, query: str | Described, question: Question, le
 
 
 def _labelled(catalogue: Catalogue, labels: Collection[str]) -> set[str]:
+    check_many("labels", labels)
     among = set(catalogue.labelled(labels))
     if not among:
         known = {one.label for one in catalogue.origins() if one.label is not None}
@@ -541,8 +538,9 @@ def _labelled(catalogue: Catalogue, labels: Collection[str]) -> set[str]:
     return among
 
 
-def _cut(found: Neighbors, question: Question) -> Neighbors:
+def _cut(catalogue: Catalogue, found: Neighbors, question: Question) -> Neighbors:
     """The first results, as far as their scores are large enough."""
+    found = replace(found, pictures=partial(thumbnails, catalogue.location))
     rows = range(min(question.k, len(found)))
     if question.min_score is None:
         return _some(found, rows)
@@ -557,4 +555,5 @@ def _cut(found: Neighbors, question: Question) -> Neighbors:
 def _some(found: Neighbors, rows: Sequence[int]) -> Neighbors:
     chosen = list(rows)
     scores = None if found.scores is None else found.scores[chosen]
-    return Neighbors(tuple(found.ids[row] for row in chosen), found.distances[chosen], scores)
+    ids = tuple(found.ids[row] for row in chosen)
+    return replace(found, ids=ids, distances=found.distances[chosen], scores=scores)

@@ -13,7 +13,6 @@ from click.testing import CliRunner, Result
 
 from pcretrieve.cli.main import CATALOGUE, COMMANDS, LAB, cli
 
-#: The words of every command.
 NAMES = [name for name in COMMANDS if name not in ("catalogue", "lab")]
 NAMES += [f"catalogue {name}" for name in CATALOGUE] + [f"lab {name}" for name in LAB]
 

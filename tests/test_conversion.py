@@ -36,7 +36,7 @@ def open3d_cloud() -> Any:
 # status 1 (its MemoryManagerStatistic takes the tensor for a leak).
 MESHES: dict[str, Callable[[], Any]] = {
     "open3d": MESH.to_open3d,
-    "open3d tensor": lambda: o3d.t.geometry.TriangleMesh.from_legacy(MESH.to_open3d()),
+    "open3d tensor": lambda: MESH.to_open3d(tensor=True),
     "trimesh": MESH.to_trimesh,
     "pyvista": lambda: pyvista.PolyData(np.array(VERTICES), np.insert(FACES, 0, 3, axis=1).ravel()),
     "vertices and faces": lambda: SimpleNamespace(vertices=VERTICES.tolist(), faces=FACES.tolist()),
@@ -45,7 +45,7 @@ MESHES: dict[str, Callable[[], Any]] = {
 }
 CLOUDS: dict[str, Callable[[], Any]] = {
     "open3d": open3d_cloud,
-    "open3d tensor": lambda: o3d.t.geometry.PointCloud.from_legacy(open3d_cloud()),
+    "open3d tensor": lambda: CLOUD.to_open3d(tensor=True),
     "points and normals": lambda: SimpleNamespace(points=VERTICES, normals=2 * np.asarray(CLOUD.normals)),
     "trimesh": CLOUD.to_trimesh,
     "pyvista": lambda: pyvista.PolyData(np.array(VERTICES)),
@@ -96,12 +96,12 @@ def test_what_is_no_surface_or_no_scan_is_said() -> None:
         as_mesh(CLOUD)
     assert len(as_cloud(MESH).points) == len(MESH.vertices)
     lines, grid = o3d.geometry.LineSet(), pyvista.ImageData(dimensions=(2, 2, 2))
-    things: tuple[object, ...] = (3, {}, None, trimesh.Scene(), lines, grid, [[0.0], [1, 2]])
+    things: tuple[Any, ...] = (3, {}, None, trimesh.Scene(), lines, grid, [[0.0], [1, 2]])
     for thing in things:
         with pytest.raises(InputError, match=f"a scan must be a path, .* got {type(thing).__name__}"):
             as_scan(thing)
     with pytest.raises(InputError, match="got str"):
-        as_mesh("scan.ply")
+        as_mesh("scan.ply")  # type: ignore[arg-type]
 
 
 def test_a_signature_is_an_array() -> None:

@@ -74,7 +74,6 @@ def test_commands_of_the_documents_exist() -> None:
     assert len(lines) > 40
     helps: dict[tuple[str, ...], str] = {}
     for words in lines:
-        # These have commands of their own.
         command = tuple(words[1:3] if words[1] in ("catalogue", "lab") else words[1:2])
         if command not in helps:
             helps[command] = "".join(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import pickle
 import shutil
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -84,6 +85,8 @@ def test_what_is_no_query(catalogue: Path, folder: Path) -> None:
         next(pr.search_many(catalogue, ["11", folder / "new"], matrix=pr.matrix(catalogue)))
     with pytest.raises(InputError, match="is of the class none or nothing; `pcretrieve list` shows"):
         pr.search(catalogue, "11", labels=["nothing", "none"])
+    with pytest.raises(OptionError, match="labels must be a list, got 'kind1'"):
+        pr.search(catalogue, "11", labels="kind1")
 
 
 def test_signatures_that_were_computed_are_kept(catalogue: Path, tmp_path: Path) -> None:
@@ -182,20 +185,26 @@ def test_scores_come_with_distances_and_least_ones_leave_no_match(catalogue: Pat
     found = pr.search(catalogue, "11", k=12)
     with pr.Catalogue(catalogue) as store:
         scores = store.index().scores
+        plain = pr.search(store, "11", k=12, options={"retrieval": {"whitening": "none"}})
+        made = {record.id: store.described(record.id, store.options) for record in store}
+        assert repr(store) == f"Catalogue({catalogue}: {len(made)} shapes)"
+    assert [made["11"].distance(made[one]) for one in plain.ids] == plain.distances.tolist()
     assert scores is not None and found.scores is not None
     np.testing.assert_array_equal(found.scores, scores.of(found.distances))
     assert found.to_pandas().columns.tolist() == ["id", "distance", "score"]
     again = pr.search(catalogue, "11", k=12, options={"retrieval": {"rerank": "k-reciprocal"}})
     assert again.scores is not None
-    plain = dict(zip(found.ids, found.scores.tolist(), strict=True))
-    assert again.scores.tolist() == [plain[shape_id] for shape_id in again.ids]
+    score_of = dict(zip(found.ids, found.scores.tolist(), strict=True))
+    assert again.scores.tolist() == [score_of[shape_id] for shape_id in again.ids]
     least = float(found.scores[5])
     kept = pr.search(catalogue, "11", k=12, min_score=least)
-    assert kept.ids == tuple(name for name in found.ids if plain[name] >= least) != found.ids
+    assert kept.ids == tuple(name for name in found.ids if score_of[name] >= least) != found.ids
     done = run("query", "11", "-c", catalogue, "--min-score", 1, "--verbose")
     assert done.stdout == "no match\n"
     assert f"score: {scores.reason}" in done.stderr
     assert len(pr.search(catalogue, "11", min_score=1)) == 0
+    html = pickle.loads(pickle.dumps(found))._repr_html_()
+    assert html.count("<img") == 10
     with pytest.raises(OptionError, match="min_score must be between 0 and 1, got 2"):
         pr.search(catalogue, "11", min_score=2)
     with pytest.raises(InputError, match="a least score needs calibrated scores"):

@@ -32,6 +32,7 @@ from pcretrieve.values import (
 
 CORNERS = np.eye(3)
 IDENTITY = csc_array(eye_array(3))
+ONE = Signature(np.ones(1), "x")
 
 
 @pytest.mark.parametrize(
@@ -62,6 +63,14 @@ IDENTITY = csc_array(eye_array(3))
         (SignatureTable, [("a",), np.ones((2, 3)), "x"], "values must have shape (1, n), got (2, 3)"),
         (SignatureTable, [("a",), [[1.0, 0.0]], "x"], "signature values must be positive, got 0.0"),
         (SignatureTable, [("a",), [[1]], "x", "", ("b", "c")], "labels must be as many as ids (1), got 2"),
+        (ONE.distance, [1], "the other signature must be of the type Signature, got int"),
+        (
+            ONE.distance,
+            [Signature(np.ones(1), "y")],
+            "must be made by the same options, got ('x',",
+        ),
+        (eigenpairs, [CORNERS], "operator must be of the type LaplaceBeltrami, got ndarray"),
+        (ModalSpectrum.of, [1], "pairs must be of the type Eigenpairs or ModalSpectrum, got int"),
         (Surface, [0.0], "the area of a surface must be positive and finite, got 0.0"),
         (Shape, [()], "a shape must have at least 1 surface, got none"),
         (Neighbors, [("a", "b"), np.zeros(3)], "distances must have shape (2), got (3,)"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -35,7 +35,7 @@ from pcretrieve.catalogue.records import (
     stored_options,
 )
 from pcretrieve.catalogue.rows import Rows
-from pcretrieve.errors import CatalogueError, InputError, ShapeError
+from pcretrieve.errors import CatalogueError, InputError, PcretrieveError, ShapeError
 from pcretrieve.options import PipelineOptions, options_difference
 from pcretrieve.retrieval import SignatureIndex, Whitening, people, table_whitening
 from pcretrieve.retrieval.scores import fit_scores
@@ -195,13 +195,13 @@ class Catalogue(Rows):
             payloads["thumbnails"] = packed([np.frombuffer(content.thumbnail, np.uint8)])
         return self.store(Entry(record, {OWN: packed_values(content.signature)}, payloads))
 
-    def keep_thumbnail(self, record: Record, picture: bytes) -> bool:
+    def keep_thumbnail(self, record: Record, picture: bytes | None) -> bool:
         """Store the picture of a shape, a PNG file, unless the shape has been replaced since it was read.
 
         Returns whether it could be written. No error is raised, because a picture can be drawn again.
         """
-        if not self.database.is_writable:
-            return False
+        if picture is None or not self.database.is_writable:
+            return picture is None
         try:
             with self.database.writing():
                 self.database.execute(
@@ -379,6 +379,13 @@ class Catalogue(Rows):
         whitening = _calibrated(options) or table_whitening(table, retrieval, people=known)
         scores = fit_scores(table, whitening, retrieval)
         return SignatureIndex(table, retrieval, whitening=whitening, scores=scores), revision
+
+
+def thumbnails(location: str, ids: Sequence[str]) -> list[bytes | None]:
+    """The thumbnails of shapes; none, if the catalogue is not there any more."""
+    with suppress(PcretrieveError), Catalogue(location, any_numbers=True) as store:
+        return [store.thumbnail(shape_id) for shape_id in ids]
+    return [None] * len(ids)
 
 
 def _calibrated(options: PipelineOptions) -> Whitening | None:

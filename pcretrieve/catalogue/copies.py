@@ -16,6 +16,7 @@ from pcretrieve.catalogue.records import Record, check_options
 from pcretrieve.catalogue.rows import Rows, file_of
 from pcretrieve.catalogue.sqlite import check_tables, connect, translated
 from pcretrieve.errors import CatalogueError, InputError
+from pcretrieve.options import check_many
 
 logger = logging.getLogger(__name__)
 
@@ -64,6 +65,7 @@ def merge_catalogues(parts: Sequence[CatalogueLike], output: CatalogueLike) -> M
         If a part does not exist or was built with other options, or there is a conflict: a path has two
         contents or two labels, or an id belongs to two paths. Nothing is then stored.
     """
+    check_many("parts", parts)
     if not parts:
         raise InputError("there must be at least one catalogue to merge, got none: name the parts")
     with ExitStack() as stack:

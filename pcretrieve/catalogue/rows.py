@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 from operator import lt
@@ -35,7 +36,8 @@ from pcretrieve.catalogue.records import (
     row_of,
 )
 from pcretrieve.catalogue.sqlite import SqliteDatabase
-from pcretrieve.errors import InputError, OptionError, did_you_mean
+from pcretrieve.errors import CatalogueError, InputError, OptionError, did_you_mean
+from pcretrieve.values.base import check_type
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -70,6 +72,7 @@ class Listed(NamedTuple):
 
 def file_of(location: str | Path) -> Path | None:
     """The SQLite file at a location; None for a database."""
+    check_type("a catalogue", location, str, Path)
     scheme = SCHEME.match(location) if isinstance(location, str) else None
     if scheme is None or scheme[1] == "sqlite":
         return Path(str(location)[scheme.end() :] if scheme else location)
@@ -124,6 +127,16 @@ class Rows:
         raise damaged(self.location, "it has no revision")
 
     # --- records ----------------------------------------------------------------------------------------
+
+    def __iter__(self) -> Iterator[Record]:
+        """Yield the records of the shapes that did not fail, in ascending order of id."""
+        for page in self.pages(status="done"):
+            yield from page
+
+    def __repr__(self) -> str:
+        with suppress(CatalogueError):
+            return f"{type(self).__name__}({self.location}: {len(self)} shapes)"
+        return f"{type(self).__name__}({self.location})"  # closed, or not readable any more
 
     def __len__(self) -> int:
         return int(self._all("SELECT count(*) FROM shapes WHERE status = 'done'")[0][0])

@@ -28,6 +28,7 @@ from pcretrieve.options import SignatureOptions, fused_names
 from pcretrieve.plugins import DESCRIPTOR_NAMES, Registry
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.values import UNIT, Eigenpairs, Shape, Signature, SizeUnit, Surface
+from pcretrieve.values.base import check_type
 
 
 def _checked(name: str, added: object) -> Descriptor:
@@ -102,6 +103,8 @@ def describe(shape: Shape, options: SignatureOptions) -> Signature:
     ShapeError
         If the shape lacks a part that the method needs, or its signature cannot be computed.
     """
+    check_type("shape", shape, Shape)
+    check_type("options", options, SignatureOptions)
     descriptor = DESCRIPTORS[options.method]
     _check_size(descriptor, options)
     parts = (shape,) if set(descriptor.needs) == {"points"} else shape.apart()

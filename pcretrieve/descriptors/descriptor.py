@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import resources
-from types import MappingProxyType
 from typing import get_args
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from pcretrieve.errors import OptionError
 from pcretrieve.options import SignatureOptions
 from pcretrieve.values import FloatArray, Metric, ModalSpectrum, Need, Shape, Signature
+from pcretrieve.values.signatures import COORDINATES
 
 
 def _n_values(options: SignatureOptions) -> int:
@@ -88,12 +88,6 @@ def shipped(name: str) -> FloatArray:
 def spectrum_of(shape: Shape, options: SignatureOptions) -> ModalSpectrum:
     """The spectrum of the surface on unit area; for the scale ``absolute``, in the unit of the file."""
     return shape.spectrum.scaled(shape.area) if options.scale == "absolute" else shape.spectrum
-
-
-#: What distances compare, of values with each metric, as in `pcretrieve.retrieval.distances`.
-COORDINATES: Mapping[Metric, Callable[[FloatArray], FloatArray]] = MappingProxyType(
-    {"logarithms": np.log, "values": np.asarray, "histograms": np.sqrt}
-)
 
 
 def fused(parts: Sequence[Descriptor]) -> Descriptor:

@@ -9,6 +9,7 @@ import numpy as np
 from pcretrieve.descriptors.descriptor import Descriptor, spectrum_of
 from pcretrieve.errors import OptionError
 from pcretrieve.values import Eigenpairs, ModalSpectrum, Signature
+from pcretrieve.values.base import check_type
 
 
 def shape_dna(
@@ -47,6 +48,7 @@ def shape_dna(
     .. [1] M. Reuter, F.-E. Wolter and N. Peinecke, "Laplace–Beltrami spectra as 'Shape-DNA' of surfaces
        and solids", Computer-Aided Design 38 (2006).
     """
+    check_type("pairs", pairs, Eigenpairs, ModalSpectrum)
     first = 2 if normalized_by == "first" else 1
     n_pairs = len(pairs.eigenvalues)
     if not 1 <= n_values <= n_pairs - first:

@@ -66,18 +66,19 @@ def _vectors(values: FloatArray) -> Any:
     return library().utility.Vector3dVector(np.array(values, dtype=np.float64))
 
 
-def open3d_cloud(points: FloatArray, normals: FloatArray | None = None) -> Any:
-    """A point cloud of Open3D, with (n, 3) points and normals."""
+def open3d_cloud(points: FloatArray, normals: FloatArray | None = None, *, tensor: bool = False) -> Any:
+    """A point cloud of Open3D, with (n, 3) points and normals; of tensors on request."""
     cloud = library().geometry.PointCloud(_vectors(points))
     if normals is not None:
         cloud.normals = _vectors(normals)
-    return cloud
+    return library().t.geometry.PointCloud.from_legacy(cloud, library().core.float64) if tensor else cloud
 
 
-def open3d_mesh(vertices: FloatArray, faces: IntArray) -> Any:
-    """A triangle mesh of Open3D."""
+def open3d_mesh(vertices: FloatArray, faces: IntArray, *, tensor: bool = False) -> Any:
+    """A triangle mesh of Open3D; of tensors on request."""
     o3d = library()
-    return o3d.geometry.TriangleMesh(_vectors(vertices), o3d.utility.Vector3iVector(faces.copy()))
+    mesh = o3d.geometry.TriangleMesh(_vectors(vertices), o3d.utility.Vector3iVector(faces.copy()))
+    return o3d.t.geometry.TriangleMesh.from_legacy(mesh, o3d.core.float64) if tensor else mesh
 
 
 class RayScene:

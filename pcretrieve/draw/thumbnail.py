@@ -24,7 +24,6 @@ from pcretrieve.draw.pictures import (
     rotation,
     visible_faces,
 )
-from pcretrieve.errors import DegenerateMeshError, Stage
 
 # Side of the pictures that catalogues keep, and from which smaller ones are made; pixels.
 THUMBNAIL_PIXELS = 200
@@ -49,8 +48,8 @@ N_LEVELS = 255 // N_COVERAGES
 
 def thumbnail(
     vertices: FloatArray, faces: IntArray, *, up: FloatArray | None = None, size: int = THUMBNAIL_PIXELS
-) -> bytes:
-    """A picture of a surface from its front, which fills the picture up to `MARGIN`.
+) -> bytes | None:
+    """A picture of a surface from its front, which fills the picture up to `MARGIN`; None without area.
 
     It is invariant to rigid motion and scaling of the body, because the camera is relative to `body_axes`.
 
@@ -62,11 +61,7 @@ def thumbnail(
     area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
     # Rays are cast in single precision, and do not hit thinner surfaces.
     if not len(faces) or not area > np.finfo(np.float32).eps * bounding_diagonal(vertices) ** 2:
-        raise DegenerateMeshError(
-            f"a surface must have area to be drawn, got {len(faces)} faces with an area of {area:.3g}; leave "
-            "its picture out",
-            stage=Stage.THUMBNAIL,
-        )
+        return None
     axes = body_axes(vertices, faces, up)
     (camera,) = cameras_framing(vertices[faces.ravel()], [rotation(AZIMUTH, ELEVATION) @ axes])
     framed = camera.seen(vertices)
@@ -112,7 +107,7 @@ def picture_html(picture: bytes | None, words: str) -> str:
     image = ""
     if picture is not None:
         image = f'<img alt="" src="data:image/png;base64,{b64encode(picture).decode("ascii")}"><br>'
-    return f"<div>{image}<code>{escape(words)}</code></div>"
+    return f"<div style='display: inline-block'>{image}<code>{escape(words)}</code></div>"
 
 
 def _png(shade: FloatArray, coverage: FloatArray, up: FloatArray | None) -> bytes:

@@ -28,7 +28,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -93,6 +93,12 @@ class RetrievalMeasures:
     n_queries: int
     n_failed: int
     n_single: int
+
+    def _repr_html_(self) -> str:
+        shown = {part.name: getattr(self, part.name) for part in fields(RetrievalMeasures)}
+        head = "".join(f"<th>{name}</th>" for name in shown)
+        cells = "".join(f"<td>{value:.4g}</td>" for value in shown.values())
+        return f"<table><tr>{head}</tr><tr>{cells}</tr></table>"
 
 
 class PrecisionRecall(NamedTuple):

@@ -16,6 +16,7 @@ from pcretrieve.formats.meshes import welded
 from pcretrieve.formats.registry import read_raw
 from pcretrieve.formats.remote import local_copy
 from pcretrieve.values import METRES, UNIT, PointCloud, Step, TriangleMesh
+from pcretrieve.values.base import check_type
 from pcretrieve.values.conversion import GeometryLike, as_geometry
 
 #: A file, or what can be converted to a point cloud or a surface.
@@ -52,6 +53,7 @@ def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
         If the file does not exist, cannot be read, is not of the format of its
         suffix, is truncated, or is empty.
     """
+    check_type("path", path, str, Path)
     path = Path(path)
     started = time.perf_counter()
     try:

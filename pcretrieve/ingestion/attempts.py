@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,6 @@ from typing import Any
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.draw.thumbnail import thumbnail
 from pcretrieve.errors import (
-    DegenerateMeshError,
     InputError,
     MemoryExceeded,
     PcretrieveError,
@@ -65,8 +63,7 @@ def content_of(path: Path, options: PipelineOptions) -> Content:
     signature = signature_of(shape, options, path).values
     picture = None
     if "meshes" in options.catalogue.keep and shape.surfaces[0].mesh is not None:
-        with suppress(DegenerateMeshError):
-            picture = thumbnail(shape.mesh.vertices, shape.mesh.faces, up=shape.mesh.up)
+        picture = thumbnail(shape.mesh.vertices, shape.mesh.faces, up=shape.mesh.up)
     # Points and eigenvectors are not stored, and are not sent to the process that stores the content.
     surfaces = tuple(replace(surface, eigenpairs=None) for surface in shape.surfaces)
     return Content(replace(shape, surfaces=surfaces, cloud=None), signature, picture)

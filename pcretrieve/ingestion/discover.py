@@ -22,6 +22,7 @@ from pcretrieve.formats.format import url_of
 from pcretrieve.formats.registry import FORMATS, INSTEAD, suffixes
 from pcretrieve.formats.remote import remote_files
 from pcretrieve.ingestion.pool import in_processes
+from pcretrieve.options import check_many
 
 logger = logging.getLogger(__name__)
 
@@ -46,6 +47,7 @@ def discover(
 
     limits: of processes that look into files of several scans; without limits, this process does.
     """
+    check_many("paths", arguments)
     known = {_absolute(Path(path)) for path in beside}
     found: dict[Path, None] = {}
     for argument in arguments:

@@ -12,6 +12,7 @@ from pcretrieve.options.pipeline import (
     PRESETS,
     OptionsLike,
     PipelineOptions,
+    check_many,
     describe_options,
     options_difference,
 )
@@ -51,6 +52,7 @@ __all__ = [
     "SpectralOptions",
     "SurfaceOptions",
     "WhiteningKind",
+    "check_many",
     "describe_options",
     "fused_names",
     "options_difference",

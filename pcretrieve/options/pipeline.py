@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from inspect import cleandoc
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -224,3 +224,9 @@ def _table(name: str, options: Options) -> Iterator[str]:
 
 def _comment(text: str | None) -> list[str]:
     return [f"# {line}".rstrip() for line in cleandoc(text or "").splitlines()]
+
+
+def check_many(name: str, values: object) -> None:
+    """OptionError if an argument is not several values; a text, which is a sequence of letters, is one."""
+    if isinstance(values, (str, bytes)) or not isinstance(values, Iterable):
+        raise OptionError(f"{name} must be a list, got {values!r}: put it into a list")

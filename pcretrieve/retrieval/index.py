@@ -44,6 +44,7 @@ from pcretrieve.retrieval.reranking import N_NEAR, reranked_neighbors
 from pcretrieve.retrieval.scores import MatchScores
 from pcretrieve.retrieval.whitening import Whitening, table_whitening
 from pcretrieve.values import FloatArray, Metric, Neighbors, Signature, SignatureTable, SizeUnit
+from pcretrieve.values.base import check_type
 
 # Largest number of shapes that are all compared with each query, which takes as long as to find a few of them
 # by lower bounds.
@@ -178,6 +179,7 @@ class SignatureIndex:
         distance: Distance | None = None,
         scores: MatchScores | None = None,
     ) -> None:
+        check_type("table", table, SignatureTable)
         if not len(table):
             raise InputError("an index needs at least 1 shape, got an empty table; ingest shapes first")
         options = options or RetrievalOptions()

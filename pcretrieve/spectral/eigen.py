@@ -12,6 +12,7 @@ from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh, splu
 from pcretrieve.errors import OptionError, SpectrumError
 from pcretrieve.spectral.krylov import BLOCK, basis_size, block_krylov
 from pcretrieve.values import Eigenpairs, FloatArray, LaplaceBeltrami
+from pcretrieve.values.base import check_type
 
 # The shift σ of shift-invert iteration, times the area. S is singular, and S − σM is factorised instead with
 # σ < 0. |σ| is small enough that it is near to λ_1 (about 10 / area), and large enough that S − σM is well
@@ -112,6 +113,8 @@ def eigenpairs(
 
 
 def _check_question(operator: LaplaceBeltrami, n_pairs: int, tolerance: float) -> None:
+    check_type("operator", operator, LaplaceBeltrami)
+    check_type("n_pairs", n_pairs, int, np.integer)
     n = operator.stiffness.shape[0]
     if n_pairs < 2:
         raise OptionError(f"n_pairs must be at least 2, got {n_pairs}")

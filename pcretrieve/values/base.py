@@ -57,6 +57,13 @@ class Value:
         return type(self), tuple(getattr(self, part.name) for part in fields(self))  # type: ignore[arg-type]
 
 
+def check_type(name: str, value: object, *kinds: type) -> None:
+    """InputError if an argument is of none of some types."""
+    if not isinstance(value, kinds):
+        wanted = " or ".join(kind.__name__ for kind in kinds)
+        raise InputError(f"{name} must be of the type {wanted}, got {type(value).__name__}")
+
+
 def _equal(one: Any, other: Any) -> bool:
     if type(one) is not type(other):
         return False
@@ -105,14 +112,6 @@ def locked(
         raise InputError(f"{name} must be whole numbers below 2³¹, got {n_bad} that are not")
     array.flags.writeable = False
     return array
-
-
-def as_array(values: NDArray[Any], dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-    """The result of the method ``__array__`` of a value, by the protocol of NumPy 1 and 2."""
-    wanted = values.dtype if dtype is None else np.dtype(dtype)
-    if copy is False and wanted != values.dtype:
-        raise ValueError(f"values of type {values.dtype} must be copied to become {wanted}")
-    return values.astype(wanted, copy=bool(copy))
 
 
 def unit_of(metres: float) -> str | None:

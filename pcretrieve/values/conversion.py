@@ -6,7 +6,7 @@ Values of other packages are recognised by their attributes, so that this module
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,21 @@ from numpy.typing import NDArray
 from pcretrieve.errors import InputError
 from pcretrieve.values.geometry import PointCloud, TriangleMesh
 
-# Corners of a triangle. PyVista writes this number before the vertices of each face.
-N_CORNERS = 3
+
+class _HasPoints(Protocol):
+    @property
+    def points(self) -> Any: ...
+
+
+class _HasVertices(Protocol):
+    @property
+    def vertices(self) -> Any: ...
 
 
 #: What can be converted to a surface or a point cloud: geometry of Open3D, trimesh, PyVista and others, which
 #: is recognised by its attributes; an (n, 3) array of points; or a pair (vertices, faces).
-GeometryLike: TypeAlias = object
+GeometryLike: TypeAlias = "_HasPoints | _HasVertices | _Rows | Sequence[_Rows]"
+_Rows: TypeAlias = "NDArray[Any] | Sequence[Sequence[float]]"
 
 
 def as_geometry(geometry: GeometryLike) -> PointCloud | TriangleMesh:
@@ -28,14 +36,13 @@ def as_geometry(geometry: GeometryLike) -> PointCloud | TriangleMesh:
     if isinstance(geometry, (PointCloud, TriangleMesh)):
         return geometry
     try:
-        points, faces, normals = geometry_arrays(geometry)
+        return _converted(geometry)
     except TypeError as error:
         raise InputError(
             "a scan must be a path, an (n, 3) array, a pair (vertices, faces), a PointCloud, a TriangleMesh, "
             "geometry of Open3D, trimesh or PyVista, or have vertices and faces or points, got "
             f"{type(geometry).__name__}"
         ) from error
-    return PointCloud(points, normals) if faces is None else TriangleMesh(points, faces)
 
 
 def as_mesh(mesh: GeometryLike) -> TriangleMesh:
@@ -57,16 +64,7 @@ def as_cloud(cloud: GeometryLike) -> PointCloud:
     return geometry
 
 
-class GeometryArrays(NamedTuple):
-    """The points, or the vertices and faces, of a point cloud or a triangle mesh, unchecked."""
-
-    points: NDArray[Any]
-    faces: NDArray[Any] | None = None
-    normals: NDArray[Any] | None = None
-
-
-def geometry_arrays(geometry: object) -> GeometryArrays:
-    """The arrays of a point cloud or a triangle mesh of any package."""
+def _converted(geometry: object) -> PointCloud | TriangleMesh:
     package = type(geometry).__module__.partition(".")[0]
     if package == "open3d":
         return _of_open3d(geometry)
@@ -74,42 +72,41 @@ def geometry_arrays(geometry: object) -> GeometryArrays:
         return _of_pyvista(geometry)
     vertices, faces = getattr(geometry, "vertices", None), getattr(geometry, "faces", None)
     if vertices is not None:
-        return GeometryArrays(np.asarray(vertices), None if faces is None else np.asarray(faces))
+        return PointCloud(np.asarray(vertices)) if faces is None else TriangleMesh(vertices, faces)
     points = getattr(geometry, "points", None)
     if points is not None and not callable(points):
         normals = getattr(geometry, "normals", None)
-        return GeometryArrays(np.asarray(points), normals=_unit(normals) if normals is not None else None)
+        return PointCloud(np.asarray(points), None if normals is None else _unit(normals))
     # Two arrays of rows are the vertices and the faces of a mesh; two rows are points.
     if isinstance(geometry, (tuple, list)) and len(geometry) == 2 and np.ndim(geometry[0]) == 2:
-        return GeometryArrays(np.asarray(geometry[0]), np.asarray(geometry[1]))
+        return TriangleMesh(np.asarray(geometry[0]), np.asarray(geometry[1]))
     if isinstance(geometry, (str, bytes, dict)) or not isinstance(geometry, (np.ndarray, Sequence)):
         raise TypeError(f"neither a point cloud nor a triangle mesh: {type(geometry).__name__}")
     try:
-        return GeometryArrays(np.asarray(geometry))
+        array = np.asarray(geometry)
     except ValueError as error:  # rows of different lengths
         raise TypeError(f"not an array of points: {error}") from error
+    return PointCloud(array)
 
 
-def _of_open3d(geometry: Any) -> GeometryArrays:
+def _of_open3d(geometry: Any) -> PointCloud | TriangleMesh:
     legacy = geometry.to_legacy() if hasattr(geometry, "to_legacy") else geometry
     if hasattr(legacy, "triangles"):
-        return GeometryArrays(np.array(legacy.vertices), np.array(legacy.triangles))
+        return TriangleMesh(np.array(legacy.vertices), np.array(legacy.triangles))
     if not hasattr(legacy, "points") or hasattr(legacy, "lines"):
         raise TypeError(f"neither a point cloud nor a triangle mesh: {type(geometry).__name__}")
-    return GeometryArrays(
-        np.array(legacy.points), normals=_unit(legacy.normals) if legacy.has_normals() else None
-    )
+    return PointCloud(np.array(legacy.points), _unit(legacy.normals) if legacy.has_normals() else None)
 
 
-def _of_pyvista(geometry: Any) -> GeometryArrays:
+def _of_pyvista(geometry: Any) -> PointCloud | TriangleMesh:
     if not hasattr(geometry, "faces"):
         raise TypeError(
             f"not a surface: a PyVista {type(geometry).__name__}; take its extract_surface() or its points"
         )
     if not len(geometry.faces):
-        return GeometryArrays(np.array(geometry.points))
-    faces = np.array(geometry.triangulate().faces).reshape(-1, 1 + N_CORNERS)
-    return GeometryArrays(np.array(geometry.points), faces[:, 1:])
+        return PointCloud(np.array(geometry.points))
+    faces = np.array(geometry.triangulate().faces).reshape(-1, 4)  # the number of corners, and these
+    return TriangleMesh(np.array(geometry.points), faces[:, 1:])
 
 
 def _unit(normals: Any) -> NDArray[np.float64]:

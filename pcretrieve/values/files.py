@@ -8,6 +8,7 @@ import secrets
 import stat
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from pcretrieve.errors import InputError
@@ -62,17 +63,11 @@ def _replace(target: Path, data: bytes) -> None:
 def csv_text(header: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
     """Write rows as comma-separated values, from which any reader gets the same fields again."""
     # With the line ends of RFC 4180, because a writer with other ends does not quote a carriage return.
-    lines = _Lines()
-    writer = csv.writer(lines)
+    lines: list[str] = []
+    writer = csv.writer(SimpleNamespace(write=lines.append))
     writer.writerow(header)
     writer.writerows(rows)
     return "".join(line.removesuffix("\r\n") + "\n" for line in lines)
-
-
-class _Lines(list[str]):
-    """What a writer of the standard library writes to, once for each row."""
-
-    write = list.append
 
 
 def data_frame(columns: Mapping[str, Any], index: str) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.arrays import FloatArray, IntArray, bounding_diagonal
-from pcretrieve.errors import DegenerateMeshError, InputError
+from pcretrieve.errors import InputError
 from pcretrieve.values.base import Value, numbers
 
 if TYPE_CHECKING:
@@ -113,11 +113,11 @@ class PointCloud(_Processed):
         viewpoints = None if self.viewpoints is None else self.viewpoints[index]
         return replace(self, points=self.points[index], normals=normals, viewpoints=viewpoints)
 
-    def to_open3d(self) -> Any:
-        """An ``open3d.geometry.PointCloud`` with the points and the normals, without sensor positions."""
+    def to_open3d(self, *, tensor: bool = False) -> Any:
+        """An ``open3d.geometry.PointCloud``, or ``open3d.t``'s, with points and normals only."""
         from pcretrieve.draw.open3d import open3d_cloud
 
-        return open3d_cloud(self.points, self.normals)
+        return open3d_cloud(self.points, self.normals, tensor=tensor)
 
     def to_trimesh(self) -> Any:
         """A ``trimesh.PointCloud`` with the points; normals and sensor positions are left out."""
@@ -182,14 +182,12 @@ class TriangleMesh(_Processed):
         corners = self.vertices.T[:, self.faces.T]  # (3, 3, m): coordinate, corner, face
         x, y, z = corners[:, 1] - corners[:, 0]
         u, v, w = corners[:, 2] - corners[:, 0]
-        vectors: FloatArray = np.column_stack([y * w - z * v, z * u - x * w, x * v - y * u]) / 2
-        return vectors
+        return np.asarray(np.column_stack([y * w - z * v, z * u - x * w, x * v - y * u]) / 2)
 
     @property
     def face_areas(self) -> FloatArray:
         """(m,) areas of the faces, unit length²."""
-        areas: FloatArray = np.linalg.norm(self.area_vectors, axis=1)
-        return areas
+        return np.asarray(np.linalg.norm(self.area_vectors, axis=1))
 
     @property
     def flat_faces(self) -> NDArray[np.bool_]:
@@ -221,11 +219,11 @@ class TriangleMesh(_Processed):
         n_edges = np.count_nonzero(np.diff(edges, prepend=-1))
         return int(np.count_nonzero(np.bincount(self.faces.ravel())) - n_edges) + len(self.faces)
 
-    def to_open3d(self) -> Any:
-        """An ``open3d.geometry.TriangleMesh`` with the same vertices and faces."""
+    def to_open3d(self, *, tensor: bool = False) -> Any:
+        """An ``open3d.geometry.TriangleMesh``, or ``open3d.t``'s, with the same vertices and faces."""
         from pcretrieve.draw.open3d import open3d_mesh
 
-        return open3d_mesh(self.vertices, self.faces)
+        return open3d_mesh(self.vertices, self.faces, tensor=tensor)
 
     def to_trimesh(self) -> Any:
         """A ``trimesh.Trimesh`` with the same vertices and faces, in the same order."""
@@ -246,11 +244,7 @@ class TriangleMesh(_Processed):
     def _repr_html_(self) -> str:
         from pcretrieve.draw.thumbnail import picture_html, thumbnail
 
-        try:
-            picture = thumbnail(self.vertices, self.faces, up=self.up)
-        except DegenerateMeshError:  # no area to draw
-            picture = None
-        return picture_html(picture, repr(self))
+        return picture_html(thumbnail(self.vertices, self.faces, up=self.up), repr(self))
 
 
 def adjacency(mesh: TriangleMesh) -> csr_array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
@@ -11,14 +11,18 @@ from numpy.typing import NDArray
 
 from pcretrieve.arrays import FloatArray
 from pcretrieve.errors import InputError
-from pcretrieve.values.base import SizeUnit, Value, as_array
+from pcretrieve.values.base import SizeUnit, Value, check_type
 
 # How the values of two signatures are compared: by their logarithms, for positive values; as they are, for
 # any; or as histograms, whose bins are not negative.
 Metric = Literal["logarithms", "values", "histograms"]
 
-# Values of a signature that its representation shows.
-N_SHOWN = 3
+# Values of a signature that its representation shows, and neighbours that a notebook shows with pictures.
+N_SHOWN, N_PICTURED = 3, 10
+
+# Coordinates of a signature by its metric, of whose differences distances are functions.
+COORDINATES: dict[str, Callable[..., FloatArray]]
+COORDINATES = {"logarithms": np.log, "values": np.asarray, "histograms": np.sqrt}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,13 +68,22 @@ class Signature(Value):
         return len(self.values)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        return as_array(self.values, dtype, copy)
+        return np.array(self.values, dtype=dtype, copy=copy)
 
     def __repr__(self) -> str:
         error = "" if self.deviation is None else f", deviation up to {self.deviation.max(initial=0):.2g}"
         shown = ", ".join(f"{value:.4g}" for value in self.values[:N_SHOWN])
         more = ", ..." if len(self.values) > N_SHOWN else ""
         return f"Signature({self.kind}, {len(self.values)} values [{shown}{more}]{error})"
+
+    def distance(self, other: Signature) -> float:
+        """The distance ``log`` to a signature by the same options, without whitening; else InputError."""
+        check_type("the other signature", other, Signature)
+        made, others = ((one.kind, one.digest, one.metric, one.unit) for one in (self, other))
+        if made != others:
+            raise InputError(f"signatures must be made by the same options, got {made} and {others}")
+        first, second = (COORDINATES[self.metric](one.values) for one in (self, other))
+        return float(np.sqrt(((first - second) ** 2).sum()))
 
     def plot(self, axes: Any = None) -> Any:
         """Draw values and error bars by matplotlib (the extra ``plot``), into `axes` or new ones."""
@@ -119,7 +132,7 @@ class SignatureTable(Value):
         return len(self.ids)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        return as_array(self.values, dtype, copy)
+        return np.array(self.values, dtype=dtype, copy=copy)
 
     def __repr__(self) -> str:
         n_classes = len({label for label in self.labels if label is not None})
@@ -179,11 +192,14 @@ class Neighbors(Value):
         Calibrated score of each distance: the share of pairs of one class among pairs that near, or of mutual
         neighbours where there are no labels. After re-ranking, that of the original distance. None if it is
         not known. Two lists are equal whatever their scores.
+    pictures : function or None
+        Of some ids, their thumbnails for notebooks: PNG files, or None for shapes without one.
     """
 
     ids: tuple[str, ...]
     distances: FloatArray
     scores: FloatArray | None = field(default=None, compare=False)
+    pictures: Callable[[Sequence[str]], Sequence[bytes | None]] | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ids", tuple(self.ids))
@@ -205,15 +221,16 @@ class Neighbors(Value):
         found = ", ".join(f"{name} {gap:.4g}" for name, gap in zip(self.ids, self.distances, strict=True))
         return f"Neighbors({found})"
 
+    def _repr_html_(self) -> str:
+        from pcretrieve.draw.thumbnail import picture_html
+
+        pictures = self.pictures(self.ids[:N_PICTURED]) if self.pictures else [None] * len(self)
+        return "".join(map(picture_html, pictures, map("{} {:.4g}".format, self.ids, self.distances)))
+
     def to_pandas(self) -> Any:
         """A ``pandas.DataFrame`` (extra ``tables``) indexed by rank: id, distance, and the score if known."""
         from pcretrieve.values.files import data_frame
 
-        columns: dict[str, Any] = {
-            "rank": range(1, len(self) + 1),
-            "id": self.ids,
-            "distance": self.distances,
-        }
-        if self.scores is not None:
-            columns["score"] = self.scores
-        return data_frame(columns, index="rank")
+        columns = {"rank": range(1, len(self) + 1), "id": self.ids, "distance": self.distances}
+        scores = {} if self.scores is None else {"score": self.scores}
+        return data_frame(columns | scores, index="rank")

@@ -9,7 +9,7 @@ import numpy as np
 
 from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.errors import InputError, ShapeError, Stage
-from pcretrieve.values.base import Value
+from pcretrieve.values.base import Value, check_type
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -148,6 +148,7 @@ class ModalSpectrum(Value):
         space transform for robust nonrigid shape retrieval", 2016, section 3), and ∫ f²g² as Σ f_i² M_ij
         g_j². The constant eigenfunction is first; the unit is that of the eigenpairs.
         """
+        check_type("pairs", pairs, Eigenpairs, ModalSpectrum)
         phi = pairs.eigenvectors  # (n, k)
         squares = phi**2
         moments, overlaps = (squares.T @ (pairs.mass @ other) for other in (phi, squares))  # (k, k)

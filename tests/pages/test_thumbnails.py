@@ -55,7 +55,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     """The directions upwards of the pictures that are drawn while pages are made."""
     ups: list[object] = []
 
-    def counted(*mesh: object, **more: object) -> bytes:
+    def counted(*mesh: object, **more: object) -> bytes | None:
         ups.append(more["up"])
         return thumbnail(*mesh, **more)  # type: ignore[arg-type]
 
@@ -82,7 +82,7 @@ def test_a_catalogue_keeps_the_pictures_that_would_be_drawn_and_pages_use_them(
         mesh = catalogue.mesh(record.id)
         kept = catalogue.thumbnail(record.id)
         assert kept == thumbnail(mesh.vertices, mesh.faces) == pictures.of(catalogue, record)
-        assert size_of(kept) == (THUMBNAIL_PIXELS, THUMBNAIL_PIXELS)
+        assert kept and size_of(kept) == (THUMBNAIL_PIXELS, THUMBNAIL_PIXELS)
     assert catalogue.stored_bytes("0")["thumbnails"] > 1000
     pages = (
         pr.report(catalogue, tmp_path / "report.html"),

@@ -12,7 +12,7 @@ from commands import run
 
 from pcretrieve import Catalogue, PipelineOptions, PointCloud, TriangleMesh, reconstruct, signature
 from pcretrieve.errors import ReconstructionError, ScanReadError
-from pcretrieve.formats import write_mesh
+from pcretrieve.formats import ScanLike, write_mesh
 from pcretrieve.options import PRESETS
 from pcretrieve.pipeline.process import process
 from pcretrieve.surface import defects
@@ -31,7 +31,7 @@ def test_a_mesh_has_one_signature_in_any_unit_and_place() -> None:
 
 
 @pytest.mark.parametrize("scan", [POINTS, shapes.body(4)], ids=["cloud", "mesh"])
-def test_points_need_no_surface(scan: object) -> None:
+def test_points_need_no_surface(scan: ScanLike) -> None:
     form = {"method": "r-bihdm"}
     options = PipelineOptions().changed(spectral={"element": "points"}, signature=form)
     shape = process(scan, options)

@@ -259,7 +259,7 @@ def figure_1(folder: Path, sheet: Path | None) -> Iterator[str]:
 
 def _tile(path: Path) -> Image.Image:
     mesh = read_mesh(path)
-    return Image.open(io.BytesIO(thumbnail(mesh.vertices, mesh.faces, size=TILE))).convert("RGBA")
+    return Image.open(io.BytesIO(thumbnail(mesh.vertices, mesh.faces, size=TILE) or b"")).convert("RGBA")
 
 
 N_VALUES = 23
