@@ -130,7 +130,7 @@ def tetrahedralize(
     """
     scalars = {"edge_length": edge_length, "envelope": envelope, "optimize": optimize, "timeout": timeout}
     arrays = {name: np.array(value) for name, value in scalars.items()}
-    answer = _server.ask({"vertices": vertices, "faces": faces} | arrays)
+    answer = _server.ask({"vertices": vertices, "faces": faces, **arrays})
     if "error" in answer:
         raise RemeshError(f"fTetWild failed: {answer['error']}")
     if not len(answer["tetrahedra"]):
