@@ -80,7 +80,7 @@ def query_page(
         check_target(Path(path), files)
         thumbnails = Thumbnails(store, up)
         outcomes = list(
-            search_many(store, many, options=chosen, has_pictures=True, up=thumbnails.up, **asked)
+            search_many(store, many, options=chosen, has_pictures=True, up=thumbnails.said, **asked)
         )
         panels = [
             {"name": name} | _panel(store, one, thumbnails)

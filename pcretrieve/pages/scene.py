@@ -106,8 +106,7 @@ def measures(mesh: TriangleMesh, up: FloatArray | None) -> dict[str, float]:
     if (person := person_of(mesh.vertices, mesh.faces)) is not None:
         feet, hands = person.from_feet.mean(axis=0), person.from_hands
         pelvis, chest = person.from_feet.max(axis=0).min(), feet[hands.max(axis=0).argmin()]
-        middle = abs(hands[0] - hands[1]) < 0.2 * hands.max()
-        found["head to foot"] = float(feet[middle].max())
+        found["head to foot"] = float(feet[abs(hands[0] - hands[1]) < 0.2 * hands.max()].max())
         found["waist"] = _girth(mesh, feet, (pelvis + chest) / 2)
         limbs = {"thigh": (person.from_feet, person.feet), "upper arm": (hands, person.hands)}
         for name, (ways, ends) in limbs.items():

@@ -8,8 +8,8 @@ from threading import Lock
 
 import numpy as np
 
-from pcretrieve import Catalogue, Record
-from pcretrieve.draw.axes import body_axes, common_axis, upward
+from pcretrieve import Catalogue, Record, TriangleMesh
+from pcretrieve.draw.axes import body_axes, common_axis, person_of, upward
 from pcretrieve.draw.thumbnail import THUMBNAIL_PIXELS, direction_upwards, resized, thumbnail
 from pcretrieve.errors import ShapeError
 from pcretrieve.values import FloatArray
@@ -17,12 +17,10 @@ from pcretrieve.values import FloatArray
 # Largest number of thumbnails in memory, of about 7 kB each.
 MOST_KEPT = 5_000
 
-# Number of thumbnails that show along which axis the bodies of a catalogue stand.
-N_ASKED = 200
-
-# Largest distance of the direction upwards of a picture, of length 1, from an axis that was said, as pictures
-# have four decimals; and from one that was guessed: 10 degrees, which are not worth a new picture.
-SAID, GUESSED = 1e-3, 0.17
+# Number of thumbnails that show along which axis bodies stand. Largest distance of the direction upwards of a
+# picture from an axis that was said, as pictures have four decimals, and from a guess: 10 degrees. Cosine
+# of the angle from which the limbs of a person are believed, and not a guess.
+N_ASKED, SAID, GUESSED, ASKEW = 200, 1e-3, 0.17, 0.6
 
 
 class Thumbnails:
@@ -82,7 +80,7 @@ class Thumbnails:
         with suppress(ShapeError):
             if drawn is None or not self._is_right(drawn, up):
                 mesh = catalogue.mesh(record.id)
-                up = mesh.up if mesh.up is not None and self.said is None else up
+                up = up if self.said else _or_its_own(mesh, up)
                 if drawn is None or not self._is_right(drawn, up):
                     kept = thumbnail(mesh.vertices, mesh.faces, up=up)
                     # Not again after a failure, because a lock of another process is waited for.
@@ -94,6 +92,15 @@ class Thumbnails:
 
     def _guessed(self, catalogue: Catalogue) -> str | None:
         records = next(catalogue.pages(status="done"), [])
-        kept = [catalogue.thumbnail(one.id) for one in records[:: -(-len(records) // N_ASKED) or 1]]
-        found = [direction_upwards(picture) for picture in kept if picture is not None]
+        asked = records[:: -(-len(records) // N_ASKED) or 1]
+        found = [direction_upwards(catalogue.thumbnail(one.id) or b"") for one in asked]
         return common_axis(np.reshape([one for one in found if one is not None], (-1, 3)))
+
+
+def _or_its_own(mesh: TriangleMesh, up: FloatArray | None) -> FloatArray | None:
+    """An axis that was guessed, unless the ground, or the limbs of a person, show another direction."""
+    if mesh.up is not None:
+        return mesh.up
+    person = None if up is None else person_of(mesh.vertices, mesh.faces)
+    own = up if person is None else person.upwards(mesh.vertices)
+    return own if up is None or own is None or own @ up < ASKEW else up

@@ -114,6 +114,7 @@ def serve(
         with _listening(port) as listener:
             address = f"http://{ADDRESS}:{listener.getsockname()[1]}/?token={key}"
             searching.prepare(lambda catalogue: catalogue.index(chosen).load())
+            drawing.prepare(lambda catalogue: site.maps.shown(catalogue, chosen))  # seconds, of many shapes
             _run(Guard(application(site), key), listener, lambda: on_start(address))
     finally:
         if jobs is not None:

@@ -12,6 +12,7 @@ from shapes import icosphere, joined
 
 from pcretrieve.draw import axes as draw_axes, thumbnail as drawing
 from pcretrieve.draw.pictures import MARGIN
+from pcretrieve.pages.thumbnails import _or_its_own
 from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.values import FloatArray, Step, TriangleMesh
 
@@ -118,6 +119,7 @@ def test_people_are_upright_in_every_pose() -> None:
         mesh, rotation = body(subject, POSES["person"][pose]), any_turn(seed)
         up = draw_axes.body_axes(turned(mesh, rotation).vertices, mesh.faces)[1]
         assert up @ rotation.apply([0, 1, 0]) > np.cos(np.radians(35)), pose
+        np.testing.assert_allclose(np.array(_or_its_own(turned(mesh, rotation), -up)), up)
 
 
 def test_what_is_up_can_be_said() -> None:

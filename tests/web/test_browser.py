@@ -92,7 +92,6 @@ def test_a_chosen_scan_is_answered_and_kept_when_it_is_asked_for(
             page.locator("input[type=file]").set_input_files(tmp_path / "egg.off")
             page.wait_for_url("**/scan/*")
             page.get_by_role("heading", name="Nearest shapes").wait_for()
-            assert page.get_by_role("heading", name="egg.off").is_visible()
             assert page.locator("#stages").get_by_text("spectrum").is_visible()
             assert names(page) == list(search(eggs, tmp_path / "egg.off", k=12).ids)
             page.get_by_role("link", name="Inspection of the scan").wait_for()
@@ -182,7 +181,6 @@ def test_keys_suffice(page: Page) -> None:
     reached(page, "#results .shapes a")
     page.keyboard.press("Enter")
     page.get_by_role("heading", name="Nearest shapes").wait_for()
-    assert page.evaluate("history.length") >= 3
 
 
 def reached(page: Page, selector: str) -> None:
