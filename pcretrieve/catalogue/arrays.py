@@ -7,6 +7,7 @@ signs and exponents repeat, and digits do not. A checksum detects changes of the
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,6 +28,9 @@ SHORTEST_COMPRESSED = 4096
 
 # Compression level of zlib. See docs/decisions.md, LEVEL.
 LEVEL = 1
+
+# Largest compression ratio, and number of bytes to which any array may expand. Most ratios are below 10.
+MOST_RATIO, ANY_SIZE = 100, 1 << 24
 
 # Header of an array: its type, its number of dimensions, whether it is compressed, its length in bytes.
 HEADER = struct.Struct("<BBBI")
@@ -66,7 +70,12 @@ def unpacked(blob: bytes) -> list[NDArray[Any]]:
         body = view[position : position + n_bytes]
         dtype = DTYPES[kind]
         if compressed:
-            planes = np.frombuffer(zlib.decompress(body), np.uint8).reshape(dtype.itemsize, -1)
+            size = math.prod((*shape, dtype.itemsize))
+            if size > max(ANY_SIZE, MOST_RATIO * n_bytes):
+                raise ValueError(f"it declares {size} bytes in {n_bytes}")
+            # At most one byte more, by which the shape does not fit.
+            expanded = zlib.decompressobj().decompress(body, size + 1)
+            planes = np.frombuffer(expanded, np.uint8).reshape(dtype.itemsize, -1)
             numbers = np.ascontiguousarray(planes.T).view(dtype)
         else:
             numbers = np.frombuffer(body, dtype)

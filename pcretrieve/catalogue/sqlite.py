@@ -7,12 +7,13 @@ locks do not reach other computers, it only reads.
 
 from __future__ import annotations
 
+import fcntl
 import logging
 import os
 import re
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from os.path import samestat
 from pathlib import Path
 from typing import Any, Literal
@@ -41,6 +42,9 @@ ADVICE = {
     "locking protocol": "cannot be locked, the file system does not allow it: name a file on a local disk",
     "disk is full": "cannot grow, the disk is full: make room and run the same command again",
 }
+
+# Size and first bytes of the header of a write-ahead log.
+LOG_HEADER, LOG_MAGIC = 32, (b"7\x7f\x06\x82", b"7\x7f\x06\x83")
 
 MOUNTS = Path("/proc/self/mountinfo")
 
@@ -138,7 +142,8 @@ class SqliteDatabase:
             (unused,) = self._connection.execute("PRAGMA freelist_count").fetchone()
             (pages,) = self._connection.execute("PRAGMA page_count").fetchone()
             if unused > UNUSED * pages:
-                self._connection.execute("VACUUM")
+                with _without_checkpoints(self._path):
+                    self._connection.execute("VACUUM")
         # Another process writes the file, or the disk is full: the rows are removed all the same.
         except sqlite3.Error as error:
             logger.info("the unused space of %s stays in it: %s", self._path, error)
@@ -156,16 +161,17 @@ class SqliteDatabase:
     def _transaction(self, kind: str) -> Iterator[None]:
         with translated(self._path):
             self._connection.execute(f"BEGIN {kind}")
-            with self._connection:
+            is_alone = nullcontext() if kind == "DEFERRED" else _without_checkpoints(self._path)
+            with is_alone, self._connection:
                 yield
 
     def _prepare(self, settings: Mapping[str, str]) -> None:
         """Create the tables of a new file; check that another one is a catalogue."""
-        if not self.execute(TABLES_IN_FILE):
+        if not self.execute(PARTS_OF_FILE):
             # With a write-ahead log, other processes can read while one process writes.
             self.execute(f"PRAGMA journal_mode = {_journal(self._path) or 'DELETE'}")
             with self._transaction("IMMEDIATE"):
-                if not self.execute(TABLES_IN_FILE):  # another process may have created them in the meantime
+                if not self.execute(PARTS_OF_FILE):  # another process may have created them in the meantime
                     unique = "CREATE UNIQUE INDEX shapes_by_path ON shapes (path)"
                     words = {"text": "text", "octets": "blob", "ordered": " WITHOUT ROWID"}
                     for statement, values in created(settings, words, [unique]):
@@ -173,14 +179,35 @@ class SqliteDatabase:
         check_tables(self._path, self._connection)
 
 
-TABLES_IN_FILE = "SELECT name FROM sqlite_master WHERE type = 'table'"
+PARTS_OF_FILE = "SELECT type, name FROM sqlite_master WHERE type <> 'index'"
 
 
 def check_tables(path: Path, connection: sqlite3.Connection) -> None:
-    """Check that a file has the tables that every version of a catalogue has."""
+    """Check that a file has the tables that every version of a catalogue has, and nothing that acts."""
     with translated(path):
-        if not {("meta",), ("shapes",)} <= {*connection.execute(TABLES_IN_FILE)}:
-            raise CatalogueError(f"{path} is an SQLite file, but no catalogue: give another --catalogue")
+        parts = {*connection.execute(PARTS_OF_FILE)}
+    if not {("table", "meta"), ("table", "shapes")} <= parts:
+        raise CatalogueError(f"{path} is an SQLite file, but no catalogue: give another --catalogue")
+    if acting := ", ".join(sorted(f"{kind} {name!r}" for kind, name in parts if kind != "table")):
+        raise CatalogueError(f"{path} has the {acting}, which no catalogue has, and which may change others")
+
+
+@contextmanager
+def _without_checkpoints(path: Path) -> Iterator[None]:
+    """Let no other process write, or end a checkpoint, at the same time as this one.
+
+    SQLite 3.7.0 to 3.51.2 may damage a file if the log is written from its start again during a checkpoint
+    by another connection, at the end of its own transaction (https://sqlite.org/wal.html#walresetbug).
+    """
+    log = None
+    with suppress(OSError):  # a rollback journal has no checkpoints
+        log = os.open(f"{os.path.realpath(path)}-wal", os.O_RDONLY)
+        fcntl.flock(log, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        if log is not None:
+            os.close(log)
 
 
 def connect(path: Path, *, create: bool) -> sqlite3.Connection:
@@ -203,6 +230,11 @@ def connect(path: Path, *, create: bool) -> sqlite3.Connection:
             "not see, so that two writers would damage it: ingest into a file on a local disk, and copy it "
             "when it is complete (pcretrieve catalogue backup); or use PostgreSQL"
         )
+    log = Path(f"{os.path.realpath(path)}-wal")
+    with suppress(OSError), log.open("rb") as file:
+        head = file.read(LOG_HEADER)
+        if head and not (len(head) == LOG_HEADER and head.startswith(LOG_MAGIC)):
+            logger.warning("%s is damaged: what was stored last, and not in %s yet, is lost", log, path.name)
     with translated(path):
         if not size or _is_writable(path):
             return _connected(path, "rwc" if create else "rw")
@@ -211,7 +243,6 @@ def connect(path: Path, *, create: bool) -> sqlite3.Connection:
         try:
             return _connected(path, "ro")
         except sqlite3.OperationalError as error:
-            log = path.with_name(f"{path.name}-wal")
             if log.exists() and log.stat().st_size:
                 raise CatalogueError(
                     f"{path} is incomplete without its last changes in {log.name}, which cannot be applied "
@@ -250,12 +281,12 @@ def _is_writable(path: Path) -> bool:
 
 def _connected(path: Path, mode: str) -> sqlite3.Connection:
     connection = sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, timeout=LOCK_TIMEOUT)
-    statements = ["PRAGMA synchronous = NORMAL"]
+    # What a transaction has stored is on the disk when it ends; nothing in the schema of a file may call
+    # functions with effects.
+    statements = ["PRAGMA synchronous = FULL", "PRAGMA trusted_schema = OFF"]
     if mode.startswith("rw") and _journal(path) == "DELETE":
         # Also for a file that was copied from a place where it had a write-ahead log.
-        statements = [
-            # A rollback journal is safe if the computer fails only if it is on the disk before the file.
-            "PRAGMA synchronous = FULL",
+        statements += [
             # With an exclusive lock, SQLite reads a log without memory that is shared with other processes.
             # Python does not look for the log in the header: closing the file would release all locks.
             "PRAGMA locking_mode = EXCLUSIVE",

@@ -191,7 +191,9 @@ def _write_check(catalogue: str, result: pr.Check) -> None:
     n_defects, n_left = len(result.defects), sum(defect.repair is None for defect in result.defects)
     out.write_words(
         f"{catalogue}: {result.n_shapes} shapes, {result.n_failed} failed, {result.n_recomputed} signatures "
-        f"computed again, {n_defects} defects" + (f", {n_left} not repaired" if n_left else "")
+        f"computed again, {n_defects} defects"
+        + (f", {n_left} not repaired" if n_left else "")
+        + f"; SQLite {result.sqlite_version}"
     )
 
 

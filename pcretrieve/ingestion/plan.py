@@ -193,7 +193,8 @@ class Planner:
                 return
         elif original := self._queued.get(identity) or self._original(identity):
             # The earlier result of a file stays in the catalogue until the original has been processed.
-            if earlier is not None and original.status == "done" and identity not in self._queued:
+            is_there = original.status == "done" and identity not in self._queued
+            if earlier is not None and (is_there or earlier.status == "failed"):
                 made.removed.append(name)
             made.duplicates.append((name, original))
             return

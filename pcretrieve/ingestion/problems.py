@@ -9,6 +9,7 @@ import platform
 import zipfile
 from dataclasses import asdict
 from pathlib import Path
+from sqlite3 import sqlite_version
 
 from pcretrieve.errors import PcretrieveError
 from pcretrieve.formats import parts_of, split_member
@@ -66,7 +67,7 @@ def report_problem(
     file, member = split_member(scan)
     check_output(output, [file])
     found: dict[str, object] = {
-        "versions": versions() | {"python": platform.python_version()},
+        "versions": versions() | {"python": platform.python_version(), "sqlite": sqlite_version},
         "computer": platform.platform(),
         "options_digest": options.digest,
         "scan": {

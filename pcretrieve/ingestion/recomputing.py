@@ -8,6 +8,7 @@ from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from sqlite3 import sqlite_version
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +43,7 @@ class Check:
     n_failed: int
     n_recomputed: int
     defects: tuple[Defect, ...]
+    sqlite_version: str = sqlite_version  # of the library that has read a file
 
     @property
     def is_whole(self) -> bool:

@@ -341,6 +341,9 @@ class _Run:
             stored = replace(record, id=stored.id, message=kept)
         (self.summary.failed if content is None else self.summary.done).append(stored)
         log_steps(scan_name(stored.path), stored.steps)
+        for other in () if content is None else self._catalogue.with_content(stored.content_hash):
+            if other.path != stored.path and Path(other.path).suffix == Path(stored.path).suffix:
+                logger.warning("%s and %s, of another ingest, are the same scan", stored.path, other.path)
         if content is None:
             logger.info("failed: [%s / %s] %s", stored.id, stored.stage, stored.message)
         self._counts.add(stored)

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import re
 import shutil
 import sqlite3
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
+from sqlite3 import sqlite_version as VERSION
 from tempfile import TemporaryDirectory
 from threading import Event
 
+import numpy as np
 import pytest
 import shapes
 from commands import result, run
@@ -24,6 +28,7 @@ from stored import content
 import pcretrieve as pr
 from pcretrieve import Catalogue
 from pcretrieve.catalogue import Record
+from pcretrieve.catalogue.arrays import packed, unpacked
 from pcretrieve.catalogue.records import RECORDS, SCHEMA_VERSION, checksum
 from pcretrieve.errors import CatalogueError
 from pcretrieve.formats import read_scan, write_mesh
@@ -85,17 +90,20 @@ def test_of_several_that_make_one_catalogue_each_gets_the_same(tmp_path: Path) -
         assert len(store.records()) == 8
 
 
-def test_what_is_no_catalogue_is_left_as_it_is(tmp_path: Path) -> None:
+def test_what_is_no_catalogue_is_left_as_it_is(tmp_path: Path, original: Path) -> None:
     for name, data in (("byte", b"x"), ("scan.ply", b"ply\nformat ascii 1.0\n" * 100)):
         (tmp_path / name).write_bytes(data)
     for version in (0, 1, 99):
         mail = tmp_path / f"mail{version}.db"
         execute(mail, "CREATE TABLE meta (a TEXT)", f"PRAGMA user_version = {version}")
+    for kind in ("TRIGGER a AFTER INSERT ON shapes BEGIN DELETE FROM meta; END", "VIEW a AS SELECT 1"):
+        path = Path(shutil.copy(original, tmp_path / f"{kind.split()[0]}.sqlite"))
+        execute(path, f"CREATE {kind}")
+    words = {".db": "is an SQLite file, but no catalogue", ".sqlite": "has the (trigger|view) 'a', which no"}
     for file in sorted(tmp_path.iterdir()):
         before = file.read_bytes()
-        words = "is an SQLite file, but no catalogue" if file.suffix == ".db" else "is not a catalogue: give"
         for create in (False, True):
-            with pytest.raises(CatalogueError, match=words):
+            with pytest.raises(CatalogueError, match=words.get(file.suffix, "is not a catalogue: give")):
                 Catalogue(file, create=create)
             assert file.read_bytes() == before
     with pytest.raises(CatalogueError, match="is a folder: name a file for --catalogue"):
@@ -180,7 +188,37 @@ def test_a_catalogue_that_may_not_be_written_can_be_read(original: Path) -> None
             Catalogue(folder / "killed")
 
 
+def test_no_other_process_writes_while_one_ends_a_checkpoint(path: Path) -> None:
+    def write() -> None:
+        with Catalogue(path) as other:
+            other.put(failure("late"))
+
+    with Catalogue(path) as store, Path(f"{path}-wal").open("rb") as log, ThreadPoolExecutor(1) as thread:
+        fcntl.flock(log, fcntl.LOCK_EX)
+        late = thread.submit(write)
+        time.sleep(0.5)
+        assert not late.done() and store.get("late") is None
+        fcntl.flock(log, fcntl.LOCK_UN)
+        late.result()
+        assert store.get("late") is not None
+
+
 # --- damage ---------------------------------------------------------------------------------------------
+
+
+def test_a_log_that_is_lost_is_told(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for log in (bytes(4152), b"garbage", b"7\x7f\x06\x82"):
+        path.with_name(f"{path.name}-wal").write_bytes(log)
+        with Catalogue(path) as store:
+            assert len(store) == N_SHAPES
+    assert [f"{path.name}-wal is damaged: what was stored last" in said for said in caplog.messages] == 3 * [
+        True
+    ]
+
+
+def test_an_array_does_not_expand_to_more_than_arrays_do() -> None:
+    with pytest.raises(ValueError, match="it declares 20000000 bytes in"):
+        unpacked(packed([np.zeros(2_500_000)]))
 
 
 def flipped(column: str, position: int) -> str:
@@ -231,7 +269,7 @@ def test_a_whole_catalogue_has_no_defects(path: Path) -> None:
     found = pr.check(path, sample=2, repair=True)
     assert (found.n_shapes, found.n_failed, found.n_recomputed, found.defects) == (N_SHAPES, 1, 2, ())
     said = run("catalogue", "check", "-c", path, "--sample", 0).stdout
-    assert said == f"{path}: 5 shapes, 1 failed, 0 signatures computed again, 0 defects\n"
+    assert said == f"{path}: 5 shapes, 1 failed, 0 signatures computed again, 0 defects; SQLite {VERSION}\n"
 
 
 THIRD = "WHERE shape = (SELECT number FROM shapes WHERE id = '2')"

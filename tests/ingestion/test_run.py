@@ -61,10 +61,15 @@ def filled(folder: Path, catalogue: Catalogue) -> Catalogue:
 
 
 def test_one_content_is_processed_once(folder: Path, catalogue: Catalogue) -> None:
+    whole = (folder / "copy.off").read_bytes()
+    (folder / "copy.off").write_bytes(whole[:1000])  # half copied
+    assert ids(ingest(folder / "copy.off", catalogue).failed) == ["copy"]
+    (folder / "copy.off").write_bytes(whole)
     seen: list[str] = []
     first = ingest(folder, catalogue, on_shape=lambda record: seen.append(record.id))
     assert ids(first.done) == ["a", "b"]
     assert [(Path(path).name, original.id) for path, original in first.duplicates] == [("copy.off", "a")]
+    assert ids(catalogue.records()) == ["a", "b"]
     second = ingest(folder, catalogue)
     assert (ids(second.held), second.done, len(second.duplicates)) == (["a", "b"], [], 1)
     assert sorted(seen) == ["a", "a", "b"]  # once for each file
@@ -124,6 +129,18 @@ def test_a_file_out_of_reach_keeps_what_was_made_of_it(folder: Path, filled: Cat
 
 
 # --- several ingests at once ----------------------------------------------------------------------------
+
+
+def test_a_scan_that_another_ingest_stores_meanwhile_is_told(
+    folder: Path, catalogue: Catalogue, caplog: pytest.LogCaptureFixture
+) -> None:
+    def late(function: Any, items: Any, /, **limits: Any) -> Any:
+        ingest(folder / "copy.off", catalogue)
+        yield from in_this_process(function, items, **limits)
+
+    ingest(folder / "a.off", catalogue, executor=late)
+    said = f"{folder / 'a.off'} and {folder / 'copy.off'}, of another ingest, are the same scan"
+    assert said in caplog.messages
 
 
 @pytest.mark.slow
