@@ -61,6 +61,8 @@ def capped(surface: TriangleMesh, cloud: PointCloud, *, spacing: float) -> Cappe
     farthest = np.zeros(n)
     np.maximum.at(farthest, hole[far], distance[far])
     free = far & (farthest[hole] > LARGE_HOLE * cloud.diagonal)  # (n,)
+    rims = ends[free[ends].sum(axis=1) == 1]  # (r, 2), edges between a hole and its rim
+    free &= np.isin(hole, hole[rims[free[rims]]])  # a component that is far from all points has none
     cap = np.where(free[surface.faces], hole[surface.faces], NO_CAP).max(axis=1)
     if not free.any():
         return Capped(surface, cap)

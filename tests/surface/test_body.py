@@ -19,7 +19,7 @@ from pcretrieve.points.neighbors import SPACING_NEIGHBORS, neighborhoods, spacin
 from pcretrieve.points.outside import sampled
 from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.surface import SurfaceMarks, body_surfaces, defects
-from pcretrieve.surface.caps import NO_CAP
+from pcretrieve.surface.caps import NO_CAP, capped
 from pcretrieve.surface.coarse import BESIDE, coarse_surface, filled, indicator
 from pcretrieve.surface.reconstruct import uniform_points
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
@@ -136,6 +136,8 @@ def test_two_bodies_are_refused() -> None:
         surface(shapes.oriented_points_on(two, 8000))
     mesh, _ = surface(shapes.oriented_points_on(two, 8000), max_discarded=0.3)
     assert mesh.volume == pytest.approx(shapes.icosphere(3).volume, rel=0.02)
+    # A component that is far from all points has no rim, to which its cap would be joined.
+    assert capped(two, shapes.oriented_points_on(ball, 2000), spacing=0.05).surface == two
 
 
 @pytest.mark.parametrize("name", ["ball", "body"])
