@@ -278,12 +278,9 @@ HOSTILE: list[tuple[str, bytes, str]] = [
     ("a.npy", PICKLE, "not a complete NPY"),
     ("a.php.off", b"<?php system($_GET['a']); ?>", "not a complete OFF"),
     ("a.obj", b"<script>alert(1)</script>\nv <b> 0 0\n", "line 2 is 'v <b> 0 0'"),
-    ("a.off", b"\x89PNG\r\n\x1a\n" + bytes(99), "not a complete OFF"),
-    ("a.ply", b"PK\x03\x04" + bytes(99), "its first line is not 'ply'"),
     ("a.ply", b'<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><a>&x;</a>', "first line is not 'ply'"),
     ("a.xyz", b"9" * 900_000 + b" 1 2\n", "each line must hold 3 numbers"),
     ("a.xyz", b"1e308 -1e308 1e308\n" * 200, "coordinates must be 1e-50 to 1e+50 in size"),
     ("a.xyz", b"nan inf nan\n" * 200, ""),
     ("a.off", b"OFF\nscan: read in 1.2.3 s\nscan: x in 1 s\n", "not a complete OFF"),
-    ("a.off", b"OFF\n#<script>alert(1)</script>\n/*PK\x03\x04*/GIF89a\n", "not a complete OFF"),
 ]

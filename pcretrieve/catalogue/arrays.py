@@ -73,8 +73,7 @@ def unpacked(blob: bytes) -> list[NDArray[Any]]:
             size = math.prod((*shape, dtype.itemsize))
             if size > max(ANY_SIZE, MOST_RATIO * n_bytes):
                 raise ValueError(f"it declares {size} bytes in {n_bytes}")
-            # At most one byte more, by which the shape does not fit.
-            expanded = zlib.decompressobj().decompress(body, size + 1)
+            expanded = zlib.decompressobj().decompress(body, size + 1)  # one more does not fit the shape
             planes = np.frombuffer(expanded, np.uint8).reshape(dtype.itemsize, -1)
             numbers = np.ascontiguousarray(planes.T).view(dtype)
         else:
@@ -114,10 +113,7 @@ def _triangles(k: int) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
 
 
 def packed_values(values: FloatArray) -> bytes:
-    """Convert the values (L,) of a signature to bytes that are fast to read.
-
-    Returns bytes: 8 (L + 1) bytes: the values, and the exclusive or of their bits as a checksum.
-    """
+    """The values (L,) of a signature as 8 (L + 1) bytes: the last are the exclusive or of all, a checksum."""
     words = np.ascontiguousarray(values, "<f8").view("<u8")
     return words.tobytes() + np.bitwise_xor.reduce(words, keepdims=True).tobytes()
 

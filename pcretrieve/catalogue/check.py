@@ -29,14 +29,7 @@ class Defect:
 def find_defects(
     catalogue: Catalogue, *, repair: bool = False, on_shapes: Callable[[int], None] = lambda number: None
 ) -> list[Defect]:
-    """Check the database, everything that is stored of each shape, and the stored indexes.
-
-    repair: remove rows of no shape, damaged records and damaged indexes, make SQL indexes again, and replace
-        shapes with damaged arrays by failures in the stage ``check``, whose files the next ingest processes.
-    on_shapes: called with the number of shapes that have been checked since the last call.
-
-    Returns list of Defect: those of the database, of the shapes in ascending order of id, and of the indexes.
-    """
+    """The defects of the database, of each shape, and of the stored indexes, as `pcretrieve.check` says."""
     found = _database_defects(catalogue, repair=repair)
     # A file with damaged pages is neither read further nor changed, because that may damage it further.
     if all(defect.repair or defect.kind != "database" for defect in found):
@@ -52,10 +45,7 @@ def find_defects(
 
 
 def set_to_be_ingested_again(catalogue: Catalogue, record: Record, message: str) -> str | None:
-    """Replace a shape by a failure in the stage ``check``, whose file the next ingest processes again.
-
-    Returns str or None: what was done, in words; None if the catalogue cannot be written to.
-    """
+    """Replace a shape by a failure, whose file is processed again; None if that cannot be written."""
     failure = Record(
         record.id,
         record.path,

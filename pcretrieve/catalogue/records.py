@@ -96,12 +96,7 @@ READ_AT_ONCE = 1000
 def created(
     settings: Mapping[str, str], words: Mapping[str, str], further: Iterable[str]
 ) -> Iterator[tuple[str, Sequence[object]]]:
-    """Yield the statements that create all tables, and that store the settings, with their parameters.
-
-    words: of the database: the types ``text`` and ``octets``, and ``ordered``, which stands after a table
-        whose rows are in the order of its key.
-    further: statements after those that create the tables.
-    """
+    """Yield the statements, in the words of a database, that create all tables and store the settings."""
     for table, columns in TABLES.items():
         # In quotes, because "overlaps" is a word of PostgreSQL.
         lines = [f'"{name}" {kind}' for name, kind in columns.items()]

@@ -306,13 +306,10 @@ class Rows:
         labels: Mapping[str, str] | None = None,
         stamps: Mapping[str, str] | None = None,
     ) -> None:
-        """Rename, remove, label and stamp shapes by path, in this order, in one transaction.
+        """Rename shapes (new path by old), remove, label and stamp them by new path, in one transaction.
 
         Unknown paths are ignored, because another process may have renamed or removed the same shapes; and a
         shape is not renamed to a path that the catalogue has already.
-
-        moved: new path by old path.
-        labels, stamps: class, and `Record.stamp`, by path; by the new path, if a file was renamed.
         """
         with self.database.writing():
             if moved:
@@ -361,11 +358,7 @@ class Rows:
         return Listed(revision, ids, labels, has, packed)
 
     def keep(self, digest: str, signatures: Collection[tuple[Record, bytes]]) -> None:
-        """Store signatures, except of shapes that have been replaced or removed since they were read.
-
-        signatures: the record of each shape, and the bytes of its signature. A shape has been replaced if
-            the content hash of its record has changed.
-        """
+        """Store signatures, except of shapes that are gone, or have another content hash."""
         with self.database.writing():
             self._add_descriptors([digest])
             self.database.each(

@@ -13,7 +13,7 @@ import os
 import re
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from os.path import samestat
 from pathlib import Path
 from typing import Any, Literal
@@ -44,7 +44,7 @@ ADVICE = {
 }
 
 # Size and first bytes of the header of a write-ahead log.
-LOG_HEADER, LOG_MAGIC = 32, (b"7\x7f\x06\x82", b"7\x7f\x06\x83")
+LOG_BYTES, LOG_MAGIC = 32, (b"7\x7f\x06\x82", b"7\x7f\x06\x83")
 
 MOUNTS = Path("/proc/self/mountinfo")
 
@@ -161,8 +161,7 @@ class SqliteDatabase:
     def _transaction(self, kind: str) -> Iterator[None]:
         with translated(self._path):
             self._connection.execute(f"BEGIN {kind}")
-            is_alone = nullcontext() if kind == "DEFERRED" else _without_checkpoints(self._path)
-            with is_alone, self._connection:
+            with _without_checkpoints(self._path) if kind == "IMMEDIATE" else nullcontext(), self._connection:
                 yield
 
     def _prepare(self, settings: Mapping[str, str]) -> None:
@@ -194,20 +193,12 @@ def check_tables(path: Path, connection: sqlite3.Connection) -> None:
 
 @contextmanager
 def _without_checkpoints(path: Path) -> Iterator[None]:
-    """Let no other process write, or end a checkpoint, at the same time as this one.
-
-    SQLite 3.7.0 to 3.51.2 may damage a file if the log is written from its start again during a checkpoint
-    by another connection, at the end of its own transaction (https://sqlite.org/wal.html#walresetbug).
-    """
-    log = None
-    with suppress(OSError):  # a rollback journal has no checkpoints
-        log = os.open(f"{os.path.realpath(path)}-wal", os.O_RDONLY)
-        fcntl.flock(log, fcntl.LOCK_EX)
-    try:
+    """Let no other process write or end a checkpoint: https://sqlite.org/wal.html#walresetbug."""
+    with ExitStack() as stack:
+        with suppress(FileNotFoundError):  # a rollback journal has no checkpoints
+            log = stack.enter_context(Path(f"{os.path.realpath(path)}-wal").open("rb"))
+            fcntl.flock(log, fcntl.LOCK_EX)
         yield
-    finally:
-        if log is not None:
-            os.close(log)
 
 
 def connect(path: Path, *, create: bool) -> sqlite3.Connection:
@@ -232,8 +223,7 @@ def connect(path: Path, *, create: bool) -> sqlite3.Connection:
         )
     log = Path(f"{os.path.realpath(path)}-wal")
     with suppress(OSError), log.open("rb") as file:
-        head = file.read(LOG_HEADER)
-        if head and not (len(head) == LOG_HEADER and head.startswith(LOG_MAGIC)):
+        if (head := file.read(LOG_BYTES)) and not (len(head) == LOG_BYTES and head.startswith(LOG_MAGIC)):
             logger.warning("%s is damaged: what was stored last, and not in %s yet, is lost", log, path.name)
     with translated(path):
         if not size or _is_writable(path):
@@ -281,8 +271,7 @@ def _is_writable(path: Path) -> bool:
 
 def _connected(path: Path, mode: str) -> sqlite3.Connection:
     connection = sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, timeout=LOCK_TIMEOUT)
-    # What a transaction has stored is on the disk when it ends; nothing in the schema of a file may call
-    # functions with effects.
+    # What a transaction has stored is on the disk when it ends; the schema of a file calls nothing that acts.
     statements = ["PRAGMA synchronous = FULL", "PRAGMA trusted_schema = OFF"]
     if mode.startswith("rw") and _journal(path) == "DELETE":
         # Also for a file that was copied from a place where it had a write-ahead log.

@@ -185,9 +185,7 @@ def _write_check(catalogue: str, result: pr.Check) -> None:
         ((one.shape_id or "-", one.message, one.repair or "not repaired") for one in result.defects),
     )
     if any(defect.kind == "database" and not defect.repair for defect in result.defects):
-        say(
-            "the file is damaged in a way that cannot be repaired: restore a backup, or ingest into a new one"
-        )
+        say("the file is damaged, and cannot be repaired: restore a backup, or ingest into a new one")
     n_defects, n_left = len(result.defects), sum(defect.repair is None for defect in result.defects)
     out.write_words(
         f"{catalogue}: {result.n_shapes} shapes, {result.n_failed} failed, {result.n_recomputed} signatures "

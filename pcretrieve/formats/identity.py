@@ -19,12 +19,7 @@ Found = TypeVar("Found")
 
 
 class Stamp(NamedTuple):
-    """What a file system says of a file and of the parts that the file names.
-
-    text: size in bytes, times of the last changes of the content (mtime) and of the inode (ctime) in
-        nanoseconds, and number of the inode, of each file.
-    changed: the latest of these times; seconds since 1970.
-    """
+    """Of a file and the parts that it names: size, times and inode as text; the latest time, in seconds."""
 
     text: str
     changed: float

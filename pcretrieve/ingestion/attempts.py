@@ -70,12 +70,10 @@ def content_of(path: Path, options: PipelineOptions) -> Content:
 
 
 def next_attempt(attempt: Attempt, error: PcretrieveError, options: PipelineOptions) -> Attempt | None:
-    """The next attempt at a scan that failed.
+    """The next attempt at a scan that failed: in a new process, with cheaper settings, by the other method.
 
-    Each attempt has one more of these changes: a process that is started after the failure; cheaper settings
-    (one surface, with larger voxels); the other method of surface reconstruction, instead of cheaper
-    settings. A change that cannot help is left out: a new process if a stage has refused the scan, other
-    settings if the scan cannot be read.
+    A change that cannot help is left out: a new process if a stage has refused the scan, other settings if
+    the scan cannot be read.
     """
     if isinstance(error, InputError):
         return None

@@ -88,11 +88,7 @@ def shape_ids(paths: Collection[str], taken: Mapping[str, str]) -> dict[str, str
 
 
 def scans_of(shard: str | None, scans: Sequence[Path]) -> Sequence[Path]:
-    """The scans that a task of a job array processes, whose shard is written as ``I/N``.
-
-    The shard of a scan depends on its content only: new files change the shard of no other file, and copies
-    of a file are in its shard, which skips them as duplicates.
-    """
+    """The scans of the shard ``I/N`` of a job array; copies of a file are in its shard, by their content."""
     if shard is None:
         return scans
     match = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", shard)

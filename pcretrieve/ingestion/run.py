@@ -373,9 +373,7 @@ def _planned(planner: Planner, on_shape: Callable[[Record], None]) -> Summary:
 class Arrivals:
     """Looks into a folder, and finds the files that have not changed since the last look.
 
-    The folder is read at each look, instead of being watched by the kernel (inotify, kqueue): the kernel
-    reports nothing that another computer writes to a network file system, loses events when a queue is full,
-    and would need a package for each system; to read a folder of ten thousand files takes some 50 ms.
+    The kernel (inotify) does not report what other computers write to a network file system.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -127,6 +127,8 @@ def test_every_bit_of_an_array_comes_back_and_a_changed_one_is_noticed() -> None
             blob[position] ^= 16
             with pytest.raises(ValueError, match="checksum"):
                 unpack(bytes(blob))
+    with pytest.raises(ValueError, match="it declares 20000000 bytes in"):
+        unpacked(packed([np.zeros(2_500_000)]))
 
 
 # --- several at once ------------------------------------------------------------------------------------

@@ -28,20 +28,9 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (site / "gridscan-1.0.dist-info" / "entry_points.txt").write_text(
         "[pcretrieve.readers]\n.grid = gridscan:read_grid\n"
     )
-    (site / "gridscan.py").write_text(
-        "import numpy as np\nfrom pcretrieve.formats import RawScan\n\n"
-        "def read_grid(path):\n    return RawScan(np.loadtxt(path), notes=('read as a grid',), unit='km')\n"
-    )
     monkeypatch.syspath_prepend(site)
     monkeypatch.delitem(sys.modules, "gridscan", raising=False)
     return site
-
-
-def test_an_installed_package_brings_a_reader(plugin: Path, tmp_path: Path) -> None:
-    (tmp_path / "a.GRID").write_text("1 2 3\n4 5 6\n")
-    found = cloud(tmp_path / "a.GRID")
-    np.testing.assert_array_equal(found.points, [[1000, 2000, 3000], [4000, 5000, 6000]])
-    assert found.provenance[0].notes == ("read as a grid", "converted the coordinates from km to m")
 
 
 @pytest.mark.parametrize(
@@ -49,14 +38,12 @@ def test_an_installed_package_brings_a_reader(plugin: Path, tmp_path: Path) -> N
     [
         ("import a_module_that_is_nowhere", "cannot be loaded, ModuleNotFoundError: No module named"),
         ("raise SystemExit(0)", "cannot be loaded, SystemExit: 0;"),
-        ("x = 1 / 0", "cannot be loaded, ZeroDivisionError: division by zero"),
         ("read_mesh = None", "cannot be loaded, AttributeError: module 'gridscan' has no attribute"),
         ("read_grid = None", "must be a Format, or a function that reads a file, got NoneType;"),
         ("def read_grid(path): return [1, 2]", "failed, TypeError: a reader must return a RawScan, got list"),
         ("def read_grid(path): raise SystemExit(0)", "failed, SystemExit: 0"),
         ("def read_grid(path): return path.suffix / 2", "failed, TypeError: unsupported operand"),
         ("def read_grid(path): return RawScan([1, 2])", "points must have the shape (n, 3), got (2,)"),
-        ("def read_grid(path): return RawScan('abc')", "failed, ValueError: could not convert string"),
         (
             "def read_grid(path): return RawScan([[1, 2, 3]], normals=[[0, 0, 1]] * 2)",
             "normals must have the shape (1, 3), got (2, 3)",
@@ -119,13 +106,3 @@ def test_a_package_whose_writer_is_broken(plugin: Path, tmp_path: Path) -> None:
         write_cloud(PointCloud(CUBE), tmp_path / "a.grid")
     with pytest.raises(InputError, match=r"a mesh file must end in one of \.ply \.obj"):
         write_mesh(shapes.icosphere(0), tmp_path / "a.grid")
-
-
-def test_a_reader_may_say_what_is_wrong_itself(plugin: Path, tmp_path: Path) -> None:
-    (plugin / "gridscan.py").write_text(
-        "from pcretrieve.errors import ScanReadError\n"
-        "def read_grid(path):\n    raise ScanReadError('the grid is not square')\n"
-    )
-    (tmp_path / "a.grid").write_text("1 2 3\n")
-    with pytest.raises(ScanReadError, match=r"a\.grid: the grid is not square$"):
-        read_scan(tmp_path / "a.grid")

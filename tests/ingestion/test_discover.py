@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.formats.identity import content_hash, printable
+from pcretrieve.formats.identity import content_hash
 from pcretrieve.ingestion.discover import discover
 
 # The user without rights, on Linux.
@@ -159,8 +159,3 @@ def test_content_that_cannot_be_had(folder: Path) -> None:
     ):
         with pytest.raises(ScanReadError, match=words):
             content_hash(folder / name)
-
-
-def test_names_that_are_not_utf8_can_be_printed() -> None:
-    assert printable("Körper 雪.ply") == "Körper 雪.ply"
-    assert printable(os.fsdecode(b"latin-\xe9.ply")) == "latin-\\xe9.ply"

@@ -27,10 +27,6 @@ def keep_half_the_memory(item: int) -> int:
     return item
 
 
-def take_all_the_memory(item: int) -> int:
-    return len(np.ones(HALF_THE_MEMORY * 3, dtype=np.uint8))
-
-
 class Odd(InputError):
     """An exception of a plug-in, with arguments of its own."""
 
@@ -98,6 +94,3 @@ def test_every_exception_and_every_bad_answer_is_the_outcome_of_its_item() -> No
 
 def test_what_lacks_memory_in_a_used_worker_is_tried_in_a_fresh_one() -> None:
     assert dict(in_processes(keep_half_the_memory, range(3), workers=1, memory=1)) == {0: 0, 1: 1, 2: 2}
-    ((_, outcome),) = in_processes(take_all_the_memory, [0], memory=1)
-    assert isinstance(outcome, MemoryExceeded)
-    assert "--memory" in outcome.message

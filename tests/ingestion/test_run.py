@@ -131,16 +131,13 @@ def test_a_file_out_of_reach_keeps_what_was_made_of_it(folder: Path, filled: Cat
 # --- several ingests at once ----------------------------------------------------------------------------
 
 
-def test_a_scan_that_another_ingest_stores_meanwhile_is_told(
-    folder: Path, catalogue: Catalogue, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_scan_of_two_runs(folder: Path, catalogue: Catalogue, caplog: pytest.LogCaptureFixture) -> None:
     def late(function: Any, items: Any, /, **limits: Any) -> Any:
         ingest(folder / "copy.off", catalogue)
         yield from in_this_process(function, items, **limits)
 
     ingest(folder / "a.off", catalogue, executor=late)
-    said = f"{folder / 'a.off'} and {folder / 'copy.off'}, of another ingest, are the same scan"
-    assert said in caplog.messages
+    assert f"{folder}/a.off and {folder}/copy.off, of another ingest, are the same scan" in caplog.messages
 
 
 @pytest.mark.slow

@@ -136,7 +136,6 @@ def test_two_bodies_are_refused() -> None:
         surface(shapes.oriented_points_on(two, 8000))
     mesh, _ = surface(shapes.oriented_points_on(two, 8000), max_discarded=0.3)
     assert mesh.volume == pytest.approx(shapes.icosphere(3).volume, rel=0.02)
-    # A component that is far from all points has no rim, to which its cap would be joined.
     assert capped(two, shapes.oriented_points_on(ball, 2000), spacing=0.05).surface == two
 
 
