@@ -13,8 +13,7 @@ from pcretrieve.errors import OptionError
 AXES: FloatArray = np.repeat(np.eye(3), 2, axis=0) * np.tile([[1.0], [-1.0]], (3, 1))
 
 # Tie-breaker for shapes whose principal axes are not unique, such as a sphere: a bias towards the axes of the
-# file. As a fraction of the total variance, and as a skewness, it is far above rounding errors and not
-# visible.
+# file. As a fraction of the total variance, and as a skewness, it is above rounding errors and not visible.
 TIE = 1e-6
 
 # Largest angle between an axis and the direction upwards of a body that stands along it.
@@ -26,7 +25,7 @@ NEAR_AXIS = np.radians(30)
 # simulated scans and TOSCA, 143 are found, and of 57 animals, hands and centaurs one.
 LEAST_EQUAL = 0.89
 FOOT_TO_FOOT, HAND_TO_HAND = (0.79, 1.04), (0.64, 0.88)
-END, THICKEST = 0.3, 1.6
+END, THICKEST, FOOT = 0.3, 1.6, 0.15
 
 # Least number of bodies that show along which axis all bodies of their collection stand.
 FEWEST_BODIES = 10
@@ -68,6 +67,11 @@ class Person(NamedTuple):
         parts /= np.linalg.norm(parts, axis=1, keepdims=True)
         return np.asarray(parts.sum(axis=0) / np.linalg.norm(parts.sum(axis=0)))
 
+    def forwards(self, vertices: FloatArray) -> FloatArray:
+        """(3,) from the middle of each foot to its end, which are the toes."""
+        near = self.from_feet < FOOT * self.from_feet[0, self.feet[1]]  # (2, n)
+        return np.asarray(sum(vertices[self.feet] - [vertices[one].mean(axis=0) for one in near]))
+
 
 def person_of(vertices: FloatArray, faces: IntArray) -> Person | None:
     """A surface as that of a person: its four ends are two pairs, equally far from each other."""
@@ -85,8 +89,8 @@ def person_of(vertices: FloatArray, faces: IntArray) -> Person | None:
         far = np.minimum(far if len(rows) > 1 else np.inf, rows[-1])
     numbers, ways = np.array(ends, np.int32), np.stack(rows)  # (4,), (4, n)
     apart = ways[:, numbers]
-    if not 0 < apart.max() < np.inf:  # a single point, or several parts
-        return None
+    if not 0 < apart.max() < np.inf:
+        return None  # a single point, or several parts
     pairs = min(
         (([0, 1], [2, 3]), ([0, 2], [1, 3]), ([0, 3], [1, 2])),
         key=lambda both: sum(float(apart[tuple(pair)]) for pair in both),
@@ -110,15 +114,18 @@ def person_of(vertices: FloatArray, faces: IntArray) -> Person | None:
 def body_axes(vertices: FloatArray, faces: IntArray, up: FloatArray | None = None) -> FloatArray:
     """(3, 3) the axes of a camera in front of a surface of positive area, as from `principal_axes`.
 
-    If up is not given, a person is upright in any pose.
+    A person is upright in any pose, if up is not given, and is seen from the front.
     """
-    if up is None and (person := person_of(vertices, faces)) is not None:
+    person = person_of(vertices, faces)
+    if up is None and person is not None:
         up = person.upwards(vertices)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2  # (m,)
     # The midpoints of the edges, each with a third of the area, integrate quadratics over a triangle exactly.
     points = np.concatenate([(c + a) / 2, (a + b) / 2, (b + c) / 2])  # (3m, 3)
-    return principal_axes(points, np.tile(areas, 3) / (3 * areas.sum()), up)
+    axes = principal_axes(points, np.tile(areas, 3) / (3 * areas.sum()), up)
+    turned = person is not None and person.forwards(vertices) @ axes[2] < 0
+    return axes * [[-1.0], [1.0], [-1.0]] if turned else axes
 
 
 def principal_axes(points: FloatArray, weights: FloatArray, up: FloatArray | None = None) -> FloatArray:

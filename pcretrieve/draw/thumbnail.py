@@ -37,7 +37,7 @@ AZIMUTH, ELEVATION = 20.0, 10.0
 
 # How a picture was drawn, and which direction is upwards in it, which its PNG file says. To be changed when
 # bodies are drawn differently, so that pictures of earlier versions in catalogues are drawn again.
-DRAWN_BY = "pcretrieve drawing 2, up"
+DRAWN_BY = "pcretrieve drawing 3, up"
 DIRECTION = re.compile(rb"Comment\0" + DRAWN_BY.encode() + rb"((?: -?[0-9]\.[0-9]{4}){3})")
 
 # The palette has one entry for the background, and one for each brightness at each coverage, at most 256 in
@@ -117,7 +117,6 @@ def _png(shade: FloatArray, coverage: FloatArray, up: FloatArray | None) -> byte
     step = np.round(coverage * N_COVERAGES)
     level = np.round(brightness * (N_LEVELS - 1))
     number = np.where(step > 0, 1 + (step - 1) * N_LEVELS + level, 0)  # (size, size), row of the palette
-
     levels = np.linspace(0, 255, N_LEVELS)[:, np.newaxis] * CLAY  # (N_LEVELS, 3)
     colours = np.concatenate([np.zeros((1, 3)), np.tile(levels, (N_COVERAGES, 1))])
     alphas = np.concatenate([[0], np.repeat(np.linspace(0, 255, N_COVERAGES + 1)[1:], N_LEVELS)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -103,13 +104,10 @@ def map_drawing(ids: Sequence[str], labels: Sequence[str | None], places: FloatA
 
 def class_groups(labels: Sequence[str | None]) -> list[tuple[str | None, NDArray[np.intp], str]]:
     """The classes in alphabetical order, then the shapes of unknown class: names, rows and colours."""
-    names = sorted({label for label in labels if label is not None})
-    groups = [(name, COLOURS[number % len(COLOURS)]) for number, name in enumerate(names)]
-    found = [
-        (name, np.flatnonzero([label == name for label in labels]), colour)
-        for name, colour in [*groups, (None, UNKNOWN)]
-    ]
-    return [group for group in found if len(group[1])]
+    names = [*sorted({label for label in labels if label is not None}), None]
+    found = [(name, np.flatnonzero([label == name for label in labels])) for name in names]
+    colours = [*itertools.islice(itertools.cycle(COLOURS), len(names) - 1), UNKNOWN]
+    return [(name, rows, colour) for (name, rows), colour in zip(found, colours, strict=True) if len(rows)]
 
 
 def map_pictures(catalogue: Catalogue, ids: Sequence[str], thumbnails: Thumbnails) -> list[str | None]:

@@ -132,10 +132,6 @@ class _Asked:
         return _name(self.request)
 
     @property
-    def fields(self) -> Mapping[str, str]:
-        return self.request.query_params
-
-    @property
     def record(self) -> Record:
         return record_of(self.catalogue, self.name)
 
@@ -145,7 +141,7 @@ class _Asked:
 
     @property
     def similar(self) -> Similar:
-        return Similar.of(self.fields)
+        return Similar.of(self.request.query_params)
 
     def page(self, template: str, **context: Any) -> Response:
         """A page by a template."""
@@ -181,7 +177,7 @@ class _Json(JSONResponse):
 
 
 def _collection(asked: _Asked) -> Response:
-    listing = Listing.of(asked.fields)
+    listing = Listing.of(asked.request.query_params)
     return asked.page(
         "collection.html",
         listing=listing,
@@ -208,7 +204,7 @@ def _shape(asked: _Asked) -> Response:
 
 
 def _compare(asked: _Asked) -> Response:
-    pair, site = [asked.fields.get(name, "") for name in ("a", "b")], asked.site
+    pair, site = [asked.request.query_params.get(name, "") for name in ("a", "b")], asked.site
     return asked.page("compare.html", **compared(asked.catalogue, pair, site.options, site.thumbnails))
 
 
@@ -258,6 +254,11 @@ def _thumbnail(asked: _Asked) -> Response:
     if asked.request.headers.get("if-none-match") == headers["etag"]:
         return Response(status_code=304, headers=headers)
     return Response(picture, headers=headers, media_type="image/png")
+
+
+def _scene(asked: _Asked) -> Response:
+    than, thumbnails = asked.request.query_params.get("than"), asked.site.thumbnails
+    return _Json(scene_document(asked.catalogue, asked.name, thumbnails, than))
 
 
 def _glb(asked: _Asked) -> Response:
@@ -381,11 +382,9 @@ OTHERS: dict[str, Callable[[_Asked], Response]] = {
     ),
     "/compare": _compare,
     "/scan/{id}/inspection": _inspection,
-    "/shapes": lambda asked: _Json(listing_document(asked.catalogue, Listing.of(asked.fields))),
+    "/shapes": lambda asked: _Json(listing_document(asked.catalogue, Listing.of(asked.request.query_params))),
     "/shapes/{id}/thumbnail.png": _thumbnail,
-    "/shapes/{id}/scene": lambda asked: _Json(
-        scene_document(asked.catalogue, asked.name, asked.site.thumbnails, asked.fields.get("than"))
-    ),
+    "/shapes/{id}/scene": _scene,
     "/shapes/{id}/mesh.glb": _glb,
     "/scans/{id}/thumbnail.png": _scan_thumbnail,
 }

@@ -12,6 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.measuring import png
 from pcretrieve.catalogue import Catalogue
+from pcretrieve.draw.axes import body_axes
 from pcretrieve.draw.pictures import CLAY, cameras_around, depth_picture, rgb, surface_picture
 from pcretrieve.formats import read_scan
 from pcretrieve.pipeline.process import reconstruct
@@ -44,7 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         found = search(catalogue, given.scan, k=given.k + 1)
         points = as_cloud(read_scan(given.scan)).points
         mesh = reconstruct(given.scan, catalogue.options)
-        tiles = [("raw scan", _cloud(points)), ("surface", _surface(mesh.vertices, mesh.faces))]
+        axes = body_axes(mesh.vertices, mesh.faces)
+        tiles = [("raw scan", _cloud(points, axes)), ("surface", _surface(mesh.vertices, mesh.faces))]
         for rank, shape_id in enumerate(found.ids[1:], start=1):  # the scan itself is the nearest
             other = catalogue.mesh(shape_id)
             tiles.append((f"{rank}. {shape_id}", _surface(other.vertices, other.faces)))
@@ -67,12 +69,13 @@ def captioned(tiles: Sequence[tuple[str, Image.Image]], n_columns: int) -> Image
     return sheet
 
 
-def _cloud(points: FloatArray) -> Image.Image:
+def _cloud(points: FloatArray, axes: FloatArray) -> Image.Image:
     points = points[:: -(-len(points) // MOST_POINTS)]
-    camera = cameras_around(points)[0]
+    camera = cameras_around(points, axes)[0]
     return depth_picture(points, BLUE, camera, width=0.0, size=TILE)
 
 
 def _surface(vertices: FloatArray, faces: IntArray) -> Image.Image:
     colours = np.tile(CLAY, (len(faces), 1))
-    return surface_picture(vertices, faces, colours, cameras_around(vertices)[0], size=TILE)
+    camera = cameras_around(vertices, body_axes(vertices, faces))[0]
+    return surface_picture(vertices, faces, colours, camera, size=TILE)

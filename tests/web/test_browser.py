@@ -56,7 +56,6 @@ def test_from_a_shape_to_its_nearest_and_on(page: Page, eggs: Path) -> None:
     page.get_by_role("heading", name=first).wait_for()
     assert len(names(page)) == 3, "the settings go with the next query"
     page.go_back()
-    page.get_by_role("heading", name="Egg11").wait_for()
     page.locator("select[name=label]").select_option("<kind 2>")
     page.get_by_label("Least score").fill("1")
     page.get_by_label("Least score").press("Enter")
