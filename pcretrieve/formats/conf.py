@@ -105,11 +105,7 @@ def conf_views(path: Path) -> tuple[Part, ...]:
 
 
 def _view(path: Path, view: Path, read_view: Callable[[Path], RawScan]) -> RawScan:
-    """A view in its own frame.
-
-    Range scanners, such as those of the Stanford repository, write heights over a plane: the sensor looks in
-    the direction −z. In a view without sensor positions it is placed far along the z axis.
-    """
+    """A view in its own frame, with a sensor far along the z axis if it has none: heights over a plane."""
     try:
         if view.suffix.lower() == path.suffix.lower():
             raise ScanReadError("a view must be a single range scan, not a .conf file of its own")

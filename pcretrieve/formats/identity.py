@@ -44,15 +44,17 @@ def scan_hash(path: Path, hash_of_file: str) -> str:
     return hashlib.sha256(os.fsencode(f"{hash_of_file}{MARK}{name}")).hexdigest()
 
 
-def file_hash(file: Path) -> str:
+def file_hash(file: Path, hash_of_copy: Callable[[Path], str] | None = None) -> str:
     """The SHA-256 hash of a file and of the parts that the file names.
 
-    That of a file at a URL is computed from what the store says of its content, if possible.
+    That of a file at a URL is computed from what the store says of its content, else of a copy.
     """
     if url_of(file) is not None:
         version = remote_version(file)
         if version is not None:
             return hashlib.sha256(version.encode()).hexdigest()
+        if hash_of_copy is not None:
+            return hash_of_copy(file)
         with local_copy(file) as copied:
             return file_hash(copied)
     digest = hashlib.sha256()

@@ -30,12 +30,7 @@ PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 def organised_scan(grid: FloatArray, measured: NDArray[np.bool_], sensor: FloatArray) -> RawScan:
-    """Make a cloud of a grid of readings.
-
-    grid: (h, w, 3) float64, the points; in the frame and the unit of the file.
-    measured: (h, w) bool, readings that are answers. All others are dropped.
-    sensor: (3,) float64, position of the sensor.
-    """
+    """A cloud of a grid (h, w, 3) of readings, of those that were measured; `sensor` (3,) is its position."""
     n_readings, n_measured = measured.size, int(measured.sum())
     if not n_measured:
         raise ScanReadError(f"none of its {n_readings} readings is an answer")

@@ -22,8 +22,8 @@ KINDS = {"F": "<f", "I": "<i", "U": "<u"}
 SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 NORMAL_FIELDS = "normal_x normal_y normal_z"
 
-# Largest compression ratio of LZF: 264 bytes in 3.
-LZF_RATIO = 88
+# Largest compression ratio, of a cloud with few answers, and number of bytes to which any may expand.
+MOST_RATIO, ANY_SIZE = 30, 1 << 24
 # Largest number of values of a point. The largest descriptor of PCL has 1980.
 MOST_VALUES = 4096
 
@@ -87,7 +87,7 @@ def _column(
         raise Damaged(f"its data are {encoding}")
     if encoding != "binary" and n:
         packed, n_bytes = struct.unpack_from("<II", body)
-        if packed > len(body) - 8 or n_bytes > LZF_RATIO * packed:
+        if packed > len(body) - 8 or n_bytes > max(ANY_SIZE, MOST_RATIO * packed):
             raise Damaged(f"it declares {n_bytes} bytes in {packed}, {len(body) - 8} follow")
     if n * record.itemsize > n_bytes:
         raise Damaged(f"its header declares {n} points, {n_bytes} bytes follow")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from errno import EINVAL
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -169,10 +170,12 @@ def _damage(file: Path) -> Iterator[None]:
     """Report what a reader of pcretrieve, or its library, raises for a damaged file: any exception."""
     try:
         yield
-    except (OSError, MemoryError, ShapeError):
+    except (MemoryError, ShapeError):
         raise
     except Exception as error:
-        if file.suffix.lower() not in FORMATS.own:
+        # Of a place before the file, to which a damaged number leads, the system says EINVAL.
+        is_of_system = isinstance(error, OSError) and error.errno != EINVAL
+        if is_of_system or file.suffix.lower() not in FORMATS.own:
             raise
         reason = str(error).partition("\n")[0]
         if isinstance(error, UnicodeError):

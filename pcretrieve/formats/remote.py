@@ -12,6 +12,9 @@ from pcretrieve.errors import InputError, PcretrieveError, ScanReadError, ShapeE
 from pcretrieve.formats.format import url_of
 from pcretrieve.formats.registry import parts_of, split_member
 
+# Largest size of a file that is copied for one command; bytes.
+LARGEST = 1 << 32
+
 # What stores say of the content of a file, the best first: hashes, then the time of the last change.
 VERSIONS = (
     *("ETag", "etag", "md5Hash", "Content-MD5", "Digest", "crc32c", "checksum"),
@@ -63,8 +66,14 @@ def local_copy(path: Path) -> Iterator[Path]:
 
 
 def _copy(path: Path, file: Path) -> None:
-    with _store(path) as (system, place, _):
-        system.get_file(place, str(file))
+    with _store(path) as (system, place, url):
+        from fsspec.callbacks import Callback
+
+        def check(size: int | None, value: int) -> None:
+            if max(size or 0, value) > LARGEST:
+                raise ScanReadError(f"{url} has more than {LARGEST} bytes: copy it to this computer first")
+
+        system.get_file(place, str(file), callback=Callback(hooks={"size": check}))
 
 
 @contextmanager

@@ -235,11 +235,7 @@ class Grid(NamedTuple):
 
 
 def read_ptx(path: Path, name: str | None = None) -> RawScan:
-    """Read the scans in a PTX file as one, or the scan of a number.
-
-    The points are in the common frame of the file, with normals and the position of the sensor of each point.
-    Readings without an answer, which are zeros, are dropped with a note.
-    """
+    """Read the scans in a PTX file as one, or the scan of a number, without readings that are zeros."""
     scans = []
     # Bytes that are no text are no numbers either, and are reported as such.
     with path.open(encoding="utf-8-sig", errors="replace") as file:

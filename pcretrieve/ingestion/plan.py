@@ -10,7 +10,7 @@ import os
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from threading import Condition, Thread
@@ -24,7 +24,7 @@ from pcretrieve.formats.format import url_of
 from pcretrieve.formats.identity import file_hash, printable, scan_hash, stamp_of
 from pcretrieve.ingestion.discover import shape_ids
 from pcretrieve.ingestion.labels import match_labels
-from pcretrieve.ingestion.pool import Executor, in_processes
+from pcretrieve.ingestion.pool import Executor, alone, in_processes
 
 Identity = tuple[str, str]  # suffix and SHA-256 of a file
 
@@ -322,7 +322,7 @@ class Contents:
         try:
             now, stamp = time.time(), stamp_of(file)
             if stamp is None or stamp.text != self._stamps_of_records.get(file):
-                content = file_hash(file)
+                content = file_hash(file, partial(alone, file_hash, timeout=self._timeout))
                 # A file that was written meanwhile has one of two stamps.
                 if stamp is not None and stamp.changed < now - SETTLED and stamp == stamp_of(file):
                     settled = stamp.text

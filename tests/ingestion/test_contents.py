@@ -37,7 +37,7 @@ def test_a_file_that_cannot_be_read_holds_up_no_other(folder: Path, monkeypatch:
     files = {path.name: path for path in sorted(folder.iterdir())}
     hanging, connected = ("0.off", "1.off"), threading.Event()
     monkeypatch.setattr(
-        plan, "file_hash", lambda file: connected.wait() if file.name in hanging else file_hash(file)
+        plan, "file_hash", lambda file, _: connected.wait() if file.name in hanging else file_hash(file)
     )
     contents = plan.Contents(files, 1, 1)
     contents.expect(files)
@@ -57,7 +57,7 @@ def ingested(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Ingested:
     """Ingests the folder, and gives the names of the files that were hashed, and the ids of the processed."""
     hashed: list[str] = []
 
-    def noted(file: Path) -> str:
+    def noted(file: Path, *_: object) -> str:
         hashed.append(file.name)
         return file_hash(file)
 
@@ -117,7 +117,7 @@ def test_a_file_that_is_cut_off_while_it_is_read_is_read_again(
     """As on a network that breaks off: what was read is neither of the two contents for certain."""
     whole = (folder / "1.off").read_bytes()
 
-    def cut(file: Path) -> str:
+    def cut(file: Path, *_: object) -> str:
         if file.name == "1.off":
             file.write_bytes(whole[:1000])
         return file_hash(file)

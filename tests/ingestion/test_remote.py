@@ -18,6 +18,7 @@ from processes import in_this_process
 
 from pcretrieve import Catalogue, ingest, read_scan, write_mesh
 from pcretrieve.errors import InputError, ScanReadError
+from pcretrieve.formats import remote
 from pcretrieve.ingestion.discover import discover
 
 fsspec = pytest.importorskip("fsspec", reason="fsspec is not installed (the extra remote)")
@@ -99,7 +100,8 @@ def test_ingest_of_a_bucket_equals_that_of_a_folder(s3: str, folder: Path, tmp_p
     assert "2 known already" in run("ingest", s3, "-c", tmp_path / "s3.sqlite").output
 
 
-def test_files_that_a_scan_names_are_copied_too_unless_they_are_elsewhere(http: str, tmp_path: Path) -> None:
+def test_copies_of_what_a_scan_names(http: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files that are elsewhere, or large, are not copied."""
     views = tmp_path / "views"
     views.mkdir()
     for path in (tmp_path / "egg.ply", views / "one.ply"):
@@ -110,6 +112,9 @@ def test_files_that_a_scan_names_are_copied_too_unless_they_are_elsewhere(http: 
     np.testing.assert_array_equal(read.to_open3d().points, expected.to_open3d().points)
     with pytest.raises(ScanReadError, match=r"egg\.ply"):
         read_scan(f"{http}/views/out.conf")
+    monkeypatch.setattr(remote, "LARGEST", 100)
+    with pytest.raises(ScanReadError, match=r"/egg\.ply has more than 100 bytes: copy it"):
+        read_scan(f"{http}/egg.ply")
 
 
 def test_stores_that_are_not_there() -> None:
