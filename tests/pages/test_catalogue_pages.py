@@ -192,6 +192,7 @@ def test_doubt_about_an_answer_is_said(eggs: Path, folder: Path) -> None:
     assert "least score 0.99" in words_of(page) and '<ol class="results">' not in page.read_text("utf-8")
     page = query_page(eggs, folder / "flat.off", folder / "doubt.html", far=1e-4)
     assert "not in this collection; the nearest class is " in words_of(page)
+    assert 'class="stranger"' in page.read_text("utf-8")
 
 
 def test_the_command_prints_what_it_prints_and_writes_the_page(eggs: Path, folder: Path) -> None:

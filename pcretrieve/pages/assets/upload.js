@@ -17,8 +17,9 @@ async function send(file) {
 
 input.addEventListener("change", () => { if (input.files.length) send(input.files[0]); });
 form.addEventListener("submit", (event) => event.preventDefault());
-for (const name of ["dragover", "drop"])
+for (const name of ["dragover", "dragleave", "drop"])
   addEventListener(name, (event) => {
     event.preventDefault();
+    form.classList.toggle("over", name === "dragover");
     if (name === "drop" && event.dataTransfer.files.length) send(event.dataTransfer.files[0]);
   });
