@@ -175,7 +175,7 @@ def remembered(scan: ScanLike, options: PipelineOptions) -> Shape:
         shape = process(scan, options)
         surfaces = tuple(replace(surface, eigenpairs=None) for surface in shape.surfaces)
         if len(_remembered) >= N_REMEMBERED:
-            del _remembered[next(iter(_remembered))]
+            _remembered.pop(next(iter(_remembered)), None)  # unless another thread was faster
         _remembered[key] = replace(shape, surfaces=surfaces)
     return _remembered[key]
 
