@@ -57,7 +57,7 @@ def temporary(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def started(eggs: Path, temporary: Path) -> Iterator[Server]:
     temporary.mkdir()
-    with running(eggs, "--max-upload", "1", temporary=temporary) as server:
+    with running(eggs, "--max-upload", "2", temporary=temporary) as server:
         yield server
 
 
@@ -143,8 +143,8 @@ def test_lengths_are_known_and_limited_before_a_scan_is_read(target: Server) -> 
         assert status(raw(target, f"{UPLOAD}Content-Length: {length}\r\n\r\n", b"OFF")) in (400, 413)
     assert target.send("a.ply", b"").status == 400
     # The body is shorter than announced: the answer comes before the body.
-    assert target.send("a.ply", b"x", headers={"Content-Length": "1000001"}).status == 413
-    assert target.send("a.ply", iter([bytes(250_000)] * 4 + [b"x"])).status == 413
+    assert target.send("a.ply", b"x", headers={"Content-Length": "2000001"}).status == 413
+    assert target.send("a.ply", iter([bytes(500_000)] * 4 + [b"x"])).status == 413
 
 
 def test_uploads_wait_in_a_queue_of_limited_length(target: Server) -> None:
