@@ -22,7 +22,7 @@ from pcretrieve.ingestion.plan import Plan, Planner, Processing, failed
 from pcretrieve.ingestion.pool import Executor, in_processes, remove_abandoned
 from pcretrieve.ingestion.progress import CountsFile
 from pcretrieve.options import OptionsLike, PipelineOptions
-from pcretrieve.pipeline.process import log_steps, scan_name
+from pcretrieve.pipeline.process import compile_stages, log_steps, scan_name
 
 logger = logging.getLogger(__name__)
 
@@ -317,6 +317,8 @@ class _Run:
             self._counts.skip(len(made.held) + len(made.duplicates))
             for record in made.unreadable:
                 self._store(record, None)
+            if made.process and self._catalogue.options.surface.mode != "keep":
+                compile_stages()  # in one process, before the workers start
             for path, record in made.process:
                 yield Attempt(path, record)
 

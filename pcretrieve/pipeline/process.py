@@ -14,6 +14,7 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -235,18 +236,22 @@ def stages(scan: ScanLike, options: PipelineOptions) -> Iterator[Seen]:
 
 
 def _stages(scan: ScanLike, options: PipelineOptions) -> Iterator[Seen]:
-    of_points = ELEMENTS[options.spectral.element].needs == "points"
     with in_stage(Stage.READ):
         value = as_scan(scan, options.scan.unit)
     if isinstance(value, TriangleMesh):
         yield Seen(scan=PointCloud(value.vertices, provenance=value.provenance))
         with in_stage(Stage.SURFACE):
-            kept = None if of_points else sound_mesh(value, options.surface)
+            kept = None if _is_of_points(options) else sound_mesh(value, options.surface)
             used = sampled(value, options.surface) if kept is None else _with_few_faces(kept, options.surface)
         if isinstance(used, TriangleMesh):
             yield Seen(mesh=used)
             return
         value = used
+    compile_stages()
+    yield from _of_scan(value, options)
+
+
+def _of_scan(value: PointCloud, options: PipelineOptions) -> Iterator[Seen]:
     if options.remesh.method == "tetwild":
         tetwild.start()
     yield (seen := Seen(scan=value))
@@ -263,8 +268,29 @@ def _stages(scan: ScanLike, options: PipelineOptions) -> Iterator[Seen]:
         origin = cloud.points.mean(axis=0)
         cloud = oriented_normals(moved(cloud, -origin), options.scan)
     yield (seen := replace(seen, cloud=moved(cloud, origin)))
-    if not of_points:
+    if not _is_of_points(options):
         yield from _of_surfaces(seen, cloud, origin, options)
+
+
+def _is_of_points(options: PipelineOptions) -> bool:
+    return ELEMENTS[options.spectral.element].needs == "points"
+
+
+@cache
+def compile_stages() -> None:
+    """Compile the loops of all stages, if numba has not done it on this computer, on a body of 4,000 points.
+
+    Each worker process would compile the same, and its time would be counted as that of a scan.
+    """
+    from pcretrieve.points.grid import components
+
+    components(np.zeros((1, 1, 1), dtype=np.bool_), False)
+    if components.stats.cache_misses:
+        logging.getLogger("pcretrieve").warning("compiling, once after an installation: half a minute")
+        rays = np.random.default_rng(1).normal(size=(4_000, 3))
+        body = rays / np.linalg.norm(rays, axis=1)[:, None] * (1.0, 0.6, 0.3)
+        *_, last = _of_scan(PointCloud(body), options := PipelineOptions())
+        describe(shape_of(last, options), options.signature)
 
 
 def _of_surfaces(

@@ -200,7 +200,8 @@ def distances(sources: Mask, limit: float) -> Voxels:
     line = np.empty(n_z, dtype=np.float32)
     for x in range(n_x):
         for y in range(n_y):
-            line[:] = squares[x, y]
+            for z in range(n_z):  # numba compiles an assignment of an array for seconds
+                line[z] = squares[x, y, z]
             is_reached = is_near[x, y]
             k = 1
             # A square that is less than k² cannot become smaller by a neighbour k voxels away.
@@ -214,9 +215,10 @@ def distances(sources: Mask, limit: float) -> Voxels:
                 k += 1
             if not is_reached:
                 continue
-            best = result[x, y]
-            best[:] = line
-            deepest = line.max()
+            best, deepest = result[x, y], np.float32(0)
+            for z in range(n_z):
+                best[z] = line[z]
+                deepest = max(deepest, line[z])
             k = 1
             while k <= reach and k < n_z and k * k < deepest:
                 _lower(best[: n_z - k], line[k:], k)
@@ -246,11 +248,12 @@ def _squares_along_y(sources: Mask, most: float) -> tuple[Voxels, Voxels, Mask]:
             for z in range(n_z):
                 line[z] = min(line[z], after[z] + np.float32(1))
         for y in range(n_y):
-            line = squares[x, y]
+            line, highest, lowest = squares[x, y], np.float32(0), FAR
             for z in range(n_z):
                 line[z] = min(line[z] * line[z], FAR)
-            largest[x, y] = line.max()
-            is_near[x, y] = line.min() < most
+                highest, lowest = max(highest, line[z]), min(lowest, line[z])
+            largest[x, y] = highest
+            is_near[x, y] = lowest < most
     return squares, largest, is_near
 
 

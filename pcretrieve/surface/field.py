@@ -107,8 +107,8 @@ def hidden_below(diagonal: float, cell: float) -> float:
 def _fitted(at: FloatArray, normals: FloatArray, to_points: Voxels) -> Voxels:
     """Distances to the sphere u₀ + u·p + q p·p = 0 that is fitted near each voxel."""
     distance = np.full(to_points.shape, np.nan, dtype=np.float32)
-    number = _numbers(to_points)
-    weights, sums = _summed(at, normals, number)
+    number, n = _numbers(to_points)
+    weights, sums = _summed(at, normals, number, n)
     n_x, n_y, n_z = to_points.shape
     for x in range(n_x):
         for y in range(n_y):
@@ -136,8 +136,8 @@ def _fitted(at: FloatArray, normals: FloatArray, to_points: Voxels) -> Voxels:
 
 
 @njit(cache=True)
-def _numbers(to_points: Voxels) -> NDArray[np.int32]:
-    """Number, in order, of each voxel that may have a point within `REACH`; −1 elsewhere."""
+def _numbers(to_points: Voxels) -> tuple[NDArray[np.int32], int]:
+    """Number, in order, of each voxel that may have a point within `REACH`, −1 elsewhere; and how many."""
     number = np.empty(to_points.shape, dtype=np.int32)
     n = 0
     # A point is at most half a diagonal of a voxel away from the centre of its own voxel.
@@ -148,14 +148,15 @@ def _numbers(to_points: Voxels) -> NDArray[np.int32]:
                 is_near = to_points[x, y, z] <= farthest
                 number[x, y, z] = n if is_near else -1
                 n += is_near
-    return number
+    return number, n
 
 
 @njit(cache=True, error_model="numpy")
-def _summed(at: FloatArray, normals: FloatArray, number: NDArray[np.int32]) -> tuple[FloatArray, FloatArray]:
+def _summed(
+    at: FloatArray, normals: FloatArray, number: NDArray[np.int32], n: int
+) -> tuple[FloatArray, FloatArray]:
     """(n,) sums of the weights w, and (n, 8) of w p, w n, w p·p, w p·n over the points p near each voxel."""
     n_x, n_y, n_z = number.shape
-    n = number.max() + 1
     weights, sums = np.zeros(n), np.zeros((n, 8))
     # The Gaussian weight is a product of factors for the axes.
     side = int(2 * REACH) + 2

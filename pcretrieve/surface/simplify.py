@@ -136,7 +136,9 @@ def _quadrics(vertices: FloatArray, corners: IntArray) -> tuple[FloatArray, floa
             q[3] += steep * x * y
             q[4] += steep * x * z
             q[5] += steep * y * z
-    quadrics[:, :3] += LEAST_WEIGHT * EVENNESS * area / len(vertices)
+    least = LEAST_WEIGHT * EVENNESS * area / len(vertices)
+    for q in quadrics:
+        q[0], q[1], q[2] = q[0] + least, q[1] + least, q[2] + least
     return quadrics, area
 
 

@@ -227,7 +227,8 @@ def test_the_poses_of_a_conf_and_the_largest_range_are_kept(
 @pytest.mark.slow
 def test_the_demonstration_finds_whose_the_new_scan_is(tmp_path: Path) -> None:
     """Outside a checkout, in a folder that has to be made and whose name has to be quoted."""
-    done = program("demo", "my demo", cwd=tmp_path)
+    done = program("demo", "my demo", cwd=tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "compiled"))
+    assert done.stderr.count("compiling, once after an installation") == 1
     head, first, *_ = done.stdout.splitlines()
     assert head.split()[:4] == ["RANK", "DISTANCE", "SCORE", "CLASS"]
     assert first.split()[0] == "1"
