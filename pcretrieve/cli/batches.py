@@ -302,7 +302,7 @@ def _incomplete(summary: pr.Summary) -> list[pr.Record]:
 def demo_command(folder: Path) -> None:
     """Try everything on simulated scans: ingest, query, evaluate, and a page of the results.
 
-    The demo takes one or two minutes, and prints each command before it runs. All files are in FOLDER
+    The demo takes about a minute, and prints each command before it runs. All files are in FOLDER
     (pcretrieve-demo by default): scans of people, an animal and a hand, their catalogue, and the page.
 
     \b
@@ -324,18 +324,9 @@ def demo_command(folder: Path) -> None:
 
     inside, page = ("--catalogue", catalogue), folder / "index.html"
     steps: list[tuple[str, list[str | Path]]] = [
-        (
-            "Compute surface, spectrum and signature of each scan, and store them in a catalogue.",
-            ["ingest", scans, "--labels", scans / "labels.csv", *inside],
-        ),
-        (
-            "Find the scans most similar to the new scan, and whether its class is sure.",
-            ["query", *inside, folder / "new" / new, "-k", "5"],
-        ),
-        (
-            "Measure how well scans of one body find each other. The best score is 1.",
-            ["evaluate", *inside],
-        ),
+        ("Store the signature of each scan.", ["ingest", scans, "--labels", scans / "labels.csv", *inside]),
+        ("Find whom the new scan shows.", ["query", *inside, folder / "new" / new, "-k", "5"]),
+        ("Measure how well scans of one body find each other: 1 is best.", ["evaluate", *inside]),
         ("Write the results with pictures on an HTML page.", ["report", *inside, "--output", page]),
     ]
     for purpose, words in steps:

@@ -48,9 +48,7 @@ def _imported() -> Any:
         if is_first:
             del sys.modules[VIEWER]
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
-    # OMP_NUM_THREADS has no effect from 0.20 on; older versions have no set_max_threads.
-    if hasattr(open3d.utility, "set_max_threads"):
-        open3d.utility.set_max_threads(1)
+    open3d.utility.set_max_threads(1)  # OMP_NUM_THREADS has no effect
     return open3d
 
 

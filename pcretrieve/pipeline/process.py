@@ -39,7 +39,7 @@ from pcretrieve.formats.identity import content_hash
 from pcretrieve.options import OptionsLike, PipelineOptions, SurfaceOptions
 from pcretrieve.points import clean, crop, oriented_normals
 from pcretrieve.spectral import ELEMENTS, eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
-from pcretrieve.surface import SurfaceMarks, defects, reduced, remesh, sampled, sound_mesh, surfaces, tetwild
+from pcretrieve.surface import SurfaceMarks, defects, reduced, remesh, sampled, sound_mesh, surfaces
 from pcretrieve.values import (
     Eigenpairs,
     FloatArray,
@@ -241,7 +241,8 @@ def _stages(scan: ScanLike, options: PipelineOptions) -> Iterator[Seen]:
     if isinstance(value, TriangleMesh):
         yield Seen(scan=PointCloud(value.vertices, provenance=value.provenance))
         with in_stage(Stage.SURFACE):
-            kept = None if _is_of_points(options) else sound_mesh(value, options.surface)
+            of_points = ELEMENTS[options.spectral.element].needs == "points"
+            kept = None if of_points else sound_mesh(value, options.surface)
             used = sampled(value, options.surface) if kept is None else _with_few_faces(kept, options.surface)
         if isinstance(used, TriangleMesh):
             yield Seen(mesh=used)
@@ -252,8 +253,6 @@ def _stages(scan: ScanLike, options: PipelineOptions) -> Iterator[Seen]:
 
 
 def _of_scan(value: PointCloud, options: PipelineOptions) -> Iterator[Seen]:
-    if options.remesh.method == "tetwild":
-        tetwild.start()
     yield (seen := Seen(scan=value))
     # Normals of a file are not shown before they are oriented, because they need not point outwards.
     with in_stage(Stage.CROP):
@@ -268,12 +267,8 @@ def _of_scan(value: PointCloud, options: PipelineOptions) -> Iterator[Seen]:
         origin = cloud.points.mean(axis=0)
         cloud = oriented_normals(moved(cloud, -origin), options.scan)
     yield (seen := replace(seen, cloud=moved(cloud, origin)))
-    if not _is_of_points(options):
+    if ELEMENTS[options.spectral.element].needs != "points":
         yield from _of_surfaces(seen, cloud, origin, options)
-
-
-def _is_of_points(options: PipelineOptions) -> bool:
-    return ELEMENTS[options.spectral.element].needs == "points"
 
 
 @cache

@@ -197,11 +197,9 @@ def distances(sources: Mask, limit: float) -> Voxels:
     reach = int(min(limit, max(n_x, n_y, n_z))) + 1
     squares, largest, is_near = _squares_along_y(sources, min(limit * limit, FAR))
     result = np.full(sources.shape, limit, dtype=np.float32)
-    line = np.empty(n_z, dtype=np.float32)
     for x in range(n_x):
         for y in range(n_y):
-            for z in range(n_z):  # numba compiles an assignment of an array for seconds
-                line[z] = squares[x, y, z]
+            line = squares[x, y].copy()  # numba compiles an assignment of an array for seconds
             is_reached = is_near[x, y]
             k = 1
             # A square that is less than k² cannot become smaller by a neighbour k voxels away.
@@ -252,8 +250,7 @@ def _squares_along_y(sources: Mask, most: float) -> tuple[Voxels, Voxels, Mask]:
             for z in range(n_z):
                 line[z] = min(line[z] * line[z], FAR)
                 highest, lowest = max(highest, line[z]), min(lowest, line[z])
-            largest[x, y] = highest
-            is_near[x, y] = lowest < most
+            largest[x, y], is_near[x, y] = highest, lowest < most
     return squares, largest, is_near
 
 

@@ -33,22 +33,15 @@ def nearest(points: FloatArray, places: FloatArray, k: int) -> tuple[FloatArray,
 
     Returns distance, near : (m, k): distances, ascending, and numbers of the points.
     """
-    points, places = _locked(points), _locked(places)
+    # Both read-only, as most are: numba compiles a function for each kind.
+    points, places = np.broadcast_to(points, points.shape), np.broadcast_to(places, places.shape)
     cells = _cells(points, k)
     if cells is not None:
         return _nearest(points, *cells, places, k)
-
     from scipy.spatial import cKDTree
 
     distance, near = cKDTree(points).query(places, k=np.arange(1, k + 1))
     return np.asarray(distance), np.asarray(near)
-
-
-def _locked(values: FloatArray) -> FloatArray:
-    """The same values, read-only, as most are: numba would compile each function for both kinds."""
-    view: FloatArray = values.view()
-    view.flags.writeable = False
-    return view
 
 
 def _cells(points: FloatArray, k: int) -> tuple[FloatArray, float, Shape, Index, Index] | None:
@@ -359,7 +352,7 @@ def noise(points: FloatArray, neighbors: Neighborhoods) -> float:
     It is about 0.8 of the standard deviation of each coordinate, if the noise is isotropic.
     """
     near = np.ascontiguousarray(neighbors.near[:, : PLANE_NEIGHBORS + 1])
-    return float(np.quantile(plane_deviations(_locked(points), near), FLATTEST))
+    return float(np.quantile(plane_deviations(np.broadcast_to(points, points.shape), near), FLATTEST))
 
 
 def voxel_numbers(points: FloatArray, edge: float) -> NDArray[np.int64]:

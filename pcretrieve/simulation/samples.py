@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pcretrieve.errors import OptionError
 from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.simulation.scanner import RigOptions, scan
 from pcretrieve.values import FloatArray, TriangleMesh
@@ -82,11 +81,6 @@ def write_samples(
     write: what scans a body and writes its file, given a path without suffix, the surface, the motion (4, 4)
         to the frame of the scan, and a generator.
     """
-    if unknown := sorted(set(names) - set(SAMPLES)):
-        raise OptionError(
-            f"sample scans must have names of the set, got {', '.join(unknown)}: known are "
-            f"{', '.join(SAMPLES)}"
-        )
     folder.mkdir(parents=True, exist_ok=True)
     labels = {}
     for number, subject in enumerate(SUBJECTS, start=1):

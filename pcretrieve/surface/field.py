@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.points.grid import Mask, Voxels
 from pcretrieve.points.outside import Outside
-from pcretrieve.values import FloatArray, PointCloud
+from pcretrieve.values import FloatArray, IntArray, PointCloud
 
 # Radius of the neighbourhood of a voxel, and standard deviation of the Gaussian
 # weight of its points; in voxels.
@@ -136,7 +135,7 @@ def _fitted(at: FloatArray, normals: FloatArray, to_points: Voxels) -> Voxels:
 
 
 @njit(cache=True)
-def _numbers(to_points: Voxels) -> tuple[NDArray[np.int32], int]:
+def _numbers(to_points: Voxels) -> tuple[IntArray, int]:
     """Number, in order, of each voxel that may have a point within `REACH`, −1 elsewhere; and how many."""
     number = np.empty(to_points.shape, dtype=np.int32)
     n = 0
@@ -152,9 +151,7 @@ def _numbers(to_points: Voxels) -> tuple[NDArray[np.int32], int]:
 
 
 @njit(cache=True, error_model="numpy")
-def _summed(
-    at: FloatArray, normals: FloatArray, number: NDArray[np.int32], n: int
-) -> tuple[FloatArray, FloatArray]:
+def _summed(at: FloatArray, normals: FloatArray, number: IntArray, n: int) -> tuple[FloatArray, FloatArray]:
     """(n,) sums of the weights w, and (n, 8) of w p, w n, w p·p, w p·n over the points p near each voxel."""
     n_x, n_y, n_z = number.shape
     weights, sums = np.zeros(n), np.zeros((n, 8))

@@ -63,6 +63,7 @@ def simplified(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
     quadrics, area = _quadrics(vertices, corners)
     if not area > 0:
         raise DegenerateMeshError(f"no face of {len(mesh.faces)} has an area")
+    quadrics[:, :3] += LEAST_WEIGHT * EVENNESS * area / len(vertices)
     faces = _collapsed(vertices, corners, twin, quadrics / area, area, n_faces)
     return compact(vertices, faces)
 
@@ -136,9 +137,6 @@ def _quadrics(vertices: FloatArray, corners: IntArray) -> tuple[FloatArray, floa
             q[3] += steep * x * y
             q[4] += steep * x * z
             q[5] += steep * y * z
-    least = LEAST_WEIGHT * EVENNESS * area / len(vertices)
-    for q in quadrics:
-        q[0], q[1], q[2] = q[0] + least, q[1] + least, q[2] + least
     return quadrics, area
 
 

@@ -1,9 +1,8 @@
 """Surface → boundary of a tetrahedral mesh by fTetWild (pytetwild), in a server process with a time limit.
 
-fTetWild holds the global interpreter lock during a call and has no time limit of its
-own, and its import takes a second. It is therefore run in one server process, which
-is started at the first use, processes the surfaces one after another, and is killed
-if a surface exceeds its time limit. The server ends with its client process.
+fTetWild holds the global interpreter lock during a call and has no time limit of its own. It is therefore run
+in one server process, which is started at the first use, processes the surfaces one after another, and is
+killed if a surface exceeds its time limit. The server ends with its client process.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from importlib import import_module
 from importlib.metadata import distribution
 from pathlib import Path
 from types import ModuleType
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,11 +137,6 @@ def tetrahedralize(
     return answer["nodes"], answer["tetrahedra"]
 
 
-def start() -> None:
-    """Start the server before its first use, so that its imports overlap other work."""
-    _server.process()
-
-
 class _Server:
     """The client side of the server process."""
 
@@ -195,18 +189,16 @@ class _Server:
 _server = _Server()
 
 
-def _send(pipe: IO[bytes] | None, arrays: Arrays) -> None:
+def _send(pipe: Any, arrays: Arrays) -> None:
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **arrays)
-    if pipe is None:
-        raise EOFError
     pipe.write(LENGTH.pack(buffer.tell()) + buffer.getvalue())
     pipe.flush()
 
 
-def _receive(pipe: IO[bytes] | None) -> Arrays:
-    head = pipe.read(LENGTH.size) if pipe is not None else b""
-    if pipe is None or len(head) < LENGTH.size:
+def _receive(pipe: Any) -> Arrays:
+    head = pipe.read(LENGTH.size)
+    if len(head) < LENGTH.size:
         raise EOFError
     (length,) = LENGTH.unpack(head)
     body = pipe.read(length)

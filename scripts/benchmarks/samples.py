@@ -14,7 +14,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.measuring import argument_parser
-from pcretrieve.errors import OptionError
 from pcretrieve.simulation import RigOptions, camera_pose, scan_views
 from pcretrieve.simulation.samples import SAMPLES, SEED, moved, write_samples, write_whole
 from pcretrieve.values import FloatArray, TriangleMesh
@@ -38,15 +37,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add = parser.add_argument
     add("--out", type=Path, default=Path("scans"), help="folder to write to (default: %(default)s)")
     add("--seed", type=int, default=SEED, help="seed of all random numbers (default: %(default)s)")
-    add("--only", action="append", metavar="SCAN", help="make this scan only; may be repeated")
+    add(
+        "--only",
+        action="append",
+        metavar="SCAN",
+        choices=SAMPLES,
+        help="make this scan only; may be repeated",
+    )
     given = parser.parse_args(arguments)
     names = given.only or SAMPLES
-    try:
-        write_samples(
-            given.out, names, seed=given.seed, on_scan=lambda path: click.echo(path, err=True), write=write
-        )
-    except OptionError as error:
-        parser.error(f"--only: {error.message}")
+    write_samples(
+        given.out, names, seed=given.seed, on_scan=lambda path: click.echo(path, err=True), write=write
+    )
 
 
 def write(path: Path, surface: TriangleMesh, placed: FloatArray, rng: np.random.Generator) -> Path:

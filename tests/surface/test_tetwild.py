@@ -109,7 +109,7 @@ def test_it_is_stopped_when_its_time_is_over_and_the_next_one_answers() -> None:
 
 
 def test_its_death_over_a_surface_is_an_error() -> None:
-    tetwild.start()
+    ball()
     slow = shapes.ellipsoid(subdivisions=5)
     threading.Timer(0.2, lambda: os.kill(own_server(), signal.SIGKILL)).start()
     with pytest.raises(RemeshError, match=r"^\[remesh\] fTetWild died, with exit code -9$"):
