@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pcretrieve.catalogue import Content, Record
+from pcretrieve.draw.open3d import library
 from pcretrieve.draw.thumbnail import thumbnail
 from pcretrieve.errors import (
     InputError,
@@ -52,9 +53,19 @@ class Attempt:
         return (Step("retry", 0.0, {"attempts": len(self.notes) + 1}, self.notes),)
 
 
-def work_on(options: PipelineOptions, attempt: Attempt) -> Content:
-    """What the catalogue stores of one scan."""
-    return content_of(attempt.path, options.changed(surface=attempt.changes))
+@dataclass(frozen=True, slots=True)
+class Work:
+    """What a worker does with attempts by some options: the content that the catalogue stores."""
+
+    options: PipelineOptions
+
+    def prepare(self) -> None:
+        """Import what scans need: a worker without the memory for that does not start, and blames no scan."""
+        library()
+
+    def __call__(self, attempt: Attempt) -> Content:
+        """Process the scan."""
+        return content_of(attempt.path, self.options.changed(surface=attempt.changes))
 
 
 def content_of(path: Path, options: PipelineOptions) -> Content:

@@ -1,9 +1,7 @@
 """The executor that has scans processed by the workers of a Dask cluster.
 
-A scan is processed in a child process of the Dask worker, as in an ingest on one computer, so that no scan
-ends or blocks the Dask worker; the child process stays for the next scan. The scans are read from the file
-system, which all computers of the cluster must share; the results are sent to the process that has started
-the ingest, which alone writes the catalogue.
+A scan is processed in a child process of the Dask worker, so that no scan ends or blocks the Dask worker; the
+child process stays for the next scan. The process that has started the ingest writes the catalogue.
 """
 
 from __future__ import annotations
@@ -90,10 +88,8 @@ class DaskExecutor:
     ) -> Generator[tuple[Item, Answer | PcretrieveError], None, None]:
         """Apply a function to items, as every `Executor`; `workers` limits the number of items in work.
 
-        An item whose Dask worker was lost is processed again by another one. An item that was lost with
-        several Dask workers is tried again at the end, alone; if they are lost again, its outcome is
-        `WorkerDied`. PcretrieveError is raised if the scheduler does not answer, or its workers have other
-        versions.
+        An item that was lost with several Dask workers is tried again at the end, alone. PcretrieveError is
+        raised if the scheduler does not answer, or its workers have other versions.
         """
         rest, given_up = iter(items), deque[Item]()
         running: dict[Any, tuple[Item, bool]] = {}  # by future, with whether it is the only one

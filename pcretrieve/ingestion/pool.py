@@ -3,9 +3,8 @@
 Crashes of native code, endless loops and a lack of memory end the process of one item only. Each worker has
 pipes of its own, and workers do not share locks. A worker can therefore be killed at any moment, even while
 it sends an answer, without an effect on other workers. What the code in a worker prints goes through a second
-pipe and is kept with the item. Its temporary files are in a folder that is removed with the worker. The
-parent process holds a lock on this folder, which the system releases when the parent ends, however that
-happens: a folder that is not locked belongs to nobody.
+pipe and is kept with the item. Its temporary files are in a folder that is removed with the worker, and that
+the parent process has locked: a folder that is not locked belongs to nobody.
 """
 
 from __future__ import annotations
@@ -98,10 +97,7 @@ class Executor(Protocol):
         timeout: float,
         memory: float | None,
     ) -> Generator[tuple[Item, Answer | PcretrieveError], None, None]:
-        """Apply a function to items, and yield each item with its outcome as soon as the outcome is known.
-
-        Closing the generator cancels the work. When ``close`` returns, calls that have begun have ended, or
-        their outcomes are discarded, and no further items are read.
+        """Yield each item with its outcome as soon as that is known; closing the generator cancels the work.
 
         timeout: longest time for one item; seconds. An executor that cannot interrupt a function ignores it.
         memory: largest heap of the process of an item; GiB.
@@ -121,8 +117,8 @@ def in_processes(
 ) -> Generator[tuple[Item, Answer | PcretrieveError], None, None]:
     """The default `Executor`: processes of one thread each on this computer, by default one for each core.
 
-    Functions, items and answers must be picklable. What the libraries print that the function calls is not
-    shown: its end is logged at the level INFO, and is in the messages of errors whose cause is unknown.
+    Functions, items and answers must be picklable; a method ``prepare`` of a function is called before items.
+    The end of what libraries print is logged, and is in the messages of errors of unknown cause.
     Workers in `idle`, of earlier calls with the same function, are used first, and those that are left at the
     end are put there.
     """
@@ -215,9 +211,7 @@ def _name(item: object) -> str:
 class Worker(Generic[Item, Answer]):
     """A worker process, in the parent that has started it.
 
-    item: what the worker works on, or was given last; while it starts, what it will be given first.
-    attempt: number of this attempt to process the item.
-    n_items: number of items that the worker was given; 0 while it starts.
+    item: what the worker was given last; while it starts (`n_items` = 0), what it will be given first.
     deadline: time at which the item, or the start, has exceeded its limit; seconds of the monotonic clock.
     """
 
@@ -403,6 +397,10 @@ def _serve(
     output.close()
     if not _prepare(folder, memory):
         return
+    try:
+        getattr(function, "prepare", bool)()
+    except Exception as error:
+        raise SystemExit(f"{type(error).__name__}: {error}") from error
     own = os.getpid()
     with suppress(EOFError, ConnectionError):  # the parent has ended, on a system other than Linux
         items.send(True)

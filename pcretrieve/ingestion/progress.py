@@ -1,9 +1,8 @@
 """The counts of the last ingest, which can be read at any time.
 
 They are in a hidden file beside the catalogue, ``.bodies.sqlite.batch``, or in the cache folder of the user
-if the catalogue is no file. It is one page, which is written by one call: it can be read at any moment, and
-survives the death of the ingest. The ingest holds a lock on it, which the system releases when the
-process ends, however that happens.
+if the catalogue is no file. It is one page, which is written by one call: it can be read at any moment. The
+ingest holds a lock on it, which the system releases when the process ends.
 """
 
 from __future__ import annotations

@@ -8,14 +8,13 @@ import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 
 from pcretrieve.catalogue import Catalogue, CatalogueLike, Content, Record, opened
 from pcretrieve.errors import InputError, PcretrieveError
 from pcretrieve.formats import is_scan
 from pcretrieve.formats.identity import printable
-from pcretrieve.ingestion.attempts import Attempt, next_attempt, work_on
+from pcretrieve.ingestion.attempts import Attempt, Work, next_attempt
 from pcretrieve.ingestion.discover import discover, parts_in, scans_of
 from pcretrieve.ingestion.labels import discover_labelled
 from pcretrieve.ingestion.plan import Plan, Planner, Processing, failed
@@ -289,8 +288,7 @@ def process_scans(
             run = _Run(catalogue, how, counts)
             attempts: Iterable[Attempt] = run.queue(planner)
             while True:
-                work = partial(work_on, catalogue.options)
-                with closing(how.executor(work, attempts, **how.limits)) as outcomes:
+                with closing(how.executor(Work(catalogue.options), attempts, **how.limits)) as outcomes:
                     for attempt, outcome in outcomes:
                         run.finish(attempt, outcome)
                 if not run.later:

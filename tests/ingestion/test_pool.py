@@ -27,6 +27,13 @@ def keep_half_the_memory(item: int) -> int:
     return item
 
 
+def unready(item: int) -> int:
+    return item
+
+
+unready.prepare = lambda: 1 / 0  # type: ignore[attr-defined]
+
+
 class Odd(InputError):
     """An exception of a plug-in, with arguments of its own."""
 
@@ -94,3 +101,7 @@ def test_every_exception_and_every_bad_answer_is_the_outcome_of_its_item() -> No
 
 def test_what_lacks_memory_in_a_used_worker_is_tried_in_a_fresh_one() -> None:
     assert dict(in_processes(keep_half_the_memory, range(3), workers=1, memory=1)) == {0: 0, 1: 1, 2: 2}
+    with pytest.raises(
+        PcretrieveError, match=r"could take a shape.* the last one printed: ZeroDivisionError"
+    ):
+        list(in_processes(unready, [0]))
