@@ -1,8 +1,6 @@
 """The tables of a catalogue, the record of a shape with its rows, and the options of a catalogue.
 
-The tables are declared as plain data: SQLAlchemy Core takes .17 to .22 s to import (version 2.1; without what
-a query imports anyway .16 s), which is 6 % of a query for a scan in a new process, and a quarter of one for a
-stored id.
+The tables are plain data: SQLAlchemy takes .16 s to import, a quarter of a query for a stored id.
 """
 
 from __future__ import annotations

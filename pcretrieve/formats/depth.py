@@ -51,12 +51,7 @@ TUM_LIST = "depth.txt"
 
 
 class Camera(NamedTuple):
-    """The parameters of a pinhole camera.
-
-    focal: focal lengths in x and in y; pixels.
-    center: principal point, x and y; pixels, from the centre of the first pixel.
-    size: width and height of the images; pixels.
-    """
+    """A pinhole camera: focal lengths, principal point from the centre of the first pixel, size; pixels."""
 
     focal: tuple[float, float]
     center: tuple[float, float]

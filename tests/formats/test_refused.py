@@ -109,11 +109,9 @@ REFUSED: list[tuple[str, str | bytes, str]] = [
     ("short.xyzn", "1 2 3\n", "each line must hold 6 numbers"),
     ("bytes.xyz", bytes(range(256)), "not a text file, though its name ends in .xyz"),
     ("blank.xyz", "\n\n", "has none at all"),
-    ("a.pts", "²\n1 2\n", "each line must hold 3 numbers"),
     ("a.pts", "4\n1 2 3\n4 5 6\n", "it declares 4 points and holds 2"),
     ("a.asc", "ncols 4\nnrows 4\nxllcorner 0\n" + "1 2 3 4\n" * 4, "a raster of heights by ESRI"),
     ("a.txt", "x y z\n1 2 3\n4 5\n", "each line must hold 3 numbers: invalid column index 2"),
-    ("a.csv", "x,y,z\n1,2,3\n4,,5\n", "could not convert string ''"),
     ("a.xyz", "header\n" * 60 + "1 2 3\n", "each line must hold 3 numbers, got 'header'"),
     # PTX
     ("a.ptx", "2\n2\n0 0 0\n", "its header is damaged: it must be ten lines"),
@@ -132,9 +130,7 @@ REFUSED: list[tuple[str, str | bytes, str]] = [
     ("a.npz", npz(ids=np.array(["a"]), values=np.ones(9)), "must hold an array 'points', got ids, values"),
     # Meshes
     ("a.obj", CORNERS + f"f 1 2 1{'0' * 30}\n", f"line 4 is 'f 1 2 1{'0' * 30}'"),
-    ("a.obj", "# nothing\n", "it holds no vertices"),
     ("a.glb", b"glTF\x02\x00\x00\x00", "not a complete GLB file"),
-    ("a.glb", b"solid", "its first bytes are not those of glTF"),
     ("a.glb", GOOD[:4] + b"\1" + GOOD[5:], "it is not glTF 2.0"),
     ("a.glb", GOOD[:-4], f"its header declares {len(GOOD)} bytes, it has {len(GOOD) - 4}"),
     ("a.glb", GOOD.replace(b'{"asset"', b'["asset"'), "not a complete GLB file (Expecting"),
