@@ -15,8 +15,9 @@ if (map) {
   function look() {
     svg.setAttribute("viewBox", `${view.x} ${view.y} ${view.w} ${view.h}`);
     const near = shapes.filter(inView), pictured = near.length <= MOST_PICTURES;
-    // Pictures grow with the square root of the zoom, so that crowds come apart; on phones they are not tiny.
-    svg.style.setProperty("--size", Math.sqrt(view.w / whole.w) * Math.max(1, Math.min(2, 640 / svg.clientWidth)));
+    // Pictures grow with the square root of the zoom, so that crowds come apart; few, and on phones, are larger.
+    const larger = Math.max(1, Math.min(1.7, Math.sqrt(60 / shapes.length)), Math.min(2, 640 / svg.clientWidth));
+    svg.style.setProperty("--size", Math.sqrt(view.w / whole.w) * larger);
     svg.classList.toggle("pictured", pictured);
     for (const {link} of pictured ? near : []) {
       const image = link.querySelector("image:not([href])");
