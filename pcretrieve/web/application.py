@@ -453,7 +453,8 @@ def _status(error: Exception) -> tuple[int, str]:
         status = getattr(error, "status", 400)
         return status, without_folders(error.message) if status == 400 else error.message
     logger.error("a request failed: %s", error, exc_info=error)
-    return 500, "the server failed to answer; its log says why"
+    is_told = isinstance(error, CatalogueError)
+    return 500, without_folders(str(error)) if is_told else "the server failed to answer; its log says why"
 
 
 async def _then_silent(body: bytes | memoryview) -> AsyncIterator[bytes]:

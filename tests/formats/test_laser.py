@@ -18,9 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud, read_scan
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats import is_scan, members_of, parts_of
+from pcretrieve.formats import members_of, parts_of
 from pcretrieve.formats.registry import read_raw
-from pcretrieve.ingestion.discover import unread_files
 from pcretrieve.ingestion.views import read_views
 
 POINTS = shapes.points_on(shapes.ellipsoid(), 500)
@@ -204,13 +203,6 @@ def test_an_extra_that_is_missing_is_named(tmp_path: Path) -> None:
         "1 .laz (pip install 'pcretrieve[las]'), 1 .jpg [False, False, False, False, False]"
     )
     assert message == "a.e57: reading .e57 needs the package pye57: pip install 'pcretrieve[e57]'"
-
-
-@needs(".e57")
-def test_an_extra_that_is_installed_is_not_asked_for(tmp_path: Path) -> None:
-    assert unread_files([Path("a.e57")]) == "1 .e57"
-    write_e57(tmp_path / "a.e57", [{"points": POINTS}])
-    assert is_scan(tmp_path / "a.e57")
 
 
 # --- views ----------------------------------------------------------------------------------------------

@@ -117,7 +117,6 @@ REFUSED: list[tuple[str, str | bytes, str]] = [
     ("a.ptx", "2\n2\n0 0 0\n", "its header is damaged: it must be ten lines"),
     ("a.ptx", GRID.replace("2", "1.5", 1) + "1 2 3\n" * 9, "must be whole numbers, got 1.5 2"),
     ("a.ptx", GRID.replace("\n1 0 0 0", "\n2 0 0 0") + "1 2 3\n" * 9, "the matrix is not a rigid motion"),
-    ("a.ptx", GRID + "1 2 3 0.5\n" * 3, "its header declares 4 points, it holds 3"),
     ("a.ptx", GRID + "0 0 0 0.5\n" * 4, "a scan of 2 × 2 readings: none of its 4 readings is an answer"),
     ("a.ptx", GRID + "0 0 1\n0 0 2\n0 0 5\n0 0 0\n", "none of its 3 readings has three neighbours"),
     # Arrays
@@ -126,7 +125,6 @@ REFUSED: list[tuple[str, str | bytes, str]] = [
     ("a.npz", npz(points=np.zeros(5, dtype=[("x", "f4"), ("y", "f4")])), "must have the fields x y z"),
     ("a.npz", npz(points=np.ones((5, 3)), faces=np.ones((2, 3))), "faces must be whole numbers (m, 3)"),
     ("a.npz", npz(points=np.ones((5, 3)), normals=np.ones((2, 3))), "must be numbers (5, 3), got float64"),
-    ("a.npz", npz(points=np.ones((5, 3)), viewpoint=np.ones(2)), "viewpoints must be numbers (5, 3) or (3,)"),
     ("a.npz", npz(ids=np.array(["a"]), values=np.ones(9)), "must hold an array 'points', got ids, values"),
     # Meshes
     ("a.obj", CORNERS + f"f 1 2 1{'0' * 30}\n", f"line 4 is 'f 1 2 1{'0' * 30}'"),
@@ -156,7 +154,6 @@ REFUSED: list[tuple[str, str | bytes, str]] = [
     # Views
     ("words.conf", "lorem ipsum\n", "must name its views"),
     ("six.conf", "bmesh a.ply 0 0 0 0 0 1\n", "line 1 must read `bmesh FILE tx ty tz qx qy qz qw`"),
-    ("nan.conf", "bmesh a.ply 0 0 nan 0 0 0 1\n", "seven finite numbers"),
     ("still.conf", "bmesh a.ply 0 0 0 0 0 0 0\n", "zero norm"),
     ("nested.conf", "bmesh nested.conf 0 0 0 0 0 0 1\n", "its view nested.conf: a view must be a single"),
     ("missing.conf", "bmesh gone.ply 0 0 0 0 0 0 1\n", "its view gone.ply: cannot read"),

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
+import shutil
+import sqlite3
+from contextlib import closing
 from html import unescape
 from pathlib import Path
 from urllib.parse import quote
 
 import pytest
-from search_server import NASTY, Server
+from search_server import NASTY, Server, running
 
 from pcretrieve.pages.html import without_folders
 
@@ -85,6 +88,14 @@ def test_what_cannot_be_answered_is_said(server: Server) -> None:
                 assert set(answer.json) == {"error", "message"}
     for field in ("state", "since", "until", "sort", "page"):
         assert field in server.ask(f"/shapes?{field}=%3F").json["message"]
+
+
+def test_a_damaged_row_is_told(eggs: Path, tmp_path: Path) -> None:
+    with running(path := Path(shutil.copy(eggs, tmp_path))) as other, closing(sqlite3.connect(path)) as file:
+        file.execute("UPDATE provenance SET versions = 'x'")
+        file.commit()
+        answer = other.ask("/shapes/Egg00")
+        assert answer.status == 500 and b"repair it: `pcretrieve catalogue check --repair`" in answer.body
 
 
 def test_messages_name_no_folder() -> None:
