@@ -64,7 +64,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The files that the documents speak of, and the folder in which their commands run."""
     for name in ("scans", "calibration"):
         copy_samples(tmp_path / name)
-    shutil.copy(ROOT / "scans" / "person-1" / "person-1_reach_up.ply", tmp_path / "new_scan.ply")
+    shutil.copy(ROOT / "new_scan.ply", tmp_path)
     body = shapes.body(3)
     for name, depth in (("body", 1), ("thin", 0.4)):
         corners = (body.vertices * [1, 1, depth])[body.faces]
@@ -121,7 +121,7 @@ def test_the_blocks_run_in_order(
             if line != INGEST:  # by which the fixture made the catalogue
                 program, *words = shlex.split(line)
                 assert program == "pcretrieve"
-                run(*words)
+                run(*words, *(["--help"] if words[0] == "serve" else []))
 
 
 def test_the_first_tutorial_makes_the_catalogue_of_the_others() -> None:

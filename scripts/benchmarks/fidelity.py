@@ -556,7 +556,6 @@ def textbook_seconds(path: Path, timeout: float) -> float:
     Its stages are statistical outlier removal, normals oriented by tangent planes, Poisson reconstruction,
     fTetWild with its defaults, and LaPy on the boundary of the tetrahedra, or `eigenpairs` without LaPy.
     """
-    tetwild.start()
     started = time.perf_counter()
     cloud = read_scan(path)
     if not isinstance(cloud, PointCloud):

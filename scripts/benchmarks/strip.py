@@ -1,4 +1,4 @@
-"""The picture at the top of the README: a raw scan, its surface, and its nearest neighbours."""
+"""The picture of docs/method.md: a raw scan, its surface, and its nearest neighbours."""
 
 from __future__ import annotations
 
