@@ -123,4 +123,5 @@ def test_every_script_prints_its_figures(tmp_path: Path) -> None:
     searched = printed("benchmark_catalogue", "--shapes", "10000", "--meshes", "2", "--merged", "1000")
     assert searched.count("5 of 5 as by brute force") >= 6
     assert "shrec11" in printed("benchmark_retrieval", "--data", tmp_path, "--only", "shrec11")
+    assert "cold command" in printed("benchmark_speed", "--part", "command")
     assert "scans" in printed("benchmark_batch", "--scans", "4", "--rounds", "1")

@@ -75,7 +75,7 @@ def _lines(n_scans: int, n_rounds: int) -> Iterator[str]:
     with TemporaryDirectory() as folder:
         scans = Path(folder) / "scans"
         scans.mkdir()
-        _write_scans(scans, n_scans)
+        write_scans(scans, n_scans)
         rounds: list[dict[str, Run]] = []
         for number in range(n_rounds):
             # Every other round in reverse order, because the speed of a machine may drift.
@@ -94,7 +94,7 @@ def _lines(n_scans: int, n_rounds: int) -> Iterator[str]:
         yield f"{title}: {statistics.median(ratios):.3f} (from {ratios[0]:.3f} to {ratios[-1]:.3f})"
 
 
-def _write_scans(folder: Path, n_scans: int) -> None:
+def write_scans(folder: Path, n_scans: int) -> None:
     poses = list(POSES["person"].values())
     for number in range(n_scans):
         rng = np.random.default_rng(number)

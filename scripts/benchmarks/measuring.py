@@ -65,12 +65,18 @@ MIB = 1 << 20
 
 def resident_memory(pid: int) -> float:
     """Resident memory of a process and its descendants at this moment."""
-    page = os.sysconf("SC_PAGE_SIZE")
-    pages = 0
-    for member in _tree(pid):
-        with contextlib.suppress(OSError, IndexError):
-            pages += int(Path(f"/proc/{member}/statm").read_text().split()[1])
-    return pages * page / MIB
+    return sum(_resident(member) for member in _tree(pid))
+
+
+def _resident(pid: int) -> float:
+    with contextlib.suppress(OSError, IndexError):
+        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / MIB
+    return 0.0
+
+
+def largest_process(pid: int) -> float:
+    """Resident memory of the largest of a process and its descendants at this moment."""
+    return max(_resident(member) for member in _tree(pid))
 
 
 def forget_peak() -> None:

@@ -73,7 +73,10 @@ def _against_lapy(folder: Path) -> Iterator[str]:
         operator = laplace_beltrami(mesh)
         reference = eigenpairs(operator, N_PAIRS, solver="arpack").eigenvalues[1:]
         residual = eigenpairs(operator, N_PAIRS).largest_residual
-        solvers = [partial(lapy_eigenvalues, mesh.vertices, mesh.faces, N_PAIRS), partial(_ours, mesh)]
+        solvers = [
+            partial(lapy_eigenvalues, mesh.vertices, mesh.faces, N_PAIRS),
+            partial(our_eigenvalues, mesh),
+        ]
         (their_times, their_values), (our_times, our_values) = timed_by_turns(solvers, N_REPEATS)
         theirs, ours = statistics.median(their_times), statistics.median(our_times)
         errors = [np.abs(values[1:] / reference - 1).max() for values in (their_values, our_values)]
@@ -112,7 +115,7 @@ def lapy_eigenvalues(vertices: FloatArray, faces: IntArray, n_pairs: int) -> Flo
     return np.asarray(values, dtype=np.float64)
 
 
-def _ours(mesh: TriangleMesh) -> FloatArray:
+def our_eigenvalues(mesh: TriangleMesh) -> FloatArray:
     return eigenpairs(laplace_beltrami(mesh), N_PAIRS).eigenvalues
 
 
