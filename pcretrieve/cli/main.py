@@ -79,9 +79,12 @@ class _LazyGroup(click.Group):
         return list(self._table)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in self._table:
+        # A script may call a command of a group by its name alone.
+        tables = self._table, *(found for found, _ in self._table.values() if isinstance(found, dict))
+        table = next((one for one in tables if cmd_name in one), None)
+        if table is None:
             return None
-        module, text = self._table[cmd_name]
+        module, text = table[cmd_name]
         if isinstance(module, dict):
             return _LazyGroup(module, name=cmd_name, help=f"{text}.")
         found = getattr(import_module(f"pcretrieve.cli.{module}"), f"{cmd_name.replace('-', '_')}_command")
@@ -96,11 +99,10 @@ class _LazyGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name = args[0]
-        if name not in self._table and not name.startswith("-") and not ctx.resilient_parsing:
-            places = [f"{place} {name}" for place in ("lab", "catalogue") if name in COMMANDS[place][0]]
-            meant = f"; did you mean {places[0]!r}?" if places else did_you_mean(name, self._table)
+        is_known = name.startswith("-") or self.get_command(ctx, name) is not None
+        if not is_known and not ctx.resilient_parsing:
             with errors_as_json(ctx, JSON_FLAG in args):
-                raise click.UsageError(f"there is no command {name!r}{meant}", ctx)
+                raise click.UsageError(f"there is no command {name!r}{did_you_mean(name, self._table)}", ctx)
         return super().resolve_command(ctx, args)
 
 

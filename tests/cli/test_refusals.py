@@ -67,7 +67,7 @@ CASES = (
     ("query egg.off", 2, "Missing option"),
     ("query good.sqlite egg", 2, "write -c before a catalogue: -c good.sqlite"),
     ("query egg -c good.sqlite -k 80x", 2, "'80x' is not a valid whole number"),
-    ("matrix -c good.sqlite", 2, "did you mean 'lab matrix'?"),
+    ("matrix -c good.sqlite", 2, "Missing option '--output'"),
     ("query egg -c good.sqlite --method meshsift", 2, "pcretrieve lab matrix --matcher meshsift -o FILE"),
     ("evaluate -c good.sqlite", 1, "give --labels"),
     ("remove egg nobody -c good.sqlite", 1, "holds no shape 'nobody'"),
