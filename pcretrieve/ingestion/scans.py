@@ -14,6 +14,7 @@ from pcretrieve.formats.identity import printable
 from pcretrieve.formats.write import check_output
 from pcretrieve.ingestion.discover import discover, shape_ids
 from pcretrieve.ingestion.pool import in_processes
+from pcretrieve.pipeline.process import compile_stages
 
 Found = TypeVar("Found")
 
@@ -84,8 +85,8 @@ def map_scans(
     finished: dict[_Task, Found | ShapeError] = {}
     remaining = iter(tasks)
     upcoming = next(remaining, None)
-    applied = partial(_applied, function)
-    running = in_processes(applied, tasks, **limits)
+    compile_stages()
+    running = in_processes(partial(_applied, function), tasks, **limits)
     with closing(running):
         for task, outcome in running:
             if isinstance(outcome, PcretrieveError):
