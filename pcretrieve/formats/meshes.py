@@ -7,6 +7,7 @@ the nodes of the scene place. Materials are not read.
 
 from __future__ import annotations
 
+import io
 import math
 import zipfile
 from collections.abc import Callable
@@ -188,8 +189,7 @@ def three_mf_scene(path: Path) -> Scene:
 
 def collada_scene(path: Path) -> Scene:
     """The bodies of a COLLADA file."""
-    with path.open("rb") as file:
-        _check_instances(file)
+    _check_instances(io.BytesIO(path.read_bytes()))  # lxml refuses names of files that are not UTF-8
     bodies, said = _markup(path, "dae", path.stat().st_size)
     if said is None:
         return _scene(bodies, None)
