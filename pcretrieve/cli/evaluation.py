@@ -79,6 +79,9 @@ def evaluate_command(
     else:
         found = pr.evaluate(matrix, options=opt.changes(values), labels=labels)
     how = _how(found, options, file, rerank)
+    if rates := found.verification:
+        how["equal_error_rate"] = rates.equal_error
+        how["missed_at"] = {str(rate): rates.missed(rate) for rate in FALSE_MATCH_RATES}
     if folder is not None:
         found.write(folder)
         say(f"queries, classes, confusion, precision_recall, det: .csv files in {folder}")
@@ -88,7 +91,7 @@ def evaluate_command(
 
 def _how(
     found: pr.Evaluation, options: pr.PipelineOptions | None, matrix: Path | None, rerank: str | None
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """How shapes were ranked."""
     if options is None or found.ranked.table is None:
         rerank = rerank or "none" if options is None else options.retrieval.rerank
@@ -105,7 +108,7 @@ def _how(
     }
 
 
-def _evaluation_document(found: pr.Evaluation, how: dict[str, object], per_class: bool) -> dict[str, object]:
+def _evaluation_document(found: pr.Evaluation, how: dict[str, Any], per_class: bool) -> dict[str, object]:
     """The JSON document of an evaluation."""
     low, high = found.interval.tolist()
     macro = found.macro
@@ -113,9 +116,6 @@ def _evaluation_document(found: pr.Evaluation, how: dict[str, object], per_class
         part.name: getattr(found, part.name) for part in fields(pr.RetrievalMeasures)
     }
     document |= {"n_shapes": found.ranked.rankings.n_gallery} | how
-    if rates := found.verification:
-        document["equal_error_rate"] = rates.equal_error
-        document["missed_at"] = {str(rate): rates.missed(rate) for rate in FALSE_MATCH_RATES}
     document["interval"] = {"level": found.level, "low": _named(low), "high": _named(high)}
     document["macro"] = {name: getattr(macro, name) for name in MEASURES}
     if per_class:
@@ -147,9 +147,7 @@ def _rows(found: pr.Evaluation, rerank: str, per_class: bool) -> list[tuple[str,
     return rows
 
 
-def _write_evaluation(
-    found: pr.Evaluation, how: dict[str, object], per_class: bool, is_verbose: bool
-) -> None:
+def _write_evaluation(found: pr.Evaluation, how: dict[str, Any], per_class: bool, is_verbose: bool) -> None:
     columns = {name: kind for name, kind in COLUMNS.items() if is_verbose or name not in RARE}
     kept = [name in columns for name in COLUMNS]
     rows = _rows(found, str(how["rerank"]), per_class)
@@ -162,9 +160,9 @@ def _write_evaluation(
         f"{len(rankings.ids)} queries in {rankings.n_gallery} shapes, {found.n_failed} failed shapes "
         f"count as misses; {by}"
     )
-    if rates := found.verification:
-        missed = ", ".join(f"{rates.missed(rate):.2%} at {rate:g}" for rate in FALSE_MATCH_RATES)
-        say(f"pairs: equal error rate {rates.equal_error:.2%}; missed at a false-match rate: {missed}")
+    if "missed_at" in how:
+        missed = ", ".join(f"{share:.2%} at {rate}" for rate, share in how["missed_at"].items())
+        say(f"pairs: equal error rate {how['equal_error_rate']:.2%}; missed at a false-match rate: {missed}")
     if whitening and is_verbose:
         say(f"whitening: {whitening}")
     if found.protocol:

@@ -23,7 +23,7 @@ from pcretrieve.values.base import Value
 #: The classes of failed shapes by id, if no shape failed.
 NO_FAILURES: Mapping[str, str | None] = MappingProxyType({})
 
-# Number of shapes, or up to twice as many, whose pairs with all shapes are kept: 160 MB among 10,000 shapes.
+# Number of shapes, drawn at random, whose pairs with all shapes are kept: 160 MB among 10,000 shapes.
 N_PAIRED = 2000
 
 
@@ -83,7 +83,7 @@ def rank_subsets(
     lists: list[tuple[Positions, NeighbourLists]] = []
     codes = np.unique([label or "" for label in labels], return_inverse=True)[1]
     labelled = np.array([label is not None for label in labels], dtype=bool)
-    every = max(1, len(ids) // N_PAIRED)
+    paired = labelled & (np.random.default_rng(0).permutation(len(ids)) < N_PAIRED)
     pairs: tuple[list[FloatArray], list[FloatArray]] = ([], [])
 
     def plain_blocks() -> Iterator[tuple[Positions, Positions]]:
@@ -98,7 +98,7 @@ def rank_subsets(
                 kept.order[block.queries] = nearest
                 kept.distances[block.queries] = np.take_along_axis(block.distances, nearest, axis=1)
                 asked = members[block.queries]
-                some = labelled[asked] & (asked % every == 0)
+                some = paired[asked]
                 one = asked[some, np.newaxis]
                 is_pair, is_same = labelled[members] & (members != one), codes[members] == codes[one]
                 for found, kind in zip(pairs, (is_same, ~is_same), strict=True):
