@@ -195,13 +195,13 @@ class Catalogue(Rows):
             payloads["thumbnails"] = packed([np.frombuffer(content.thumbnail, np.uint8)])
         return self.store(Entry(record, {OWN: packed_values(content.signature)}, payloads))
 
-    def keep_thumbnail(self, record: Record, picture: bytes | None) -> bool:
+    def keep_thumbnail(self, record: Record, picture: bytes) -> bool:
         """Store the picture of a shape, a PNG file, unless the shape has been replaced since it was read.
 
         Returns whether it could be written. No error is raised, because a picture can be drawn again.
         """
-        if picture is None or not self.database.is_writable:
-            return picture is None
+        if not self.database.is_writable:
+            return False
         try:
             with self.database.writing():
                 self.database.execute(

@@ -171,9 +171,8 @@ class Rows:
 
     def origins(self) -> list[Record]:
         """All records without their provenance, in ascending order of id, which are read much faster."""
-        names = ("id", "path", "content_hash", "label", "status", "stamp")
-        rows = self._all(f"SELECT {', '.join(names)} FROM shapes ORDER BY id")
-        return [Record(**dict(zip(names, row, strict=True))) for row in rows]
+        rows = self._all("SELECT id, path, content_hash, label, status, stamp FROM shapes ORDER BY id")
+        return [Record(row[0], row[1], row[2], row[3], row[4], stamp=row[5]) for row in rows]
 
     def times(self) -> dict[str, str]:
         """When each shape, or its failure, was stored, by id: UTC, as 2026-01-31T12:00:00+00:00."""

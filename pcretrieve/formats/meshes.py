@@ -25,8 +25,8 @@ from pcretrieve.values import FloatArray, TriangleMesh, unit_of
 LARGEST_NUMBER = 2**40
 
 # Names of units in 3MF files; the last is that of trimesh, where a file names none.
-NAMED = "micron millimeter centimeter meter inch foot millimeters meters"
-UNITS = dict(zip(NAMED.split(), ["um", "mm", "cm", "m", "in", "ft", "mm", "m"], strict=True))
+UNITS = {"micron": "um", "millimeter": "mm", "centimeter": "cm", "meter": "m", "inch": "in", "foot": "ft"}
+UNITS |= {"millimeters": "mm", "meters": "m"}
 
 # Largest compression ratio of an archive of markup as a whole, and number of bytes to which any may expand.
 # The ratio of meshes in XML is small, 7.3 of a grid of a million vertices with integer coordinates: an

@@ -168,7 +168,10 @@ def write_inspection_png(inspection: Inspection, path: str | Path) -> Path:
     pen = ImageDraw.Draw(sheet)
 
     def write(text: str, x: int, y: int, size: int, colour: Colour = DARK) -> None:
-        pen.text((x, y), text, rgb(colour), ImageFont.load_default(size))
+        font = ImageFont.load_default(size)
+        while text and pen.textlength(text, font) > width - MARGIN - x:
+            text = text[:-2].rstrip("…") + "…" if len(text) > 2 else ""
+        pen.text((x, y), text, rgb(colour), font)
 
     write(inspection.name, MARGIN, MARGIN, 24)
     y = MARGIN + TITLE

@@ -88,8 +88,7 @@ def _places(mesh: TriangleMesh) -> tuple[FloatArray, FloatArray]:
     lam, phi = pairs.eigenvalues[1:], pairs.eigenvectors[:, 1:]
     heat = np.log(mesh.area * (phi**2 @ np.exp(-np.outer(lam, np.geomspace(8 / lam[-1], 4 / lam[0], 8)))))
     corners = mesh.vertices[mesh.faces]  # (m, 3, 3)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    normals = mesh.area_vectors / np.maximum(mesh.face_areas, np.finfo(float).tiny)[:, np.newaxis]
     below = corners.mean(axis=1) - 1e-4 * mesh.diagonal * normals
     ways, _, _ = RayScene(mesh.vertices, mesh.faces).cast(below, -normals)
     return heat[mesh.faces].mean(axis=1), np.where(np.isfinite(ways), ways, 0)

@@ -65,7 +65,8 @@ class Thumbnails:
         """Turn one shape by a quarter, to its side or forwards, if there is no axis for all."""
         picture, mesh = self.of(catalogue, record), catalogue.mesh(record.id)
         axes = body_axes(mesh.vertices, mesh.faces, direction_upwards(picture or b""))
-        catalogue.keep_thumbnail(record, thumbnail(mesh.vertices, mesh.faces, up=axes[2 if forwards else 0]))
+        if turned := thumbnail(mesh.vertices, mesh.faces, up=axes[2 if forwards else 0]):
+            catalogue.keep_thumbnail(record, turned)
         with self._lock:
             self._kept.pop((record.id, record.content_hash), None)
 
@@ -84,7 +85,8 @@ class Thumbnails:
                 if drawn is None or not self._is_right(drawn, up):
                     kept = thumbnail(mesh.vertices, mesh.faces, up=up)
                     # Not again after a failure, because a lock of another process is waited for.
-                    self._keeps = self._keeps and catalogue.keep_thumbnail(record, kept)
+                    if kept is not None and self._keeps:
+                        self._keeps = catalogue.keep_thumbnail(record, kept)
         return kept and resized(kept, self._size)
 
     def _is_right(self, drawn: FloatArray, up: FloatArray | None) -> bool:
