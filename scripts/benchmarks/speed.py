@@ -39,7 +39,7 @@ from benchmarks.measuring import (
     timed_by_turns,
 )
 from benchmarks.spectral import N_PAIRS, SIZES, lapy_eigenvalues, our_eigenvalues
-from benchmarks.synthetic import bumpy_sphere, synthetic_catalogue, synthetic_id
+from benchmarks.synthetic import bumpy_sphere, signatures, synthetic_catalogue, synthetic_id
 from pcretrieve.options import PipelineOptions, RetrievalOptions, SignatureOptions
 from pcretrieve.retrieval import SignatureIndex, fit_whitening, people
 from pcretrieve.values import FloatArray, SignatureTable
@@ -103,16 +103,9 @@ def _pairs(_: Path) -> Iterator[str]:
 def _search(_: Path) -> Iterator[str]:
     rng = np.random.default_rng(0)
     options = SignatureOptions()
-    known = people(options)
-    if known is None:
-        raise ValueError("the metric of people must know the default signature")
-    length = len(known.mean)
-    zero = np.zeros(length)
-    draw = partial(rng.multivariate_normal, zero, method="eigh")
-    persons = np.repeat(draw(known.total - known.within, SEARCHED // K), K, axis=0)
-    drawn = known.mean + persons + draw(known.within, SEARCHED)
-    whitened = fit_whitening("people", drawn[:: SEARCHED // 1000], people=known).apply(drawn)
-    yield from _against_faiss(f"{K} nearest of {SEARCHED:,} × {length}, people", whitened)
+    drawn = np.stack(list(signatures(options, SEARCHED, rng)))
+    whitened = fit_whitening("people", drawn[:: SEARCHED // 1000], people=people(options)).apply(drawn)
+    yield from _against_faiss(f"{K} nearest of {SEARCHED:,} × {drawn.shape[1]}, people", whitened)
     isotropic = rng.standard_normal((ISOTROPIC, LENGTH))
     yield from _against_faiss(f"{K} nearest of {ISOTROPIC:,} × {LENGTH}, isotropic", isotropic)
 

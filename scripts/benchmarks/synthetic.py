@@ -60,11 +60,11 @@ def synthetic_catalogue(path: Path, options: PipelineOptions, n_shapes: int, see
     Coordinates of signatures are normally distributed within their class, and so are the means of the
     classes, with the covariances within and between simulated people.
     """
-    signatures = _signatures(options.signature, n_shapes, np.random.default_rng(seed))
+    made = signatures(options.signature, n_shapes, np.random.default_rng(seed))
     with Catalogue(path, options, create=True) as catalogue:
         for start in range(0, n_shapes, BLOCK):
             numbers = range(start, min(start + BLOCK, n_shapes))
-            catalogue.add([_entry(number, next(signatures), options) for number in numbers])
+            catalogue.add([_entry(number, next(made), options) for number in numbers])
 
 
 def _entry(number: int, values: FloatArray, options: PipelineOptions) -> Entry:
@@ -94,7 +94,7 @@ def write_small_meshes(folder: Path, n_meshes: int, n_vertices: int, seed: int) 
         write_mesh(replace(sphere, vertices=sphere.vertices * axes), folder / f"body-{number:05}.off")
 
 
-def _signatures(options: SignatureOptions, n_shapes: int, rng: Generator) -> Iterator[FloatArray]:
+def signatures(options: SignatureOptions, n_shapes: int, rng: Generator) -> Iterator[FloatArray]:
     """Signatures (L,), one class after the other."""
     known = people(options)
     if known is None:
