@@ -15,10 +15,18 @@ author = "pcretrieve developers"
 project_copyright = "pcretrieve developers, MIT licence"
 release = version = __version__
 
-extensions = ["sphinx.ext.autodoc", "numpydoc", "myst_parser", "sphinx_gallery.gen_gallery", "mathtext"]
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "numpydoc",
+    "myst_parser",
+    "sphinx_gallery.gen_gallery",
+    "mathtext",
+]
 html_math_renderer = "mathtext"
 root_doc = "docs/index"
-exclude_patterns = ["docs/examples"]
+exclude_patterns = ["docs/examples", "docs/_templates"]
+templates_path = ["docs/_templates"]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 
 # Markdown as GitHub shows it: the same anchors of headings, and formulas between dollars.

@@ -18,10 +18,10 @@ from urllib.parse import quote, urlsplit
 import shapes
 from processes import wait_for
 
-from pcretrieve import Catalogue, PipelineOptions, process, write_mesh
+from pcretrieve import Catalogue, PipelineOptions, Step, process, write_mesh
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.descriptors import describe
-from pcretrieve.values import Verdict
+from pcretrieve.values import UNIT, Verdict
 
 OPTIONS = PipelineOptions().changed(signature={"method": "r-bihdm", "n_values": 20})
 
@@ -41,12 +41,13 @@ def write_eggs(path: Path) -> None:
             for number, width in enumerate((1, 1.04, 1.08, 1.12)):
                 shape = process(shapes.ellipsoid((width, 1, 1.3 + 0.5 * kind), 3), OPTIONS)
                 incomplete = (kind, number) == (2, 3)
-                verdict = (
-                    Verdict("incomplete", 0.5, ("a large hole",)) if incomplete else Verdict("good", 0.01)
-                )
+                verdict = Verdict("incomplete", 0.5, ("a large hole",))
+                verdict = verdict if incomplete else Verdict("good", 0.01)
                 name = NASTY if (kind, number) == (2, 2) else f"Egg{kind}{number}"
                 values = describe(shape, OPTIONS.signature).values
-                record = Record(name, f"/secret/folder/{kind}{number}.off", name, f"<kind {kind}>")
+                steps = (Step("read", 0.0, {UNIT: 1.0}),) if kind else ()
+                path = f"/secret/folder/{kind}{number}.off"
+                record = Record(name, path, name, f"<kind {kind}>", steps=steps)
                 store.put(record, Content(replace(shape, verdict=verdict), values))
         failed = Record("broken", "/secret/own folder/broken.off", "", status="failed", stage="read")
         store.put(replace(failed, error="ScanReadError", message="/secret/own folder/broken.off is empty"))

@@ -277,13 +277,7 @@ def read_catalogue(path: Path) -> object:
         done = [record.id for record in records if record.status == "done"]
         meshes = [store.mesh(shape_id) for shape_id in done]
         whole = [store.shape(shape_id, ("spectrum", "overlaps")) for shape_id in done]
-        return records, store.signatures(), store.areas(), meshes, whole
-
-
-def read_status(path: Path) -> object:
-    catalogue = path.with_name("indexed.sqlite")
-    path.replace(path.with_name(".indexed.sqlite.batch"))
-    return status(catalogue)
+        return records, store.signatures(), store.areas(), meshes, whole, status(store)
 
 
 def read_index(path: Path) -> object:
@@ -327,7 +321,6 @@ KINDS = {
     "matrix": Kind("matrix.txt", distances_in),
     "binary matrix": Kind("matrix.npy", distances_in),
     "measures": Kind("queries.csv", read_scores),
-    "status": Kind("batch", read_status),
 }
 
 
@@ -362,7 +355,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         distances = np.abs(table.values[:, :1] - table.values[:, 0])
         for suffix in ("txt", "npy"):
             write_matrix(DistanceMatrix(table.ids, distances), folder / f"matrix.{suffix}")
-        shutil.copy(folder / ".indexed.sqlite.batch", folder / "batch")
         for array in (folder / "indexed.sqlite.gallery").glob("*/*.npy"):
             shutil.copy(array, folder)
         yield folder
@@ -377,9 +369,7 @@ def faults(name: str, whole: Path, content: Callable[[bytes, int], bytes], n_see
     """The faults of reading such a file with so many damages."""
     kind = KINDS[name]
     data, path = (whole / kind.file).read_bytes(), whole / f"damaged-{kind.file}"
-    # Where a status cannot be read, there is none.
-    named = "" if name == "status" else path.stem
-    return read_damaged(path, lambda seed: content(data, seed), kind.read, n_seeds, named)[1]
+    return read_damaged(path, lambda seed: content(data, seed), kind.read, n_seeds, path.stem)[1]
 
 
 @pytest.mark.parametrize("name", KINDS)

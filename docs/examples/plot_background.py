@@ -6,9 +6,8 @@ A scan that shows the floor around the body. The stage ``crop`` removes the floo
 else, and says by which rule.
 """
 
-import matplotlib.pyplot as plt
 import numpy as np
-from sample import person
+from sample import draw, person
 
 import pcretrieve as pr
 from pcretrieve.simulation import RigOptions, scan as simulated_scan
@@ -24,6 +23,5 @@ shape = pr.process(scan)
 for step in shape.provenance[:2]:
     print(step.stage, *step.notes, sep="\n  ")
 
-figure = plt.figure(figsize=(9, 4.5))
-scan.plot(figure.add_subplot(121, projection="3d", title="scan"))
-shape.mesh.plot(figure.add_subplot(122, projection="3d", title="surface"))
+heights = {"scan": scan.points[:, 2], "surface": shape.mesh.vertices[:, 2]}
+draw({"scan": scan, "surface": shape.mesh}, heights)

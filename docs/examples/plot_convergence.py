@@ -9,13 +9,18 @@ surface, which falls with the square of the edge too.
 
 import matplotlib.pyplot as plt
 import numpy as np
-from sample import sphere
+from sample import draw, sphere
 
 import pcretrieve as pr
 
 exact = np.repeat(np.arange(7) * np.arange(1, 8), 2 * np.arange(7) + 1)  # 49 values
-axes = plt.figure(figsize=(7, 5)).add_subplot()
 meshes = [sphere(rounds) for rounds in (2, 3, 4)]
+spheres = {f"{len(mesh.faces)} faces": mesh for mesh in meshes}
+draw(spheres, {name: mesh.vertices[:, 0] * mesh.vertices[:, 1] for name, mesh in spheres.items()})
+
+# %%
+# The largest error of 48 eigenvalues.
+axes = plt.figure(figsize=(7, 5)).add_subplot()
 for element in ("linear", "cubic"):
     errors = []
     for mesh in meshes:
@@ -24,5 +29,5 @@ for element in ("linear", "cubic"):
         errors.append(np.abs(scaled[1:] / exact[1:] - 1).max())
     axes.loglog([len(mesh.faces) for mesh in meshes], errors, marker="o", label=element)
 axes.set_xlabel("faces")
-axes.set_ylabel("largest relative error of 48 eigenvalues")
+axes.set_ylabel("relative error")
 axes.legend()

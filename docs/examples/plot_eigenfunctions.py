@@ -7,17 +7,15 @@ tell the head from the feet, and left from right; later ones are of single limbs
 """
 
 import matplotlib.pyplot as plt
-from sample import draw_function, person
+from sample import draw, person
 
 import pcretrieve as pr
 
 mesh = person(1, "stand")
 pairs = pr.eigenpairs(pr.laplace_beltrami(mesh), n_pairs=61)
 
-figure = plt.figure(figsize=(10, 4.5))
-for number in range(1, 5):
-    axes = figure.add_subplot(1, 4, number, projection="3d", title=f"number {number}")
-    draw_function(axes, mesh, pairs.eigenvectors[:, number])
+functions = {f"number {number}": pairs.eigenvectors[:, number] for number in range(1, 5)}
+draw(dict.fromkeys(functions, mesh), functions)
 
 # %%
 # By Weyl's law, the eigenvalues grow by 4π for each, once the surface is scaled to unit area.

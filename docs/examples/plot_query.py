@@ -8,8 +8,7 @@ Six sample scans are ingested, and a seventh asks who it is.
 import tempfile
 from pathlib import Path
 
-import matplotlib.pyplot as plt
-from sample import SCANS
+from sample import SCANS, draw
 
 import pcretrieve as pr
 
@@ -19,8 +18,11 @@ query = SCANS / "person-2" / "person-2_wave.ply"
 with tempfile.TemporaryDirectory() as folder:
     catalogue = Path(folder) / "bodies.sqlite"
     pr.ingest(paths, catalogue, labels=SCANS / "labels.csv")
-    found = pr.search(catalogue, query, k=6)
-for shape_id, distance in zip(found.ids, found.distances, strict=True):
-    print(f"{distance:6.3f}  {shape_id}")
-plt.barh(found.ids[::-1], found.distances[::-1])
-plt.xlabel("distance")
+    found = pr.search(catalogue, query, k=4)
+    with pr.Catalogue(catalogue) as shapes:
+        bodies = {
+            f"{name}\n{distance:.2f}": shapes.mesh(name)
+            for name, distance in zip(found.ids, found.distances, strict=True)
+        }
+print(found)
+draw({"query": pr.reconstruct(query)} | bodies)

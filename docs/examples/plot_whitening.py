@@ -8,7 +8,7 @@ less weight to the directions in which a body differs from itself.
 
 import matplotlib.pyplot as plt
 import numpy as np
-from sample import person
+from sample import draw, person
 
 import pcretrieve as pr
 
@@ -20,6 +20,9 @@ def logarithms(seeds: tuple[int, ...]) -> np.ndarray:
     return np.array([np.log(pr.signature(person(seed, pose), "paper")) for seed in seeds for pose in POSES])
 
 
+draw({f"person {seed}": person(seed, "wave") for seed in (1, 2, 3)})
+
+# %%
 known, asked = logarithms((4, 5, 6)), logarithms((1, 2, 3))
 whitening = pr.WithinClassWhitening().fit(known, np.repeat([4, 5, 6], len(POSES)))
 

@@ -1,16 +1,27 @@
-"""What several examples share: sample scans, simulated people, a sphere, and functions in colour."""
+"""What several examples share: sample scans, simulated people, a sphere, and pictures of bodies."""
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.cm import viridis
+from matplotlib.colors import Normalize
+from numpy.typing import NDArray
 
+from pcretrieve.draw.axes import body_axes
+from pcretrieve.draw.pictures import CLAY, cameras_framing, point_picture, rotation, surface_picture
+from pcretrieve.draw.thumbnail import AZIMUTH, ELEVATION
 from pcretrieve.simulation import POSES, body, make_subject
-from pcretrieve.values import FloatArray, TriangleMesh
+from pcretrieve.values import PointCloud, TriangleMesh
 
 # `scripts/docs` says where the repository is, because it builds from a copy of these files.
 SCANS = Path(os.environ.get("PCRETRIEVE_ROOT", Path(__file__).parents[2])) / "scans"
+
+# Side of the square of a point in a picture, relative to half of the side of the picture.
+POINT = 0.015
 
 
 def person(seed: int, pose: str) -> TriangleMesh:
@@ -35,16 +46,28 @@ def sphere(rounds: int) -> TriangleMesh:
     return TriangleMesh(triangles.reshape(-1, 3)[first], vertex.reshape(-1, 3).astype(np.int32))
 
 
-def draw_function(axes: Any, mesh: TriangleMesh, values: FloatArray) -> None:
-    """Colour the faces of a surface by the values of a function at its vertices."""
-    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+def draw(
+    bodies: Mapping[str, TriangleMesh | PointCloud], colours: Mapping[str, NDArray[Any]] | None = None
+) -> None:
+    """Draw bodies in a row, upright and from the front, each with its name; points as those of the last mesh.
 
-    # Bodies stand: the longest extent is up.
-    points = np.roll(mesh.vertices, 2 - np.ptp(mesh.vertices, axis=0).argmax(), axis=1)
-    colours = values[mesh.faces].mean(axis=1)
-    axes.add_collection3d(Poly3DCollection(points[mesh.faces], array=colours, cmap="viridis", linewidths=0))
-    for name, low, high in zip("xyz", points.min(axis=0), points.max(axis=0), strict=True):
-        getattr(axes, f"set_{name}lim")(low, high)
-    axes.view_init(10, 25)
-    axes.set_box_aspect(np.ptp(points, axis=0))
-    axes.set_axis_off()
+    colours: by name the values of vertices or points of bodies that are not drawn as clay.
+    """
+    _, places = plt.subplots(1, len(bodies), figsize=(9, 4.5), layout="constrained")
+    meshes = [one for one in bodies.values() if isinstance(one, TriangleMesh)]
+    for place, (name, one) in zip(places.flat, bodies.items(), strict=True):
+        mesh = one if isinstance(one, TriangleMesh) else meshes[-1]
+        at = one.vertices if isinstance(one, TriangleMesh) else one.points
+        front = rotation(AZIMUTH, ELEVATION) @ body_axes(mesh.vertices, mesh.faces, mesh.up)
+        (camera,) = cameras_framing(at, [front])
+        values = (colours or {}).get(name)
+        shades = np.tile(CLAY, (len(at), 1)) if values is None else viridis(Normalize()(values))[:, :3]
+        if isinstance(one, TriangleMesh):
+            shades = shades[one.faces].mean(axis=1)
+            picture = surface_picture(one.vertices, one.faces, shades, camera, size=600)
+        else:
+            picture = point_picture(at, shades, camera, width=POINT * camera.half, size=600)
+        place.imshow(picture.crop(picture.getbbox()))
+        place.set_title(name)
+        place.set_axis_off()
+        place.set_anchor("S")

@@ -29,7 +29,6 @@ from pcretrieve.catalogue.records import (
     Entry,
     Payload,
     Record,
-    inserting,
     row_of,
     settings_of,
     stored_options,
@@ -223,10 +222,8 @@ class Catalogue(Rows):
         if not self.database.is_writable:
             return
         with self.database.writing():
-            self.database.execute("DELETE FROM meta WHERE key = 'up'")
-            if axis is not None:
-                self.database.execute(inserting("meta"), ["up", axis])
-            else:
+            self.keep_setting("up", axis)
+            if axis is None:
                 self.database.execute("UPDATE arrays SET thumbnails = NULL WHERE meshes IS NOT NULL")
 
     # --- signatures -------------------------------------------------------------------------------------

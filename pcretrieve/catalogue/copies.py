@@ -135,6 +135,8 @@ def _copy_file(source: Path, target: Path) -> None:
             connection.execute("SELECT count(*) FROM meta")
             connection.backup(copy, pages=PAGES_AT_ONCE, progress=_log)
             connection.rollback()
+            with copy:  # no ingest counts in it
+                copy.execute("DELETE FROM meta WHERE key = 'batch'")
 
 
 def _log(status: int, n_left: int, n_pages: int) -> None:

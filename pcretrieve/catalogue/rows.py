@@ -120,6 +120,12 @@ class Rows:
         """The settings with which the catalogue was created, its version and the name of its state."""
         return dict(self._all("SELECT key, value FROM meta"))
 
+    def keep_setting(self, key: str, value: str | None) -> None:
+        """Store a setting, or remove it; within a transaction."""
+        self.database.execute("DELETE FROM meta WHERE key = ?", [key])
+        if value is not None:
+            self.database.execute(inserting("meta"), [key, value])
+
     def revision(self) -> str:
         """A name of the state of the shapes and their labels, which no other state has."""
         for (revision,) in self._all("SELECT value FROM meta WHERE key = 'revision'"):

@@ -1,15 +1,11 @@
 """The counts of the last ingest, which can be read at any time.
 
-They are in a hidden file beside the catalogue, ``.bodies.sqlite.batch``, or in the cache folder of the user
-if the catalogue is no file. It is one page, which is written by one call: it can be read at any moment. The
-ingest holds a lock on it, which the system releases when the process ends.
+They are a setting of the catalogue, and name the process that counts: whether it is still there tells an
+ingest that runs from one that was killed.
 """
 
 from __future__ import annotations
 
-import fcntl
-import hashlib
-import logging
 import os
 import time
 from collections import Counter
@@ -21,16 +17,17 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field, NonNegativeInt
 
-from pcretrieve.catalogue import CatalogueLike, Record, opened
-
-logger = logging.getLogger(__name__)
+from pcretrieve.catalogue import Catalogue, CatalogueLike, Record, opened
+from pcretrieve.errors import CatalogueError
 
 State = Literal["none", "running", "finished", "stopped", "killed"]
 
-PAGE = 4096  # bytes
+# Shortest time between two writes, and the longest one after which an ingest of another computer, or of a
+# container, is said to be running; seconds.
+INTERVAL, SILENCE = 1.0, 3600.0
 
-# Shortest time between two writes; seconds.
-INTERVAL = 1.0
+# The setting that has the counts, and what they say of the process that counts.
+SETTING, PROCESS = "batch", {"computer", "pid", "born"}
 
 # Up to the largest time that can be written as a date, at the end of the year 9999.
 Seconds = Annotated[float, Field(ge=0, le=253_402_300_799)]
@@ -85,6 +82,9 @@ class _Counts(BaseModel):
     n_failed: NonNegativeInt = 0
     n_skipped: NonNegativeInt = 0
     stages: dict[str, Seconds] = {}
+    computer: str = ""
+    pid: NonNegativeInt = 0
+    born: str = ""
 
 
 def status(catalogue: CatalogueLike) -> BatchStatus:
@@ -106,16 +106,18 @@ def status(catalogue: CatalogueLike) -> BatchStatus:
         If the catalogue cannot be opened.
     """
     with opened(catalogue) as store:
-        counts = _read(_path(store.location))
+        counts = _stored(store)
         kinds = Counter({f"{error} in {stage}": n for (stage, error), n in store.failures().items()})
         n_shapes = len(store)
-    n_finished, is_running = counts.n_done + counts.n_failed, counts.state == "running"
+    is_running = counts.state == "running" and _is_running(counts)
+    n_finished = counts.n_done + counts.n_failed
     seconds = (time.time() if is_running else counts.updated) - counts.started
     rate = n_finished / seconds if seconds > 0 else 0.0
     n_left = counts.n_scans - counts.n_skipped - n_finished
     total = sum(counts.stages.values())
     return BatchStatus(
-        **counts.model_dump(exclude={"started", "updated", "stages"}),
+        **counts.model_dump(exclude={"state", "started", "updated", "stages", *PROCESS}),
+        state="killed" if counts.state == "running" and not is_running else counts.state,
         started=_iso(counts.started),
         updated=_iso(counts.updated),
         scans_per_second=rate,
@@ -126,36 +128,23 @@ def status(catalogue: CatalogueLike) -> BatchStatus:
     )
 
 
-class CountsFile:
-    """The open file of a running ingest; without effect if another ingest has it, or it cannot be written."""
+class Progress:
+    """The counts of a running ingest in its catalogue, until a later ingest counts there."""
 
-    def __init__(self, location: str, n_scans: int) -> None:
-        now = time.time()
-        self._counts = _Counts(started=now, updated=now, n_scans=n_scans)
-        self._path = _path(location)
-        self._descriptor: int | None = None
+    def __init__(self, catalogue: Catalogue, n_scans: int) -> None:
+        pid = os.getpid()
+        process = {"computer": _computer(), "pid": pid, "born": _born(pid)}
+        self._counts = _Counts.model_validate({"started": time.time(), "n_scans": n_scans, **process})
+        self._catalogue = catalogue
         self._written = 0.0
 
-    def __enter__(self) -> CountsFile:
-        descriptor = None
-        try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:  # also if another ingest has locked it
-            logger.info("the progress of the ingest is not written to %s: %s", self._path, error.strerror)
-            if descriptor is not None:
-                os.close(descriptor)
-        else:
-            self._descriptor = descriptor
-            self._write()
+    def __enter__(self) -> Progress:
+        self._write(is_first=True)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._counts.state = "finished" if kind is None else "stopped"
         self._write()
-        if self._descriptor is not None:
-            os.close(self._descriptor)
 
     def skip(self, n: int) -> None:
         """Count scans that the catalogue has already."""
@@ -172,42 +161,46 @@ class CountsFile:
                 self._counts.stages[step.stage] = self._counts.stages.get(step.stage, 0.0) + step.seconds
         self._write(INTERVAL)
 
-    def _write(self, interval: float = 0.0) -> None:
+    def _write(self, interval: float = 0.0, *, is_first: bool = False) -> None:
         """Write the counts, unless they were written less than an interval ago."""
-        if self._descriptor is None or time.monotonic() - self._written < interval:
+        if time.monotonic() - self._written < interval:
             return
         self._written = time.monotonic()
         self._counts.updated = time.time()
-        data = self._counts.model_dump_json().encode().ljust(PAGE)
-        with suppress(OSError):  # a full disk is the concern of the catalogue
-            os.pwrite(self._descriptor, data, 0)
-            os.ftruncate(self._descriptor, len(data))
+        database = self._catalogue.database
+        with suppress(CatalogueError), database.writing():  # a full disk is the concern of the next shape
+            if is_first or _stored(self._catalogue).started == self._counts.started:
+                self._catalogue.keep_setting(SETTING, self._counts.model_dump_json())
 
 
-def _read(path: Path) -> _Counts:
-    """The counts in a file; those of no ingest if there is none."""
+def _stored(catalogue: Catalogue) -> _Counts:
+    """The counts in a catalogue; those of no ingest if there are none."""
     try:
-        with path.open("rb") as file:
-            counts = _Counts.model_validate_json(file.read())
-            try:
-                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            except BlockingIOError:
-                counts.state = "running"
-            else:
-                counts.state = "killed" if counts.state == "running" else counts.state
-            return counts
-    except (OSError, ValueError):
+        return _Counts.model_validate_json(catalogue.settings()[SETTING])
+    except (KeyError, ValueError):
         return _Counts(state="none")
 
 
-def _path(location: str) -> Path:
-    if "://" not in location:
-        return Path(location).with_name(f".{Path(location).name}.batch")
-    try:
-        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    except RuntimeError:  # there is no user
-        cache = Path(os.devnull)
-    return cache / "pcretrieve" / f"{hashlib.sha256(location.encode()).hexdigest()[:16]}.batch"
+def _is_running(counts: _Counts) -> bool:
+    if counts.computer and counts.computer == _computer():
+        return counts.born == _born(counts.pid)
+    return time.time() < counts.updated + SILENCE
+
+
+def _computer() -> str:
+    """A name of this computer since its start, and of the container that numbers the processes."""
+    with suppress(OSError):
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
+        return f"{boot.strip()} {Path('/proc/self/ns/pid').readlink()}"
+    return ""
+
+
+def _born(pid: int) -> str:
+    """When a process of this computer was started, in ticks; empty if it has ended."""
+    with suppress(OSError):
+        state, *facts = Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()
+        return "" if state in "ZX" else facts[18]
+    return ""
 
 
 def _iso(seconds: float) -> str | None:

@@ -19,7 +19,7 @@ from pcretrieve.ingestion.discover import discover, parts_in, scans_of
 from pcretrieve.ingestion.labels import discover_labelled
 from pcretrieve.ingestion.plan import Plan, Planner, Processing, failed
 from pcretrieve.ingestion.pool import Executor, in_processes, remove_abandoned
-from pcretrieve.ingestion.progress import CountsFile
+from pcretrieve.ingestion.progress import Progress
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pipeline.process import compile_stages, log_steps, scan_name
 
@@ -284,7 +284,7 @@ def process_scans(
     with closing(planner.contents):
         if changed := planner.changed(records):
             catalogue.revise(removed=changed)
-        with CountsFile(catalogue.location, len(planner.names)) as counts:
+        with Progress(catalogue, len(planner.names)) as counts:
             run = _Run(catalogue, how, counts)
             attempts: Iterable[Attempt] = run.queue(planner)
             while True:
@@ -302,7 +302,7 @@ def process_scans(
 class _Run:
     """One ingest: what was stored and skipped so far, and the scans that are tried again later."""
 
-    def __init__(self, catalogue: Catalogue, how: Processing, counts: CountsFile) -> None:
+    def __init__(self, catalogue: Catalogue, how: Processing, counts: Progress) -> None:
         self._catalogue, self._how, self._counts = catalogue, how, counts
         self.summary = Summary()
         self.later: list[Attempt] = []

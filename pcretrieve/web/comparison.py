@@ -16,7 +16,7 @@ from pcretrieve.pages.html import without_folders
 from pcretrieve.pages.map_page import map_drawing
 from pcretrieve.pages.scene import measures, surface_scene
 from pcretrieve.pages.thumbnails import Thumbnails
-from pcretrieve.values import FloatArray
+from pcretrieve.values import FloatArray, unit_of
 from pcretrieve.web.documents import record_of, shape_document
 from pcretrieve.web.requests import Refused
 
@@ -48,6 +48,7 @@ def compared(
         rows = [(name, first[name], second[name]) for name in first if name in second]
     return {
         "shapes": [shape_document(record) for record in records],
+        "units": [unit_of(record.metres_per_unit or 0) or "" for record in records],
         "distance": distance,
         "measure": options.retrieval.distance,
         "score": score,

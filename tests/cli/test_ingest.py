@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -104,8 +105,11 @@ def test_the_status_of_an_ingest_and_a_retry_of_its_failures(folder: Path) -> No
     pr.Catalogue(catalogue, create=True).close()
     assert pr.status(catalogue).state == "none"
     assert "no ingest into it is known" in run("status", "-c", catalogue).stdout
-    (folder / ".c.sqlite.batch").write_text("{}, or so")
-    assert pr.status(catalogue).state == "none"
+    for seconds, state in ((0, "running"), (4000, "killed"), (-1e30, "none")):
+        counts = {"state": "running", "updated": time.time() - seconds, "computer": "another"}
+        with pr.Catalogue(catalogue) as store, store.database.writing():
+            store.keep_setting("batch", json.dumps(counts))
+        assert pr.status(catalogue).state == state
     ingest(folder)
     found = pr.status(catalogue)
     assert (found.state, found.n_scans, found.n_done, found.n_failed) == ("finished", 6, 2, N_BAD)

@@ -21,7 +21,7 @@ import shapes
 from processes import PATIENCE, living, wait_for
 from stored import Everything, everything
 
-from pcretrieve import Catalogue, ingest
+from pcretrieve import Catalogue, ingest, status
 from pcretrieve.catalogue import find_defects
 from pcretrieve.errors import CatalogueError
 from pcretrieve.formats import write_mesh
@@ -121,6 +121,6 @@ def test_killed_at_any_moment(
     said, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, said
     assert stored(new_location) == undisturbed
+    assert status(new_location).state == "finished"
     assert [*(tmp_path / "temporary").glob("pcretrieve-*")] == []
-    # Beside the catalogue there is only what `pcretrieve status` reads.
-    assert {path.name for path in tmp_path.iterdir()} <= {"temporary", "new.sqlite", ".new.sqlite.batch"}
+    assert {path.name for path in tmp_path.iterdir()} <= {"temporary", "new.sqlite"}

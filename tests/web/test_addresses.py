@@ -77,6 +77,12 @@ ADDRESSES = {
 }
 
 
+def test_sizes_of_compared_shapes_name_their_unit(server: Server) -> None:
+    for pair, said in (("a=Egg10&b=Egg11", " m²</td>"), ("a=Egg00&b=Egg10", "units differ")):
+        page = server.ask(f"/compare?{pair}").body.decode()
+        assert said in page and ("does not name" in page) == ("Egg00" in pair)
+
+
 @pytest.mark.slow
 def test_what_cannot_be_answered_is_said(server: Server) -> None:
     assert Path("README.md").exists()
