@@ -36,13 +36,12 @@ SECRETS = (
 
 def write_eggs(path: Path) -> None:
     """A catalogue of four eggs of each of three kinds, one of which is incomplete, and of a failure."""
+    judged = {(2, 3): Verdict("incomplete", 0.5, ("a large hole",))}
     with Catalogue(path, OPTIONS, create=True) as store:
         for kind in range(3):
             for number, width in enumerate((1, 1.04, 1.08, 1.12)):
                 shape = process(shapes.ellipsoid((width, 1, 1.3 + 0.5 * kind), 3), OPTIONS)
-                incomplete = (kind, number) == (2, 3)
-                verdict = Verdict("incomplete", 0.5, ("a large hole",))
-                verdict = verdict if incomplete else Verdict("good", 0.01)
+                verdict = judged.get((kind, number), Verdict("good", 0.01))
                 name = NASTY if (kind, number) == (2, 2) else f"Egg{kind}{number}"
                 values = describe(shape, OPTIONS.signature).values
                 steps = (Step("read", 0.0, {UNIT: 1.0}),) if kind else ()

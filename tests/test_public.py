@@ -45,11 +45,6 @@ def test_every_public_name_is_there_and_documented() -> None:
                 assert re.search(documented, documentation, re.MULTILINE), (name, parameter)
 
 
-def test_there_are_no_other_names() -> None:
-    with pytest.raises(AttributeError, match="No pcretrieve attribute retrieve"):
-        _ = pcretrieve.retrieve  # type: ignore[attr-defined]
-
-
 def imported_by(*arguments: str) -> set[str]:
     """Packages that a fresh interpreter has imported after running with these arguments."""
     done = subprocess.run(
