@@ -45,8 +45,8 @@ def write_eggs(path: Path) -> None:
                 name = NASTY if (kind, number) == (2, 2) else f"Egg{kind}{number}"
                 values = describe(shape, OPTIONS.signature).values
                 steps = (Step("read", 0.0, {UNIT: 1.0}),) if kind else ()
-                path = f"/secret/folder/{kind}{number}.off"
-                record = Record(name, path, name, f"<kind {kind}>", steps=steps)
+                where = f"/secret/folder/{kind}{number}.off"
+                record = Record(name, where, name, f"<kind {kind}>", steps=steps)
                 store.put(record, Content(replace(shape, verdict=verdict), values))
         failed = Record("broken", "/secret/own folder/broken.off", "", status="failed", stage="read")
         store.put(replace(failed, error="ScanReadError", message="/secret/own folder/broken.off is empty"))
