@@ -129,14 +129,13 @@ def _copy_file(source: Path, target: Path) -> None:
     """Copy an SQLite file of any schema version, with the changes of its log, in one state."""
     with closing(connect(source, create=False)) as connection:
         check_tables(source, connection)
-        with translated(target), closing(sqlite3.connect(target)) as copy:
+        with translated(target), closing(sqlite3.connect(target, isolation_level=None)) as copy:
             # Within a transaction, so that parts that are copied later belong to the same state.
             connection.execute("BEGIN")
             connection.execute("SELECT count(*) FROM meta")
             connection.backup(copy, pages=PAGES_AT_ONCE, progress=_log)
             connection.rollback()
-            with copy:  # no ingest counts in it
-                copy.execute("DELETE FROM meta WHERE key = 'batch'")
+            copy.execute("DELETE FROM meta WHERE key = 'batch'")  # no ingest counts in the copy
 
 
 def _log(status: int, n_left: int, n_pages: int) -> None:

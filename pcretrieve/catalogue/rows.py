@@ -194,10 +194,9 @@ class Rows:
 
     def record(self, shape_id: str) -> Record:
         """The record of a shape; InputError if there is no shape of this id."""
-        record = self.get(shape_id)
-        if record is None:
-            raise self.unknown(shape_id)
-        return record
+        for record in self.several([shape_id]):
+            return record
+        raise self.unknown(shape_id)
 
     def unknown(self, shape_id: str) -> InputError:
         """The error for an id that the catalogue does not have."""

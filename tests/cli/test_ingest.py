@@ -114,10 +114,10 @@ def test_the_status_of_an_ingest_and_a_retry_of_its_failures(folder: Path) -> No
     found = pr.status(catalogue)
     assert (found.state, found.n_scans, found.n_done, found.n_failed) == ("finished", 6, 2, N_BAD)
     assert (found.n_shapes, found.failures, found.seconds_left) == (2, {"ScanReadError in read": N_BAD}, None)
-    assert found.scans_per_second > 0
-    assert sum(found.stages.values()) == pytest.approx(1)
+    assert found.scans_per_second > 0 and sum(found.stages.values()) == pytest.approx(1)
     assert {"read", "spectrum"} <= found.stages.keys()
     assert result("status", "-c", catalogue)["stages"] == found.stages
+    assert pr.backup(catalogue, folder / "d.sqlite") and pr.status(folder / "d.sqlite").state == "none"
     said = run("status", "-c", catalogue).stdout
     assert f"ingest finished: 6 of 6 scans: 2 done, {N_BAD} failed" in said
     assert f"2 shapes, {N_BAD} failed\n" in said
