@@ -54,19 +54,12 @@ from .formats import (
     write_mesh as write_mesh,
     write_signatures as write_signatures,
 )
-from .ingestion import (
-    BatchStatus as BatchStatus,
-    Check as Check,
-    DaskExecutor as DaskExecutor,
-    Summary as Summary,
-    check as check,
-    ingest as ingest,
-    map_scans as map_scans,
-    report_problem as report_problem,
-    retry as retry,
-    status as status,
-    watch as watch,
-)
+from .ingestion.cluster import DaskExecutor as DaskExecutor
+from .ingestion.problems import report_problem as report_problem
+from .ingestion.progress import BatchStatus as BatchStatus, status as status
+from .ingestion.recomputing import Check as Check, check as check
+from .ingestion.run import Summary as Summary, ingest as ingest, retry as retry, watch as watch
+from .ingestion.scans import map_scans as map_scans
 from .ingestion.views import merge_views as merge_views
 from .matching import (
     DistanceMatrix as DistanceMatrix,
@@ -74,7 +67,10 @@ from .matching import (
     write_matrix as write_matrix,
 )
 from .options import MergeOptions as MergeOptions, PipelineOptions as PipelineOptions
-from .pages import draw_map as draw_map, inspect as inspect, query_page as query_page, report as report
+from .pages.inspection_page import inspect as inspect
+from .pages.map_page import draw_map as draw_map
+from .pages.queries_page import query_page as query_page
+from .pages.retrieval_page import report as report
 from .pipeline.process import process as process, reconstruct as reconstruct, signature as signature
 from .query import (
     Answer as Answer,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pcretrieve.catalogue import Catalogue, CatalogueLike, Record, opened, thumbnails
+from pcretrieve.catalogue import Catalogue, CatalogueLike, Record, thumbnails
 from pcretrieve.errors import (
     InputError,
     OptionError,
@@ -218,7 +218,7 @@ def search(
     ShapeError
         If the scan cannot be read or has no usable surface.
     """
-    with opened(catalogue) as store:
+    with Catalogue.opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
         question = Question(chosen, k, labels, exclude_self, min_score, unit, matrix)
         asked = _query_of(store, query, question) if isinstance(query, (str, Path, Signature)) else query
@@ -278,7 +278,7 @@ def search_many(
         As by `search`, before the first answer.
     """
     check_many("queries", queries)
-    with opened(catalogue) as store:
+    with Catalogue.opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
         how = (matrix, timeout, memory, has_pictures, up, far)
         question = Question(chosen, k, labels, exclude_self, min_score, unit, *how)
@@ -294,7 +294,7 @@ def _answers(
     described: Iterator[tuple[Path, Described | PcretrieveError]] = map(partial(_attempted, of_scan), scans)
     if scans and question.timeout is not None:
         # Imported here, because it is not needed for shapes that the catalogue has.
-        from pcretrieve.ingestion import in_processes
+        from pcretrieve.ingestion.pool import in_processes
 
         timeout, memory = question.timeout, question.memory
         described = in_processes(of_scan, scans, workers=1, timeout=timeout, memory=memory)
@@ -361,7 +361,7 @@ def duplicates(
     CatalogueError, InputError
         As by `search`.
     """
-    with opened(catalogue) as store:
+    with Catalogue.opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
         if threshold is not None:
             if not 0 <= threshold < np.inf:
@@ -408,7 +408,7 @@ def cluster(
     CatalogueError, InputError
         As by `search`.
     """
-    with opened(catalogue) as store:
+    with Catalogue.opened(catalogue) as store:
         index = store.index(PipelineOptions.of(options, store.options).without_labels)
         numbers = cluster_numbers(index, min_size=min_size).tolist()
         names = (f"cluster-{number}" if number else None for number in numbers)
@@ -529,8 +529,11 @@ def _labelled(catalogue: Catalogue, labels: Collection[str]) -> set[str]:
     check_many("labels", labels)
     among = set(catalogue.labelled(labels))
     if not among:
-        known = {one.label for one in catalogue.origins() if one.label is not None}
-        meant = did_you_mean(next(iter(labels)), known) if len(labels) == 1 else ""
+        meant = (
+            did_you_mean(next(iter(labels)), set(filter(None, catalogue.labels().values())))
+            if len(labels) == 1
+            else ""
+        )
         raise InputError(
             f"no shape of {catalogue.location} is of the class {' or '.join(sorted(labels))}; "
             f"`pcretrieve list` shows the classes{meant}"

@@ -1,4 +1,4 @@
-"""Cache of the indexes of a catalogue, as arrays that are mapped into memory.
+"""Cache of the indexes and maps of a catalogue, as arrays that are mapped into memory.
 
 An index of a million shapes takes seconds to compute and milliseconds to open. It is stored in a folder
 beside the file of the catalogue, ``bodies.sqlite.gallery``, or in the cache folder of the user if that folder
@@ -27,7 +27,9 @@ from numpy.typing import NDArray
 from pcretrieve.options import PipelineOptions, fused_names
 from pcretrieve.plugins import METHODS
 from pcretrieve.retrieval import SignatureIndex
+from pcretrieve.retrieval.clusters import plane_map
 from pcretrieve.retrieval.whitening import read_whitening
+from pcretrieve.values import FloatArray
 
 logger = logging.getLogger(__name__)
 
@@ -88,16 +90,26 @@ class IndexCache:
         """Open the stored index of a state of the catalogue, or compute and store it."""
         name = _name(options, revision)
         if self._last is None or self._last[0] != name:
-            index = self._opened(name)
+            index: SignatureIndex | None = self._opened(name, SignatureIndex.from_arrays)
             if index is None:
                 index, revision = make()
                 name = _name(options, revision)
                 if len(index) >= SMALLEST_KEPT:
-                    self._keep(name, index)
+                    self._keep(name, index.to_arrays())
                     # The stored index replaces the one in memory, which is then freed.
-                    index = self._opened(name) or index
+                    index = self._opened(name, SignatureIndex.from_arrays) or index
             self._last = name, index
         return self._last[1]
+
+    def places(self, points: FloatArray, revision: str) -> FloatArray:
+        """The places of points of an index on a map, as by `plane_map`, stored as an index is."""
+        name = f"map-{FORMAT}-{zlib.crc32(points.tobytes())}-{_digest(revision)}"
+        places: FloatArray | None = self._opened(name, lambda arrays: arrays["places"])
+        if places is None:
+            places = plane_map(points)
+            if len(points) >= SMALLEST_KEPT:
+                self._keep(name, {"places": places})
+        return places
 
     def faults(self) -> Iterator[tuple[Path, str]]:
         """Yield the stored indexes whose bytes have changed since they were written, and how."""
@@ -111,11 +123,12 @@ class IndexCache:
                 except Exception as error:  # noqa: BLE001  as in `_opened`
                     yield kept, f"cannot be read: {error}"
 
-    def _opened(self, name: str) -> SignatureIndex | None:
+    def _opened(self, name: str, read: Callable[[dict[str, NDArray[Any]]], Any]) -> Any:
+        """What `read` makes of stored arrays; None if there are none."""
         for folder in self._folders:
             kept = folder / name
             try:
-                return SignatureIndex.from_arrays(_arrays(kept))
+                return read(_arrays(kept))
             except FileNotFoundError:
                 continue  # there is none, or another process removes it at this moment
             # NumPy reads the header of an array by parsers of Python, and lets their exceptions pass.
@@ -124,12 +137,12 @@ class IndexCache:
                 shutil.rmtree(kept, ignore_errors=True)
         return None
 
-    def _keep(self, name: str, index: SignatureIndex) -> None:
-        """Store an index in the first folder that can be written, and remove indexes of other states."""
+    def _keep(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Store arrays in the first folder that can be written, and remove those of other states."""
         for folder in self._folders:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
-                _write(folder, name, index.to_arrays())
+                _write(folder, name, arrays)
                 _tidy(folder, name)
                 return
             except OSError as error:

@@ -117,11 +117,7 @@ class Catalogue(Rows):
     @classmethod
     @contextmanager
     def opened(
-        cls,
-        catalogue: Catalogue | str | Path,
-        options: PipelineOptions | None = None,
-        *,
-        create: bool = False,
+        cls, catalogue: CatalogueLike, options: PipelineOptions | None = None, *, create: bool = False
     ) -> Iterator[Catalogue]:
         """Open a catalogue that is given by its path, and close it at the end; leave others as they are."""
         if isinstance(catalogue, Catalogue):
@@ -410,5 +406,3 @@ def _with_overlaps(surface: Surface, element: str) -> Surface:
 
 #: A catalogue, or its path or URL.
 CatalogueLike: TypeAlias = "Catalogue | str | Path"
-
-opened = Catalogue.opened

@@ -67,13 +67,11 @@ def _database_defects(catalogue: Catalogue, *, repair: bool) -> list[Defect]:
     """Defects of the pages and the SQL indexes, and rows of no shape."""
     database = catalogue.database
     # Outside of a transaction, because one that has met a damaged page cannot be ended without an error.
-    if faults := database.faults():
-        done = "SQL indexes made again" if repair and _is_reindexed(catalogue) else None
-        found = [Defect("database", None, fault, done) for fault in faults]
-        if done is None:
-            return found
-    else:
-        found = []
+    faults = database.faults()
+    done = "SQL indexes made again" if faults and repair and _is_reindexed(catalogue) else None
+    found = [Defect("database", None, fault, done) for fault in faults]
+    if faults and done is None:
+        return found
     with database.writing() if repair else database.reading():
         for table in ("provenance", "arrays", "signatures"):
             condition = f"FROM {table} WHERE NOT EXISTS (SELECT 1 FROM shapes WHERE number = shape)"

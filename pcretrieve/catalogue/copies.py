@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from pcretrieve.catalogue.catalogue import Catalogue, CatalogueLike, opened
+from pcretrieve.catalogue.catalogue import Catalogue, CatalogueLike
 from pcretrieve.catalogue.records import Record, check_options
 from pcretrieve.catalogue.rows import Rows, file_of
 from pcretrieve.catalogue.sqlite import check_tables, connect, translated
@@ -69,11 +69,11 @@ def merge_catalogues(parts: Sequence[CatalogueLike], output: CatalogueLike) -> M
     if not parts:
         raise InputError("there must be at least one catalogue to merge, got none: name the parts")
     with ExitStack() as stack:
-        sources = [stack.enter_context(opened(part)) for part in parts]
+        sources = [stack.enter_context(Catalogue.opened(part)) for part in parts]
         for part in sources:
             check_options(part.location, part.options, sources[0].options)
         _chosen(sources)  # conflicts are an error before there is a new file
-        target = stack.enter_context(opened(output, sources[0].options, create=True))
+        target = stack.enter_context(Catalogue.opened(output, sources[0].options, create=True))
         return _merge([target, *sources])
 
 

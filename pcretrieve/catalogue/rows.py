@@ -180,6 +180,10 @@ class Rows:
         rows = self._all("SELECT id, path, content_hash, label, status, stamp FROM shapes ORDER BY id")
         return [Record(row[0], row[1], row[2], row[3], row[4], stamp=row[5]) for row in rows]
 
+    def labels(self) -> dict[str, str | None]:
+        """The class of each shape, including failed ones, by id in ascending order."""
+        return dict(self._all("SELECT id, label FROM shapes ORDER BY id"))
+
     def times(self) -> dict[str, str]:
         """When each shape, or its failure, was stored, by id: UTC, as 2026-01-31T12:00:00+00:00."""
         return dict(self._all("SELECT id, added FROM shapes JOIN provenance ON shape = number"))
@@ -316,17 +320,13 @@ class Rows:
         shape is not renamed to a path that the catalogue has already.
         """
         with self.database.writing():
-            if moved:
-                self._rewrite("path", moved)
-            if removed:
-                self._delete("path", removed)
-            if labels:
-                self._rewrite("label", labels)
+            self._rewrite("path", moved or {})
+            self._delete("path", removed)
+            self._rewrite("label", labels or {})
             if removed or labels:
                 self._changed()
-            if stamps:
-                values = ((stamp, path) for path, stamp in stamps.items())
-                self.database.each("UPDATE shapes SET stamp = ? WHERE path = ?", values)
+            values = ((stamp, path) for path, stamp in (stamps or {}).items())
+            self.database.each("UPDATE shapes SET stamp = ? WHERE path = ?", values)
 
     # --- signatures and pictures ------------------------------------------------------------------------
 

@@ -125,10 +125,9 @@ class SqliteDatabase:
         """One transaction that locks the file for writing, so that what it has read does not change."""
         with self._transaction("IMMEDIATE"):
             # SQLite writes to a removed file too.
-            try:
+            is_here = False
+            with suppress(OSError):
                 is_here = samestat(self._file, self._path.stat())
-            except OSError:
-                is_here = False
             if not is_here:
                 raise CatalogueError(
                     f"{self._path} was removed or replaced while it was in use: what would be written now "

@@ -186,7 +186,7 @@ def _shapes(context: click.Context) -> dict[str, str | None]:
     location = context.params.get("catalogue") or os.environ.get(CATALOGUE_VARIABLE)
     try:
         with pr.Catalogue(location or "") as store:
-            return {record.id: record.label for record in store.origins()}
+            return store.labels()
     except (PcretrieveError, OSError):
         return {}
 

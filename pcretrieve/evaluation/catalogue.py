@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcretrieve.catalogue import Catalogue, CatalogueLike, opened
+from pcretrieve.catalogue import Catalogue, CatalogueLike
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation.folds import rank_table
 from pcretrieve.evaluation.rankings import Rankings, Subset, rank_subsets
@@ -52,7 +52,7 @@ def rank_shapes(
             raise BenchmarkError("a distance matrix has no classes: give labels, a file of classes")
         classes = _classes_of_ids(labels, set(shapes.ids))
         return _of_matrix(shapes, classes, {}, PipelineOptions.of(options).retrieval.rerank)
-    with opened(shapes) as store:
+    with Catalogue.opened(shapes) as store:
         chosen = PipelineOptions.of(options, store.options)
         return _of_catalogue(store, chosen, labels, matrix, good_only)._replace(options=chosen)
 

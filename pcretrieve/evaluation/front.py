@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar
 
-from pcretrieve.catalogue import CatalogueLike, opened
+from pcretrieve.catalogue import Catalogue, CatalogueLike
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation.catalogue import RankedShapes, rank_shapes
 from pcretrieve.evaluation.comparison import Comparison, compare_scores, result_scores, write_evaluation
@@ -208,7 +208,7 @@ def calibrate(catalogue: CatalogueLike, path: str | Path, *, options: OptionsLik
     InputError
         If no class has two distinct shapes, or the file cannot be written.
     """
-    with opened(catalogue) as store:
+    with Catalogue.opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
         labelled = chosen.changed(retrieval={"whitening": "within-class", "calibration": None})
         known = people(labelled.signature)
@@ -252,7 +252,7 @@ def matrix(
     OptionError
         If there is no such matcher.
     """
-    with opened(catalogue) as store:
+    with Catalogue.opened(catalogue) as store:
         labels = {record.id: record.label for record in store.records(status="done")}
         if not labels:
             raise InputError(f"{store.location} holds no shapes: ingest some first")

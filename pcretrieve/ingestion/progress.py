@@ -17,7 +17,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field, NonNegativeInt
 
-from pcretrieve.catalogue import Catalogue, CatalogueLike, Record, opened
+from pcretrieve.catalogue import Catalogue, CatalogueLike, Record
 from pcretrieve.errors import CatalogueError
 
 State = Literal["none", "running", "finished", "stopped", "killed"]
@@ -105,7 +105,7 @@ def status(catalogue: CatalogueLike) -> BatchStatus:
     CatalogueError
         If the catalogue cannot be opened.
     """
-    with opened(catalogue) as store:
+    with Catalogue.opened(catalogue) as store:
         counts = _stored(store)
         kinds = Counter({f"{error} in {stage}": n for (stage, error), n in store.failures().items()})
         n_shapes = len(store)

@@ -19,7 +19,6 @@ from pcretrieve.catalogue import (
     Defect,
     Record,
     find_defects,
-    opened,
     set_to_be_ingested_again,
 )
 from pcretrieve.errors import CatalogueError, PcretrieveError, ShapeError
@@ -94,7 +93,7 @@ def check(
     CatalogueError
         If the catalogue cannot be opened, or cannot be written to for repairs.
     """
-    with opened(catalogue) as store:
+    with Catalogue.opened(catalogue) as store:
         defects = find_defects(store, repair=repair, on_shapes=on_shapes)
         is_broken = any(defect.kind == "database" and defect.repair is None for defect in defects)
         # A list, because repairs change the order of the finished shapes.

@@ -10,7 +10,7 @@ from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from pcretrieve.catalogue import Catalogue, CatalogueLike, Content, Record, opened
+from pcretrieve.catalogue import Catalogue, CatalogueLike, Content, Record
 from pcretrieve.errors import InputError, PcretrieveError
 from pcretrieve.formats import is_scan
 from pcretrieve.formats.identity import printable
@@ -156,10 +156,10 @@ def ingest(
     if dry_run:
         is_path = isinstance(catalogue, (str, Path)) and "://" not in str(catalogue)
         is_new = is_path and not Path(str(catalogue)).exists()
-        with nullcontext() if is_new else opened(catalogue, chosen) as known:
+        with nullcontext() if is_new else Catalogue.opened(catalogue, chosen) as known:
             planner = Planner(scans, [] if known is None else known.records(), how, classes, part)
         return _planned(planner, on_shape)
-    with opened(catalogue, chosen, create=True) as store:
+    with Catalogue.opened(catalogue, chosen, create=True) as store:
         return process_scans(scans, store, how, labels=classes, part=part)
 
 
@@ -200,7 +200,7 @@ def retry(
         If the catalogue cannot be opened.
     """
     how = Processing(workers, timeout, memory, executor, True, retries, None, on_shape)
-    with opened(catalogue) as store:
+    with Catalogue.opened(catalogue) as store:
         failures = store.records(status="failed")
         paths = [Path(record.path) for record in failures if stage in (None, record.stage)]
         if not paths:
@@ -261,7 +261,7 @@ def watch(
     arrivals = Arrivals(Path(folder))
     chosen = None if options is None else PipelineOptions.of(options)
     how = Processing(workers, timeout, memory, executor, retries=retries, on_shape=on_shape)
-    with opened(catalogue, chosen, create=True) as store:
+    with Catalogue.opened(catalogue, chosen, create=True) as store:
         while True:
             if scans := discover(arrivals.look(), limits=how.limits):
                 yield process_scans(scans, store, how)

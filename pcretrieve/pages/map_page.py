@@ -66,10 +66,10 @@ def draw_map(
         raise InputError(f"a map is a picture .png or a page .html, got {target.name}")
     with Catalogue.opened(catalogue) as store:
         index = store.index(PipelineOptions.of(options, store.options).without_labels)
-        labels = {origin.id: origin.label for origin in store.origins()}
+        labels = store.labels()
         classes = [labels[shape_id] for shape_id in index.ids]
         title = f"Map of {Path(store.location).name}"
-        places = index.places()
+        places = store.cache.places(index.points, store.revision())
         if target.suffix.lower() == ".png":
             from pcretrieve.draw.plot import draw_places
 

@@ -277,12 +277,6 @@ class SignatureIndex:
         score_of = dict(zip(found.ids, self.scores.of(found.distances).tolist(), strict=True))
         return replace(results, scores=np.array([score_of[shape_id] for shape_id in results.ids]))
 
-    def places(self, rows: Positions | None = None) -> FloatArray:
-        """Places in the plane for all shapes or some, as by `plane_map`."""
-        from pcretrieve.retrieval.clusters import plane_map
-
-        return plane_map(self.points if rows is None else self.points[rows])
-
     def load(self) -> None:
         """Load the compiled code now, so that no later query waits for it."""
         self._n_answered = N_INTERPRETED

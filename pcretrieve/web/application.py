@@ -30,7 +30,6 @@ from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.values import UPWARD
 from pcretrieve.web.comparison import Maps, compared, mesh_of, scene_document
 from pcretrieve.web.documents import (
-    class_names,
     job_document,
     listing_document,
     record_of,
@@ -140,6 +139,10 @@ class _Asked:
         return self.site.jobs.job(self.name)
 
     @property
+    def classes(self) -> list[str]:
+        return sorted({label for label in self.catalogue.labels().values() if label is not None})
+
+    @property
     def similar(self) -> Similar:
         return Similar.of(self.request.query_params)
 
@@ -182,7 +185,7 @@ def _collection(asked: _Asked) -> Response:
         "collection.html",
         listing=listing,
         found=listing_document(asked.catalogue, listing),
-        classes=class_names(asked.catalogue),
+        classes=asked.classes,
         suffixes=() if asked.site.given_jobs is None else ONE_FILE,
         most_bytes=asked.site.most_bytes,
         keeps_scans=asked.site.keeps_scans,
@@ -198,7 +201,7 @@ def _shape(asked: _Asked) -> Response:
         shape=shape_document(record),
         asked=asked.similar,
         found=asked.found() if record.status == "done" else None,
-        classes=class_names(asked.catalogue),
+        classes=asked.classes,
         can_be_turned=asked.site.given_jobs is not None and asked.site.thumbnails.up is None,
     )
 
@@ -216,7 +219,7 @@ def _scan(asked: _Asked) -> Response:
         asked=asked.similar,
         found=None if described is None else asked.found(job),
         job=job_document(job),
-        classes=class_names(asked.catalogue),
+        classes=asked.classes,
         has_picture=described is not None and described.picture is not None,
         can_be_kept=job.scan is not None and asked.site.keeps_scans,
     )

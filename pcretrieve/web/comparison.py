@@ -14,7 +14,6 @@ from pcretrieve.draw.thumbnail import direction_upwards
 from pcretrieve.errors import InputError, ShapeError
 from pcretrieve.pages.html import without_folders
 from pcretrieve.pages.map_page import map_drawing
-from pcretrieve.pages.scene import measures, surface_scene
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.values import FloatArray, unit_of
 from pcretrieve.web.documents import record_of, shape_document
@@ -42,6 +41,9 @@ def compared(
     index = catalogue.index(options)
     distance = float(index.between(pair)[0, 1])
     score = None if index.scores is None else float(index.scores.of(np.array([distance]))[0])
+    # Imported here, as below, so that the server starts sooner.
+    from pcretrieve.pages.scene import measures
+
     rows: list[tuple[str, float, float]] = []
     with suppress(Refused):
         first, second = (measures(*_mesh_and_up(catalogue, name, thumbnails)) for name in pair)
@@ -60,6 +62,8 @@ def scene_document(
     catalogue: Catalogue, shape_id: str, thumbnails: Thumbnails, other: str | None
 ) -> dict[str, Any]:
     """The surface of a shape for the viewer of a browser, coloured by where another one differs."""
+    from pcretrieve.pages.scene import surface_scene
+
     mesh, up = _mesh_and_up(catalogue, shape_id, thumbnails)
     return surface_scene(mesh, up, None if other is None else _mesh_and_up(catalogue, other, thumbnails)[0])
 
@@ -99,10 +103,10 @@ class Maps:
         rows = np.arange(len(index))
         if len(rows) > MOST_SHAPES:
             rows = np.sort(np.random.default_rng(SEED).choice(rows, MOST_SHAPES, replace=False))
-        places = self._of(index, rows)
+        places = self._of(catalogue, index, rows)
         drawing, ids = None, [index.ids[row] for row in rows.tolist()]
         if places is not None:
-            labels = {origin.id: origin.label for origin in catalogue.origins()}
+            labels = catalogue.labels()
             drawing = map_drawing(ids, [labels.get(name) for name in ids], places)
         return {
             "drawing": drawing,
@@ -115,12 +119,13 @@ class Maps:
         """End the thread."""
         self._thread.shutdown(cancel_futures=True)
 
-    def _of(self, index: SignatureIndex, rows: Any) -> FloatArray | None:
+    def _of(self, catalogue: Catalogue, index: SignatureIndex, rows: Any) -> FloatArray | None:
         """(n, 2) the places of rows of the index; None if they are not known yet."""
-        key = tuple(index.ids), index.whitening.mean.tobytes()
+        key, revision = (tuple(index.ids), index.whitening.mean.tobytes()), catalogue.revision()
         with self._lock:
             if self._places is None or key != self._key:
-                self._key, self._places = key, self._thread.submit(index.places, rows)
+                self._key = key
+                self._places = self._thread.submit(catalogue.cache.places, index.points[rows], revision)
             places = self._places
         try:
             return places.result(PATIENCE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Collection
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -58,40 +59,38 @@ def shape_document(record: Record) -> Document:
 def listing_document(catalogue: Catalogue, listing: Listing) -> Document:
     """A page of the collection."""
     words = listing.q.casefold().split()
-    among = None
+    labels = catalogue.labels()
+    among: Collection[str] = labels
     if listing.state == "incomplete":
         among = {record.id for page in catalogue.pages(incomplete=True) for record in page}
+    elif listing.state:
+        among = {record.id for record in catalogue.records(status="failed")}
+        among = among if listing.state == "failed" else labels.keys() - among
     chosen = [
-        origin
-        for origin in catalogue.origins()
-        if (not listing.label or origin.label == listing.label)
-        and (listing.state not in ("done", "failed") or origin.status == listing.state)
-        and (among is None or origin.id in among)
-        and all(word in origin.id.casefold() for word in words)
+        shape_id
+        for shape_id, label in labels.items()
+        if (not listing.label or label == listing.label)
+        and shape_id in among
+        and all(word in shape_id.casefold() for word in words)
     ]
     if listing.since or listing.until or listing.sort.endswith("added"):
         times = defaultdict(str, catalogue.times())  # without shapes that were stored since
         first, last = str(listing.since or ""), str(listing.until or "9999-12-31")
-        chosen = [origin for origin in chosen if first <= times[origin.id][:DAY] <= last]
+        chosen = [shape_id for shape_id in chosen if first <= times[shape_id][:DAY] <= last]
     if listing.sort.endswith("label"):  # a stable sort, so that shapes of one class are in the order of ids
-        chosen.sort(key=lambda origin: (origin.label is None, origin.label or ""))
+        chosen.sort(key=lambda shape_id: (labels[shape_id] is None, labels[shape_id] or ""))
     elif listing.sort.endswith("added"):
-        chosen.sort(key=lambda origin: times[origin.id])
+        chosen.sort(key=times.__getitem__)
     if listing.sort.startswith("-"):
         chosen.reverse()
     start = (listing.page - 1) * PAGE
-    found = (catalogue.get(origin.id) for origin in chosen[start : start + PAGE])
+    found = map(catalogue.get, chosen[start : start + PAGE])
     return {
         "total": len(chosen),
         "page": listing.page,
         "pages": -(-len(chosen) // PAGE),
         "shapes": [shape_document(record) for record in found if record is not None],
     }
-
-
-def class_names(catalogue: Catalogue) -> list[str]:
-    """The classes of the shapes of a catalogue."""
-    return sorted({origin.label for origin in catalogue.origins() if origin.label is not None})
 
 
 def job_document(job: Job) -> Document:

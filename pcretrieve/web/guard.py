@@ -11,7 +11,7 @@ from __future__ import annotations
 import hmac
 import time
 from collections.abc import Awaitable, Callable, MutableMapping
-from typing import Any, NamedTuple
+from typing import Any
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
 Scope = MutableMapping[str, Any]
@@ -42,13 +42,6 @@ HEADERS = {
 }
 
 
-class _Refusal(NamedTuple):
-    """Why a request is not answered."""
-
-    status: int
-    words: str
-
-
 class Guard:
     """An ASGI application that hands on requests with the right host, origin and token, and no others."""
 
@@ -74,57 +67,52 @@ class Guard:
         if refusal is not None:
             # Refused connections are closed, so that nobody without the token keeps one open.
             refused = {"content-type": "text/plain; charset=utf-8", "connection": "close"}
-            await _sent(send, refusal.status, refused, refusal.words)
+            await _sent(send, refusal[0], refused, refusal[1])
         elif given is not None and scope["method"] in SAFE_METHODS:
             rest = urlencode([pair for pair in query if pair[0] != "token"])
             # With one slash at the beginning, because two would be followed by the name of another host.
             path = "/" + scope["raw_path"].decode("latin-1").lstrip("/\\")
             # Not the token of the address, which may be wrong if the request has another that is right.
-            cookie = f"{COOKIE}{_port(host)}={self._token.decode()}; Path=/; HttpOnly; SameSite=Strict"
+            cookie = (
+                f"{COOKIE}{_name_and_port(host)[1]}={self._token.decode()}; Path=/; HttpOnly; SameSite=Strict"
+            )
             await _sent(send, 303, {"location": f"{path}?{rest}" if rest else path, "set-cookie": cookie}, "")
         else:
             raw = {**scope, "path": scope["raw_path"].decode("latin-1")}
             await self._application(raw, receive, send)
 
-    def _refusal(self, method: str, host: str, headers: dict[str, str], given: str | None) -> _Refusal | None:
-        if _hostname(host) not in HOSTS:
-            return _Refusal(
-                400, "This server answers at 127.0.0.1 and localhost only: use the address it printed.\n"
-            )
+    def _refusal(
+        self, method: str, host: str, headers: dict[str, str], given: str | None
+    ) -> tuple[int, str] | None:
+        """The status and the words of a request that is not answered."""
+        if _name_and_port(host)[0] not in HOSTS:
+            return (400, "This server answers at 127.0.0.1 and localhost only: use the address it printed.\n")
         origin = headers.get("origin")
         if origin not in (None, f"http://{host}"):
-            return _Refusal(403, "Pages of other sites may not use this server.\n")
+            return (403, "Pages of other sites may not use this server.\n")
         scheme, _, bearer = headers.get("authorization", "").partition(" ")
         by_header = scheme.lower() == "bearer" and self._is_token(bearer)
-        by_cookie = any(map(self._is_token, _cookies(headers, _port(host))))
+        by_cookie = any(map(self._is_token, _cookies(headers, _name_and_port(host)[1])))
         if not (by_header or by_cookie or self._is_token(given)):
-            return _Refusal(
+            return (
                 403,
                 "The token is missing or wrong: open the address that `pcretrieve serve` printed, which "
                 "ends in ?token=..., or send the header Authorization: Bearer TOKEN.\n",
             )
         if method not in SAFE_METHODS and origin is None and not by_header:
-            return _Refusal(
-                403, "A request that changes something needs an Origin, or the token in Authorization.\n"
-            )
+            return (403, "A request that changes something needs an Origin, or the token in Authorization.\n")
         return None
 
     def _is_token(self, given: str | None) -> bool:
         return given is not None and hmac.compare_digest(given.encode("utf-8", "replace"), self._token)
 
 
-def _hostname(host: str) -> str | None:
+def _name_and_port(host: str) -> tuple[str | None, int]:
     try:
-        return urlsplit(f"//{host}").hostname
+        parts = urlsplit(f"//{host}")
+        return parts.hostname, parts.port or 80
     except ValueError:
-        return None
-
-
-def _port(host: str) -> int:
-    try:
-        return urlsplit(f"//{host}").port or 80
-    except ValueError:
-        return 80
+        return None, 80
 
 
 def _cookies(headers: dict[str, str], port: int) -> list[str]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pcretrieve import Catalogue, PipelineOptions, ingest
+from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.errors import InputError
 from pcretrieve.pages.html import without_folders
 from pcretrieve.query import Described, described_scan
@@ -103,6 +103,8 @@ class Collection:
                 raise
 
     def _ingested(self, store: Catalogue, target: Path, label: str | None) -> Record:
+        from pcretrieve import ingest  # here, because the server does not need the stages
+
         labels = None if label is None else {target.name: label}
         done = ingest([target], store, labels=labels, workers=1, timeout=self.timeout, memory=self.memory)
         for _, other in done.duplicates:

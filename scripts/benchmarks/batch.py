@@ -27,7 +27,8 @@ from benchmarks.measuring import Column, Table, argument_parser, positive, print
 from benchmarks.uniform import UniformOptions, scan_uniformly
 from pcretrieve import ingest
 from pcretrieve.errors import BenchmarkError
-from pcretrieve.ingestion import DaskExecutor, Executor, in_processes
+from pcretrieve.ingestion.cluster import DaskExecutor
+from pcretrieve.ingestion.pool import Executor, in_processes
 from pcretrieve.simulation import POSES, body, make_subject, write_ply
 
 __all__ = ["EXECUTORS", "Run", "main", "run_of"]

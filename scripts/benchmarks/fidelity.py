@@ -53,7 +53,7 @@ from pcretrieve.descriptors import describe
 from pcretrieve.draw.open3d import RayScene, open3d_cloud
 from pcretrieve.errors import BenchmarkError, InputError, PcretrieveError
 from pcretrieve.formats import read_scan
-from pcretrieve.ingestion import in_processes
+from pcretrieve.ingestion.pool import in_processes
 from pcretrieve.options import JUDGED, PipelineOptions, RetrievalOptions, WhiteningKind
 from pcretrieve.pipeline.process import process, signature
 from pcretrieve.points import clean, oriented_normals

@@ -23,7 +23,7 @@ from tqdm import tqdm
 from pcretrieve.errors import BenchmarkError, PcretrieveError
 from pcretrieve.evaluation import RetrievalMeasures, rank_table
 from pcretrieve.evaluation.measures import evaluate_rankings
-from pcretrieve.ingestion import in_processes
+from pcretrieve.ingestion.pool import in_processes
 from pcretrieve.values import FloatArray
 from pcretrieve.values.files import write_file
 

@@ -12,7 +12,8 @@ import pytest
 from processes import PATIENCE, wait_for
 
 from pcretrieve.errors import InputError, MemoryExceeded, PcretrieveError, Stage, UnexpectedError, in_stage
-from pcretrieve.ingestion import in_processes, pool
+from pcretrieve.ingestion import pool
+from pcretrieve.ingestion.pool import in_processes
 
 HALF_THE_MEMORY = 1 << 29  # bytes, of 1 GiB
 hoard: list[object] = []  # what a worker never gives back

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pcretrieve.checks import Check, Inspection, graded
 from pcretrieve.checks.stages import fit_checks, surface_checks
 from pcretrieve.draw.pictures import Colour
-from pcretrieve.pages import write_inspection_page
+from pcretrieve.pages.inspection_page import write_inspection_page
 from pcretrieve.pages.inspection_pictures import DROPPED, KEPT, inspection_cameras, rows_of
 from pcretrieve.pages.scene import measures, thicker
 from pcretrieve.simulation import POSES, body, make_subject

@@ -11,7 +11,7 @@ from pcretrieve.errors import InputError
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.query import SURE, UNLIKELY, Match
 from pcretrieve.retrieval import SignatureIndex, pairwise, table_whitening
-from pcretrieve.retrieval.clusters import GAP, near_pairs
+from pcretrieve.retrieval.clusters import GAP, near_pairs, plane_map
 from pcretrieve.retrieval.scores import MatchScores, fit_scores
 from pcretrieve.values import SignatureTable
 
@@ -108,10 +108,10 @@ def test_near_pairs_are_those_of_all_pairs(n: int) -> None:
 def test_a_map_keeps_neighbours_and_hides_none() -> None:
     labels = np.repeat(np.arange(8), 10)
     index = SignatureIndex(classes(8, 10, seed=0, spread=0.02), PLAIN)
-    places = index.places()
+    places = plane_map(index.points)
     assert places.min() >= 0 and places.max() <= 1
     np.testing.assert_allclose(np.ptp(places, axis=0).max(), 1)
     apart = cdist(places, places) + 9 * np.eye(80)
     assert (labels[apart.argmin(axis=1)] == labels).all()
     assert apart.min() > 0.5 * GAP
-    np.testing.assert_array_equal(index.places(), places)
+    np.testing.assert_array_equal(plane_map(index.points), places)
