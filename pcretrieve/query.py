@@ -529,11 +529,8 @@ def _labelled(catalogue: Catalogue, labels: Collection[str]) -> set[str]:
     check_many("labels", labels)
     among = set(catalogue.labelled(labels))
     if not among:
-        meant = (
-            did_you_mean(next(iter(labels)), set(filter(None, catalogue.labels().values())))
-            if len(labels) == 1
-            else ""
-        )
+        known = set(filter(None, catalogue.labels().values()))
+        meant = did_you_mean(next(iter(labels)), known) if len(labels) == 1 else ""
         raise InputError(
             f"no shape of {catalogue.location} is of the class {' or '.join(sorted(labels))}; "
             f"`pcretrieve list` shows the classes{meant}"

@@ -6,7 +6,7 @@ psycopg is installed by the extra ``postgresql`` (``pip install pcretrieve[postg
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
@@ -108,11 +108,9 @@ class PostgresqlDatabase:
             while rows := cursor.fetchmany(READ_AT_ONCE):
                 yield [[row[column] for row in rows] for column in range(len(rows[0]))]
 
-    @contextmanager
-    def reading(self) -> Iterator[None]:
+    def reading(self) -> AbstractContextManager[None]:
         """One transaction, in which everything that is read belongs to one state."""
-        with self._transaction("REPEATABLE READ"):
-            yield
+        return self._transaction("REPEATABLE READ")
 
     @contextmanager
     def writing(self, lock: str = LOCK) -> Iterator[None]:

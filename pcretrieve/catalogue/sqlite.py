@@ -13,7 +13,7 @@ import os
 import re
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from os.path import samestat
 from pathlib import Path
 from typing import Any, Literal
@@ -114,11 +114,9 @@ class SqliteDatabase:
             # Faster than zip(*rows), which creates an iterator of each row.
             yield [[row[column] for row in rows] for column in range(len(rows[0]))]
 
-    @contextmanager
-    def reading(self) -> Iterator[None]:
+    def reading(self) -> AbstractContextManager[None]:
         """One transaction, in which everything that is read belongs to one state."""
-        with self._transaction("DEFERRED"):
-            yield
+        return self._transaction("DEFERRED")
 
     @contextmanager
     def writing(self) -> Iterator[None]:

@@ -67,7 +67,6 @@ def test_records_are_found(rows: Rows, new_location: str, monkeypatch: pytest.Mo
     assert rows.origins()[1] == Record("b", "/b.ply", "hash-b", "label", "done")
     assert rows.origins()[4] == Record("e", "/e.ply", "", None, "failed")
     assert rows.times() == {found.id: found.added for found in rows.records()}
-    assert rows.labels() == {found.id: found.label for found in rows.records()}
     rows.store(done("f", content_hash="hash-b"))
     assert ids(rows.several(["d", "nobody", "a", "d"])) == ["a", "d"]
     assert ids(rows.with_content("hash-b")) == ["b", "f"]

@@ -26,10 +26,8 @@ CUBE_SIDES = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 
 
 
 def surface(vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh:
-    return TriangleMesh(
-        np.asarray(vertices, dtype=np.float64).reshape(-1, 3),
-        np.asarray(faces, dtype=np.int32).reshape(-1, 3),
-    )
+    points, corners = np.reshape(vertices, (-1, 3)), np.reshape(faces, (-1, 3))
+    return TriangleMesh(points.astype(np.float64), corners.astype(np.int32))
 
 
 def box(centre: tuple[float, float, float], sides: tuple[float, float, float]) -> TriangleMesh:

@@ -13,7 +13,6 @@ from processes import PATIENCE, wait_for
 
 from pcretrieve.errors import InputError, MemoryExceeded, PcretrieveError, Stage, UnexpectedError, in_stage
 from pcretrieve.ingestion import pool
-from pcretrieve.ingestion.pool import in_processes
 
 HALF_THE_MEMORY = 1 << 29  # bytes, of 1 GiB
 hoard: list[object] = []  # what a worker never gives back
@@ -78,10 +77,10 @@ def test_every_item_has_its_outcome_and_no_process_is_left(monkeypatch: pytest.M
         return started[-1]
 
     monkeypatch.setattr(pool, "Worker", counted)
-    assert len(list(in_processes(own_process, range(2), workers=8, timeout=PATIENCE))) == 2
+    assert len(list(pool.in_processes(own_process, range(2), workers=8, timeout=PATIENCE))) == 2
     assert len(started) == 2
     items = iter(range(1000))
-    running = in_processes(own_process, items, workers=2)
+    running = pool.in_processes(own_process, items, workers=2)
     for _ in range(6):
         item, outcome = next(running)
         assert isinstance(outcome, tuple) and outcome[0] == item
@@ -91,7 +90,7 @@ def test_every_item_has_its_outcome_and_no_process_is_left(monkeypatch: pytest.M
 
 
 def test_every_exception_and_every_bad_answer_is_the_outcome_of_its_item() -> None:
-    found: dict[str, Any] = dict(in_processes(do, [*RAISED, "lock", "none", "explosive"], workers=1))
+    found: dict[str, Any] = dict(pool.in_processes(do, [*RAISED, "lock", "none", "explosive"], workers=1))
     assert found["none"] is None
     for name, (_, kind, stage) in RAISED.items():
         outcome = found[name]
@@ -101,8 +100,8 @@ def test_every_exception_and_every_bad_answer_is_the_outcome_of_its_item() -> No
 
 
 def test_what_lacks_memory_in_a_used_worker_is_tried_in_a_fresh_one() -> None:
-    assert dict(in_processes(keep_half_the_memory, range(3), workers=1, memory=1)) == {0: 0, 1: 1, 2: 2}
+    assert dict(pool.in_processes(keep_half_the_memory, range(3), workers=1, memory=1)) == {0: 0, 1: 1, 2: 2}
     with pytest.raises(
         PcretrieveError, match=r"could take a shape.* the last one printed: ZeroDivisionError"
     ):
-        list(in_processes(unready, [0]))
+        list(pool.in_processes(unready, [0]))

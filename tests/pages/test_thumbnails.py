@@ -107,15 +107,11 @@ def test_what_is_up_can_be_said_for_each_page(
     assert catalogue.up == up
     assert [is_upright(pictures.of(catalogue, one) or b"") for one in catalogue.records()] == [stands] * 3
     assert all((one == direction).all() for one in np.array(drawn))
-    for words, axis in (
-        (["report"], "y"),
-        (["lab", "map"], "-y"),
-        (["query", "0", "-k", "3", "--html"], "y"),
-    ):
+    for axis, words in {"y": "report", "-y": "lab map", "-x": "query 0 -k 3 --html"}.items():
         drawn.clear()
         output = () if "--html" in words else ("-o",)
-        run(*words, *output, tmp_path / f"{words[0]}.html", "--up", axis, "-c", catalogue.location)
-        assert catalogue.up == axis and len(drawn) == 3, words[0]
+        run(*words.split(), *output, tmp_path / f"{axis}.html", "--up", axis, "-c", catalogue.location)
+        assert catalogue.up == axis and len(drawn) == 3, words
     pictures.say(catalogue, None)
     assert catalogue.up is None and catalogue.thumbnail("0") is None, "drawn again as it shows"
     shown = pictures.of(catalogue, catalogue.record("0")) or b""
