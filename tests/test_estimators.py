@@ -24,14 +24,7 @@ from pcretrieve.estimators import (
     WithinClassWhitening,
 )
 from pcretrieve.options import RetrievalOptions, SignatureOptions
-from pcretrieve.retrieval import (
-    DISTANCES,
-    SignatureIndex,
-    coordinates,
-    fit_whitening,
-    pairwise,
-    people,
-)
+from pcretrieve.retrieval import DISTANCES, SignatureIndex, coordinates, fit_whitening, pairwise, people
 
 WHITENINGS = (NeighbourWhitening(), PCAWhitening(), WithinClassWhitening(), PeopleWhitening("r-bihdm"))
 

@@ -8,9 +8,7 @@ from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components, dijkstra
-from scipy.spatial import cKDTree
+from scipy.sparse.csgraph import dijkstra
 
 from pcretrieve.checks.grading import Check
 from pcretrieve.checks.stages import (
@@ -25,6 +23,7 @@ from pcretrieve.checks.stages import (
 )
 from pcretrieve.draw.open3d import RayScene
 from pcretrieve.points.density import local_spacings
+from pcretrieve.points.grid import joined_by
 from pcretrieve.points.neighbors import SPACING_NEIGHBORS, Neighborhoods, nearest
 from pcretrieve.surface import SurfaceMarks, components
 from pcretrieve.values import FloatArray, PointCloud, Shape, TriangleMesh
@@ -204,9 +203,11 @@ def _spacings(points: FloatArray, chosen: NDArray[np.intp]) -> FloatArray:
 
 def _places(cells: FloatArray, reach: float) -> FloatArray:
     """Centroids of groups of cells, (p, 3); cells nearer to each other than `reach` are in one group."""
-    near = cKDTree(cells).query_pairs(reach, output_type="ndarray") if len(cells) else np.zeros((0, 2), int)
-    links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(cells), len(cells)))
-    n, group = connected_components(links, directed=False)
-    sums = np.stack([np.bincount(group, cells[:, axis], n) for axis in range(3)], axis=1)
-    middles: FloatArray = sums / np.bincount(group, minlength=n)[:, None]
-    return middles
+    if not len(cells):
+        return cells
+    from scipy.spatial import cKDTree
+
+    a, b = cKDTree(cells).query_pairs(reach, output_type="ndarray").T
+    group = joined_by(a, b, len(cells))
+    sums = np.stack([np.bincount(group, cells[:, axis]) for axis in range(3)], axis=1)
+    return np.asarray(sums / np.bincount(group)[:, None])

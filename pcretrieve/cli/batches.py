@@ -49,18 +49,14 @@ QUOTED = 5
 @opt.limit_options
 @opt.rare_option("--scheduler ADDRESS", "Process the scans on the Dask cluster of this scheduler.")
 @opt.rare_option(
-    "--scheduler-file FILE",
-    "The same, by the file that `dask scheduler --scheduler-file` writes.",
-    opt.PATH,
+    "--scheduler-file FILE", "The same, by the file that `dask scheduler --scheduler-file` writes.", opt.PATH
 )
 @opt.option("--retry-failed", "Process failed scans again too.")
 @opt.rare_option(
     "--retries N", "Try failing scans again, at most N times, with changes.", opt.NUMBER, default=0
 )
 @opt.rare_option(
-    "--max-failures N",
-    "Stop after N scans have failed. The same command goes on from there.",
-    opt.COUNT,
+    "--max-failures N", "Stop after N scans have failed. The same command goes on from there.", opt.COUNT
 )
 @opt.rare_option("--dry-run", "Show what would be done, and do nothing.")
 @opt.progress_option
@@ -71,12 +67,7 @@ QUOTED = 5
     "Process only part I of N, as one task of a job array; `catalogue merge` joins the catalogues.",
 )
 def ingest_command(
-    paths: tuple[str, ...],
-    catalogue: str,
-    progress: str,
-    quiet: bool,
-    log_file: Path | None,
-    **values: Any,
+    paths: tuple[str, ...], catalogue: str, progress: str, quiet: bool, log_file: Path | None, **values: Any
 ) -> out.Result:
     """Process scans, and store them in a catalogue.
 

@@ -241,9 +241,7 @@ def exit_code(error: PcretrieveError | click.ClickException) -> int:
     return EXIT_USAGE if isinstance(error, OptionError) else EXIT_ERROR
 
 
-def failure_facts(
-    failure: PcretrieveError | click.ClickException | pr.Record | Failure,
-) -> dict[str, Any]:
+def failure_facts(failure: PcretrieveError | click.ClickException | pr.Record | Failure) -> dict[str, Any]:
     """What failed, for JSON: the name of the exception, the stage, if there is one, and the message."""
     kind = type(failure).__name__ if isinstance(failure, Exception) else failure.error
     return {"error": kind, "stage": getattr(failure, "stage", None), "message": failure.message}

@@ -13,8 +13,6 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.cluster.vq import kmeans2
-from scipy.spatial.distance import cdist
 
 from pcretrieve.descriptors.descriptor import Descriptor, shipped
 from pcretrieve.errors import OptionError
@@ -140,6 +138,8 @@ class Vocabulary(NamedTuple):
 
         It is proportional to exp(−‖p − w‖² / 2σ²) for point descriptor p and word w; each row sums to 1.
         """
+        from scipy.spatial.distance import cdist
+
         squared = cdist(features, self.words, "sqeuclidean")  # (n, L)
         # Subtracting the smallest distance keeps the sum from underflowing to zero far from all words.
         nearness = np.exp(-(squared - squared.min(axis=1, keepdims=True)) / (2 * width**2))
@@ -148,6 +148,9 @@ class Vocabulary(NamedTuple):
 
 def clustered(sample: FloatArray, n_words: int) -> Vocabulary:
     """The vocabulary of a sample (s, d) of point descriptors, by k-means from a fixed start."""
+    from scipy.cluster.vq import kmeans2
+    from scipy.spatial.distance import cdist
+
     most = len(sample) // POINTS_PER_WORD
     if not 2 <= n_words <= most:
         raise OptionError(f"n_values must be between 2 and {most} for a bag of words, got {n_words}")

@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from pcretrieve.catalogue import Content, Record
-from pcretrieve.draw.open3d import library
-from pcretrieve.draw.thumbnail import thumbnail
 from pcretrieve.errors import (
     InputError,
     MemoryExceeded,
@@ -19,7 +17,6 @@ from pcretrieve.errors import (
     WorkerDied,
 )
 from pcretrieve.options import PipelineOptions, SurfaceOptions
-from pcretrieve.pipeline.process import process, signature_of
 from pcretrieve.values import Step
 
 Changes = dict[str, Any]  # of options of the table `surface`
@@ -61,7 +58,12 @@ class Work:
 
     def prepare(self) -> None:
         """Import what scans need: a worker without the memory for that does not start, and blames no scan."""
+        from pcretrieve.draw.open3d import library
+        from pcretrieve.pipeline.process import compile_stages
+
         library()
+        if self.options.surface.mode != "keep":
+            compile_stages()
 
     def __call__(self, attempt: Attempt) -> Content:
         """Process the scan."""
@@ -70,6 +72,9 @@ class Work:
 
 def content_of(path: Path, options: PipelineOptions) -> Content:
     """Process one scan."""
+    from pcretrieve.draw.thumbnail import thumbnail
+    from pcretrieve.pipeline.process import process, signature_of
+
     shape = process(path, options)
     signature = signature_of(shape, options, path).values
     picture = None

@@ -69,7 +69,7 @@ OF_UNKNOWN_CAUSE = (StageTimeout, WorkerDied, MemoryExceeded, UnexpectedError)
 
 # Longest times; seconds. A killed process cannot end while it waits for a disk or a network; most processes
 # that close their pipe do so by ending, and their own exit code says more than that of a kill.
-START_TIMEOUT = 120.0  # until a worker is ready, which is its first answer
+START_TIMEOUT = 300.0  # until a worker is ready, which is its first answer; it may have to compile
 KILL_TIMEOUT = 5.0  # until a killed process has ended
 EXIT_TIMEOUT = 2.0  # until a process that has closed its pipe is killed
 
@@ -144,6 +144,9 @@ def in_processes(
                 if (news := worker.news()) is None:
                     continue
                 if not worker.n_items:
+                    if isinstance(*news, str):
+                        _tell_once(*news)
+                        continue
                     failed_starts = failed_starts + 1 if worker.is_gone else 0
                     if failed_starts == MAX_FAILED_STARTS:
                         raise PcretrieveError(_no_start(worker))
@@ -192,6 +195,12 @@ def _is_tried_again(worker: Worker[Any, Any], outcome: object) -> bool:
     """Whether an item may have failed because other data were in memory, and has not been tried twice."""
     crowded = isinstance(outcome, MemoryExceeded) and worker.n_items > 1
     return (crowded or isinstance(outcome, WorkerDied)) and worker.attempt < MAX_ATTEMPTS
+
+
+@cache
+def _tell_once(message: str) -> None:
+    """Log what each worker says while it starts."""
+    logging.getLogger("pcretrieve").warning(message)
 
 
 def _no_start(worker: Worker[Any, Any]) -> str:
@@ -397,10 +406,18 @@ def _serve(
     output.close()
     if not _prepare(folder, memory):
         return
+
+    def tell(record: logging.LogRecord) -> bool:
+        items.send(record.getMessage())  # the parent logs it
+        return False
+
+    log = logging.getLogger("pcretrieve")
+    log.addFilter(tell)
     try:
         getattr(function, "prepare", bool)()
     except Exception as error:
         raise SystemExit(f"{type(error).__name__}: {error}") from error
+    log.removeFilter(tell)
     own = os.getpid()
     with suppress(EOFError, ConnectionError):  # the parent has ended, on a system other than Linux
         items.send(True)

@@ -18,7 +18,6 @@ from pcretrieve.formats.write import check_output
 from pcretrieve.ingestion.plan import versions
 from pcretrieve.ingestion.pool import alone
 from pcretrieve.options import OptionsLike, PipelineOptions, describe_options
-from pcretrieve.pipeline.inspecting import inspect_scan
 from pcretrieve.values.files import write_file
 
 
@@ -115,6 +114,8 @@ def _measured(scan: Path, options: PipelineOptions) -> tuple[dict[str, object], 
     logger = logging.getLogger("pcretrieve")
     logger.addHandler(handler)
     logger.setLevel(logging.DEBUG)
+    from pcretrieve.pipeline.inspecting import inspect_scan
+
     inspection = inspect_scan(scan, options, n_rescans=0)
     return {
         "failure": None if inspection.failure is None else asdict(inspection.failure),

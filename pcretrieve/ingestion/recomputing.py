@@ -26,7 +26,6 @@ from pcretrieve.formats.identity import content_hash
 from pcretrieve.ingestion.attempts import content_of
 from pcretrieve.ingestion.pool import in_processes
 from pcretrieve.options import PipelineOptions
-from pcretrieve.pipeline.process import signature_of_surfaces
 from pcretrieve.values import FloatArray, TriangleMesh
 
 # Largest relative difference of a value that is computed again. Other processors and libraries move values by
@@ -159,5 +158,7 @@ def _tasks(catalogue: Catalogue, records: Iterable[Record]) -> Iterator[_Task]:
 
 def _again(options: PipelineOptions, task: _Task) -> FloatArray:
     if task.meshes:
+        from pcretrieve.pipeline.process import signature_of_surfaces
+
         return signature_of_surfaces(task.meshes, options).values
     return content_of(Path(task.record.path), options).signature

@@ -21,7 +21,7 @@ from pcretrieve.ingestion.plan import Plan, Planner, Processing, failed
 from pcretrieve.ingestion.pool import Executor, in_processes, remove_abandoned
 from pcretrieve.ingestion.progress import Progress
 from pcretrieve.options import OptionsLike, PipelineOptions
-from pcretrieve.pipeline.process import compile_stages, log_steps, scan_name
+from pcretrieve.pipeline import log_steps
 
 logger = logging.getLogger(__name__)
 
@@ -315,8 +315,6 @@ class _Run:
             self._counts.skip(len(made.held) + len(made.duplicates))
             for record in made.unreadable:
                 self._store(record, None)
-            if made.process and self._catalogue.options.surface.mode != "keep":
-                compile_stages()  # in one process, before the workers start
             for path, record in made.process:
                 yield Attempt(path, record)
 
@@ -331,7 +329,7 @@ class _Run:
         if upcoming is None:
             self._store(replace(failed(attempt.record, outcome), steps=attempt.steps), None)
         else:
-            logger.warning("%s: %s", scan_name(attempt.path), printable(upcoming.notes[-1]))
+            logger.warning("%s: %s", attempt.path.name, printable(upcoming.notes[-1]))
             self.later.append(upcoming)
 
     def _store(self, record: Record, content: Content | None) -> None:
@@ -340,7 +338,7 @@ class _Run:
             kept = f"{record.message}; the catalogue keeps what was made of this file on {stored.added}"
             stored = replace(record, id=stored.id, message=kept)
         (self.summary.failed if content is None else self.summary.done).append(stored)
-        log_steps(scan_name(stored.path), stored.steps)
+        log_steps(Path(stored.path).name, stored.steps)
         for other in () if content is None else self._catalogue.with_content(stored.content_hash):
             if other.path != stored.path and Path(other.path).suffix == Path(stored.path).suffix:
                 logger.warning("%s and %s, of another ingest, are the same scan", stored.path, other.path)

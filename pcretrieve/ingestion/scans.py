@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
@@ -14,7 +14,6 @@ from pcretrieve.formats.identity import printable
 from pcretrieve.formats.write import check_output
 from pcretrieve.ingestion.discover import discover, shape_ids
 from pcretrieve.ingestion.pool import in_processes
-from pcretrieve.pipeline.process import compile_stages
 
 Found = TypeVar("Found")
 
@@ -85,8 +84,7 @@ def map_scans(
     finished: dict[_Task, Found | ShapeError] = {}
     remaining = iter(tasks)
     upcoming = next(remaining, None)
-    compile_stages()
-    running = in_processes(partial(_applied, function), tasks, **limits)
+    running = in_processes(_Applied(function), tasks, **limits)
     with closing(running):
         for task, outcome in running:
             if isinstance(outcome, PcretrieveError):
@@ -101,8 +99,19 @@ def map_scans(
                 upcoming = next(remaining, None)
 
 
-def _applied(function: Callable[..., Found], task: _Task) -> Found:
-    return function(task.path) if task.file is None else function(task.path, task.file)
+@dataclass(frozen=True, slots=True)
+class _Applied:
+    """What a worker does with a scan."""
+
+    function: Callable[..., Any]
+
+    def prepare(self) -> None:
+        from pcretrieve.pipeline.process import compile_stages
+
+        compile_stages()
+
+    def __call__(self, task: _Task) -> Any:
+        return self.function(task.path) if task.file is None else self.function(task.path, task.file)
 
 
 def _files(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from inspect import cleandoc
+from inspect import cleandoc, getsource
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -214,8 +216,17 @@ def describe_options(options: PipelineOptions) -> str:
 def _table(name: str, options: Options) -> Iterator[str]:
     yield from _comment(options.__doc__)
     yield f"[{name}]"
-    for option, info in type(options).model_fields.items():
-        yield from _comment(info.description)
+    # Read here, because Pydantic would read the source of all classes whenever the options are imported.
+    (body,) = (
+        each.body for each in ast.parse(getsource(type(options))).body if isinstance(each, ast.ClassDef)
+    )
+    texts = {
+        ast.unparse(field.target): ast.literal_eval(text.value)
+        for field, text in pairwise(body)
+        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr)
+    }
+    for option in type(options).model_fields:
+        yield from _comment(texts.get(option))
         # TOML has no null.
         value = getattr(options, option)
         yield f"# {option} =" if value is None else f"{option} = {json.dumps(value)}"

@@ -25,12 +25,7 @@ RESCAN_SHARE = 0.9
 DROPPED = 1.1
 
 
-def inspect_scan(
-    scan: ScanLike,
-    options: OptionsLike = None,
-    *,
-    n_rescans: int = 4,
-) -> Inspection:
+def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int = 4) -> Inspection:
     """Process a scan, and check the result of each stage.
 
     If a stage fails, the results of the earlier stages are checked. Rescans are simulated by reconstructing

@@ -7,12 +7,13 @@ the origin, because far from it they lose the shape.
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import logging
 import pickle
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -37,6 +38,7 @@ from pcretrieve.errors import (
 from pcretrieve.formats import ScanLike, as_scan
 from pcretrieve.formats.identity import content_hash
 from pcretrieve.options import OptionsLike, PipelineOptions, SurfaceOptions
+from pcretrieve.pipeline import log_steps
 from pcretrieve.points import clean, crop, oriented_normals
 from pcretrieve.spectral import ELEMENTS, eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
 from pcretrieve.surface import SurfaceMarks, defects, reduced, remesh, sampled, sound_mesh, surfaces
@@ -53,8 +55,6 @@ from pcretrieve.values import (
     TriangleMesh,
 )
 from pcretrieve.values.conversion import as_geometry
-
-_LOGGER = logging.getLogger("pcretrieve.pipeline")
 
 V = TypeVar("V", PointCloud, TriangleMesh)
 
@@ -85,7 +85,11 @@ def signature(scan: ScanLike, options: OptionsLike = None, *, method: str | None
         If the scan cannot be read or has no usable surface.
     """
     options = PipelineOptions.of(options).changed(signature={"method": method} if method else {})
-    return signature_of(process(scan, options), options, scan)
+    with threadpool_limits(limits=1), placed(scan):
+        *_, last = stages(scan, options)
+        shape = shape_of(last, options)
+        log_steps(scan_name(scan), shape.provenance[-1:])
+        return signature_of(shape, options, scan)
 
 
 def reconstruct(scan: ScanLike, options: OptionsLike = None) -> TriangleMesh:
@@ -121,7 +125,7 @@ def reconstruct(scan: ScanLike, options: OptionsLike = None) -> TriangleMesh:
 
 
 def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
-    """Compute the surfaces of one scan and their spectra, on one thread.
+    """Compute the surfaces of one scan and their spectra, and check them, on one thread.
 
     More threads would not be faster, because the blocks of the eigenvalue solver are narrow, and threads wait
     for each other if a core is busy.
@@ -150,12 +154,8 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
         shape = shape_of(last, options)
         started = time.perf_counter()
         verdict = verdict_of(findings_of(last.cloud, last.mesh, last.marks, shape).checks)
-        step = Step(
-            "checks",
-            time.perf_counter() - started,
-            {"uncertainty": verdict.uncertainty},
-            () if verdict.is_good else (str(verdict),),
-        )
+        notes = () if verdict.is_good else (str(verdict),)
+        step = Step("checks", time.perf_counter() - started, {"uncertainty": verdict.uncertainty}, notes)
         shape = replace(shape, provenance=(*shape.provenance, step), verdict=verdict)
         log_steps(scan_name(scan), shape.provenance[-2:])
         return shape
@@ -227,11 +227,10 @@ class Seen:
 
 def stages(scan: ScanLike, options: PipelineOptions) -> Iterator[Seen]:
     """Run the stages before the stage ``spectrum``, and log each of them when it has ended."""
-    name, logged = scan_name(scan), 0
+    logged = 0
     for seen in _stages(scan, options):
-        steps = seen.steps
-        log_steps(name, steps[logged:])
-        logged = len(steps)
+        log_steps(scan_name(scan), seen.steps[logged:])
+        logged = len(seen.steps)
         yield seen
 
 
@@ -275,7 +274,7 @@ def _of_scan(value: PointCloud, options: PipelineOptions) -> Iterator[Seen]:
 def compile_stages() -> None:
     """Compile the loops of all stages, if numba has not done it on this computer, on a body of 4,000 points.
 
-    Each worker process would compile the same, and its time would be counted as that of a scan.
+    Workers do it before their first scan, whose time it would be counted as, one worker after the other.
     """
     from pcretrieve.points.grid import components
 
@@ -284,8 +283,11 @@ def compile_stages() -> None:
         logging.getLogger("pcretrieve").warning("compiling, once after an installation: half a minute")
         rays = np.random.default_rng(1).normal(size=(4_000, 3))
         body = rays / np.linalg.norm(rays, axis=1)[:, None] * (1.0, 0.6, 0.3)
-        *_, last = _of_scan(PointCloud(body), options := PipelineOptions())
-        describe(shape_of(last, options), options.signature)
+        with Path(__file__).open(encoding="utf-8") as file:
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(file, fcntl.LOCK_EX)
+            *_, last = _of_scan(PointCloud(body), options := PipelineOptions())
+            describe(shape_of(last, options), options.signature)
 
 
 def _of_surfaces(
@@ -432,13 +434,3 @@ def placed(scan: object) -> Iterator[None]:
 def scan_name(scan: object) -> str | None:
     """The name of a scan in messages."""
     return Path(scan).name if isinstance(scan, (str, Path)) else None
-
-
-def log_steps(name: str | None, steps: Iterable[Step]) -> None:
-    """Log steps: each at the level INFO, and its notes on repairs and fallbacks at the level WARNING."""
-    scan = name or "scan"
-    for step in steps:
-        sizes = ", ".join(f"{what} {size:.6g}" for what, size in step.sizes.items())
-        _LOGGER.info("%s: %s in %.2f s%s", scan, step.stage, step.seconds, f": {sizes}" if sizes else "")
-        for note in step.notes:
-            _LOGGER.warning("%s: %s: %s", scan, step.stage, note)

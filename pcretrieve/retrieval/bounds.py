@@ -43,9 +43,10 @@ Singles = NDArray[np.float32]
 # What `scan` is, and what it is compiled to.
 Scan = Callable[..., tuple[Rows, Singles]]
 
-# Number of principal directions that the bounds are computed from. With fewer the bounds are looser and more
-# shapes need an exact distance; with more the bounds take longer. See docs/decisions.md, N_LEADING.
-N_LEADING = 24
+# Least number of principal directions that the bounds are computed from, and least share of the variance that
+# is along them. With fewer the bounds are looser and more shapes need an exact distance; with more the bounds
+# take longer, yet less than a flat scan. See docs/decisions.md, N_LEADING.
+N_LEADING, SHARE = 24, 0.95
 
 # Largest number of the leading axes that the blocks are divided along. A million shapes are divided ten times
 # before they are in blocks.
@@ -102,11 +103,12 @@ class LowerBounds(NamedTuple):
     codes: NDArray[np.uint8]
 
     @classmethod
-    def of(cls, points: FloatArray, n_leading: int = N_LEADING) -> LowerBounds:
+    def of(cls, points: FloatArray) -> LowerBounds:
         """The bounds of the distances to points (N, L), at least one."""
         mean = points.mean(axis=0)
-        _, directions = np.linalg.eigh(scatter_matrix(points, mean))  # variances ascend
-        axes = np.ascontiguousarray(directions[:, ::-1][:, :n_leading])
+        variances, directions = np.linalg.eigh(scatter_matrix(points, mean))  # variances ascend
+        small = np.cumsum(variances) < (1 - SHARE) * variances.sum()
+        axes = np.ascontiguousarray(directions[:, ::-1][:, : max(N_LEADING, np.count_nonzero(~small))])
         leading = np.empty((min(N_DIVIDING, axes.shape[1]), len(points)), np.float32)
         with np.errstate(over="ignore"):
             for start in range(0, len(points), CHUNK):
@@ -139,10 +141,12 @@ class LowerBounds(NamedTuple):
             and self.codes.shape == (n_blocks, n_axes, size)
         )
 
-    @property
-    def cells(self) -> tuple[NDArray[np.uint8], Rows, FloatArray, FloatArray]:
-        """What `scan` reads of all blocks."""
-        return self.codes, self.rows, self.low, self.step
+    def cells(self, query: FloatArray) -> tuple[NDArray[np.uint8], Rows, Singles, Singles, FloatArray]:
+        """What `scan` reads of all blocks, for a query (D,)."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            middle = (self.low - query + self.step / 2).astype(np.float32)
+            reach = HALF_CELL * np.sqrt((self.step**2).sum(axis=1))
+            return self.codes, self.rows, middle, self.step.astype(np.float32), reach
 
     def candidates(self, point: FloatArray, k: int, radius: Callable[[Rows], float], scan: Scan) -> Positions:
         """The rows (n,), ascending, that include the `k` nearest to a point (L,) and all at equal distance.
@@ -150,14 +154,14 @@ class LowerBounds(NamedTuple):
         radius: function of (n,) rows that returns a distance within which at least `k` of them lie.
         """
         query = (point - self.mean) @ self.axes  # (D,)
-        to_blocks = self._to_blocks(query)
+        to_blocks, cells = self._to_blocks(query), self.cells(query)
         order = np.argsort(to_blocks, kind="stable")
         rows, to_rows = np.empty(0, np.int32), np.empty(0, np.float32)
         limit, start, n = math.inf, 0, N_BLOCKS
         while start < len(order) and to_blocks[order[start]] <= limit:
             chosen = order[start : start + n]
-            near = chosen[to_blocks[chosen] <= limit]
-            found = scan(*self.cells, near, query, HALF_CELL, np.float32(limit))
+            near = np.sort(chosen[to_blocks[chosen] <= limit])  # as they are in memory
+            found = scan(*cells, near, np.float32(limit))
             rows, to_rows = np.concatenate([rows, found[0]]), np.concatenate([to_rows, found[1]])
             start, n = start + n, GROWTH * n
             is_last = start >= len(order) or to_blocks[order[start]] > limit
@@ -189,26 +193,28 @@ class LowerBounds(NamedTuple):
 def scan(
     codes: NDArray[np.uint8],
     rows: Rows,
-    low: FloatArray,
-    step: FloatArray,
+    middle: Singles,
+    step: Singles,
+    reach: FloatArray,
     blocks: Positions,
-    query: FloatArray,
-    half: float,
     limit: np.float32,
 ) -> tuple[Rows, Singles]:
     """The rows of some blocks whose squared distance to their cells is at most a limit, and these squares.
 
-    half: half the length of a cell, relative to it.
+    The distance to a cell is at least that to its middle, less half its diagonal.
+
+    middle: (B, D), the middles of the first cells of each block, relative to the query.
+    reach: (B,), halves of the diagonals of the cells.
     """
-    offset = (low[blocks] - query + step[blocks] / 2).astype(np.float32)
-    single, ends = step[blocks].astype(np.float32), (half * step[blocks]).astype(np.float32)
     total = np.zeros((len(blocks), codes.shape[2]), np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
         for axis in range(codes.shape[1]):
-            apart = np.abs(codes[blocks, axis] * single[:, axis, np.newaxis] + offset[:, axis, np.newaxis])
-            total += np.maximum(apart - ends[:, axis, np.newaxis], 0) ** 2
-    within = ~(total > limit) & (rows[blocks] != NO_ROW)
-    return rows[blocks][within], total[within]
+            along = codes[blocks, axis] * step[blocks, axis, np.newaxis] + middle[blocks, axis, np.newaxis]
+            total += along**2
+        most = ((math.sqrt(limit) + reach[blocks]) ** 2).astype(np.float32)
+        within = ~(total > most[:, np.newaxis]) & (rows[blocks] != NO_ROW)
+        bounds = np.maximum(np.sqrt(total) - reach[blocks, np.newaxis], 0) ** 2
+    return rows[blocks][within], bounds[within].astype(np.float32)
 
 
 def _leaves(leading: NDArray[np.float32], members: Rows) -> Iterator[Rows]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -14,16 +16,14 @@ from pcretrieve.values import FloatArray
 def scan(
     codes: NDArray[np.uint8],
     rows: NDArray[np.int32],
-    low: FloatArray,
-    step: FloatArray,
+    middle: NDArray[np.float32],
+    step: NDArray[np.float32],
+    reach: FloatArray,
     blocks: NDArray[np.intp],
-    query: FloatArray,
-    half: float,
     limit: np.float32,
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """The rows of some blocks and their lower bounds, as by `pcretrieve.retrieval.bounds.scan`."""
     n_axes, size = codes.shape[1:]
-    zero = np.float32(0)
     near = np.empty(len(blocks) * size, np.int32)
     bounds = np.empty(len(near), np.float32)
     total = np.empty(size, np.float32)
@@ -31,16 +31,15 @@ def scan(
     for block in blocks:
         total[:] = 0
         for axis in range(n_axes):
-            cell, length = codes[block, axis], step[block, axis]
-            s, h = np.float32(length), np.float32(half * length)
-            o = np.float32(low[block, axis] - query[axis] + length / 2)
+            cell, s, o = codes[block, axis], step[block, axis], middle[block, axis]
             for i in range(size):
-                apart = max(abs(np.float32(cell[i]) * s + o) - h, zero)
-                total[i] += apart * apart
+                along = np.float32(cell[i]) * s + o
+                total[i] += along * along
+        most = np.float32((math.sqrt(limit) + reach[block]) ** 2)
         for i in range(size):
             # The negation is true for a NaN too.
-            if not (total[i] > limit) and rows[block, i] >= 0:
+            if not (total[i] > most) and rows[block, i] >= 0:
                 near[found] = rows[block, i]
-                bounds[found] = total[i]
+                bounds[found] = max(math.sqrt(total[i]) - reach[block], 0.0) ** 2
                 found += 1
     return near[:found], bounds[:found]

@@ -65,11 +65,8 @@ SCORES = "scores_"
 WRONG_UNITS = {
     ("unknown", "m"): "the shapes are in metres, the unit of the query is unknown; say the unit of the query "
     "by --unit (scan.unit)",
-    (
-        "m",
-        "unknown",
-    ): "the query is in metres, the unit of the shapes is unknown; ingest the shapes into a new "
-    "catalogue with --unit (scan.unit)",
+    ("m", "unknown"): "the query is in metres, the unit of the shapes is unknown; ingest the shapes into a "
+    "new catalogue with --unit (scan.unit)",
 }
 INSTEAD = "or compare the form alone (size_weight = 0, and the scale area)"
 
@@ -253,12 +250,7 @@ class SignatureIndex:
         return self.query(shape_id, k)
 
     def ranked(
-        self,
-        query: str | Signature,
-        k: int,
-        *,
-        among: Collection[str] | None = None,
-        rerank: str = "none",
+        self, query: str | Signature, k: int, *, among: Collection[str] | None = None, rerank: str = "none"
     ) -> Neighbors:
         """The `k` first results, or more, with their scores; of some shapes, all of which are compared."""
         # The neighbourhoods among which a list is sorted again need more shapes than asked for.

@@ -72,10 +72,7 @@ def _first_columns(values: FloatArray, length: int) -> Positions:
 
 
 def rerank(
-    lists: NeighbourLists,
-    rows: Positions | None = None,
-    *,
-    parameters: tuple[int, int, float] = K_RECIPROCAL,
+    lists: NeighbourLists, rows: Positions | None = None, *, parameters: tuple[int, int, float] = K_RECIPROCAL
 ) -> Positions:
     """Sort the lists of some shapes again.
 

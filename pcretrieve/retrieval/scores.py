@@ -239,11 +239,7 @@ def _left_out(sample: _Sample, options: RetrievalOptions, table: SignatureTable)
         labels = [sample.labels[row] for row in others]
         try:
             fitted = fit_whitening(
-                "within-class",
-                sample.logs[others],
-                labels,
-                shrinkage=options.shrinkage,
-                metric=table.metric,
+                "within-class", sample.logs[others], labels, shrinkage=options.shrinkage, metric=table.metric
             )
         except InputError:
             continue  # the other classes have one shape each, or equal ones

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_array
-from scipy.spatial import KDTree
 
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.spectral.elements import LINEAR_REFERENCE, Assembled, Element, assembled, sides_of
@@ -94,6 +93,8 @@ def stars(positions: FloatArray, normals: FloatArray | None = None) -> IntArray:
 
     Returns (t, 3) int32: numbers of the points of each triangle, the first of which has it in its star.
     """
+    from scipy.spatial import KDTree
+
     n = len(positions)
     # (n, 1 + k); the first column is the point itself
     distance, neighbors = map(np.asarray, KDTree(positions).query(positions, NEIGHBORS + 1))

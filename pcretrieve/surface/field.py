@@ -64,12 +64,12 @@ def normals_of(cloud: PointCloud) -> FloatArray:
 
 def folded(cloud: PointCloud, outside: Outside, inside: Mask) -> Mask:
     """(n,) mask of the points of folds, such as closed mouths: large, hardly open pieces of hidden points."""
-    from scipy import ndimage
-
     grid = outside.grid
     hidden = _hidden(cloud, outside)
     if not hidden.any():
         return hidden
+    from scipy import ndimage
+
     places = np.array(grid.index(cloud.points[hidden]))  # (3, h)
     # The bounding box of the hidden points, enlarged by one voxel for the dilation and one for the rim.
     low, high = places.min(axis=1) - 2, places.max(axis=1) + 3

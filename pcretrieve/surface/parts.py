@@ -229,12 +229,12 @@ def joined(
     Returns body, bridges: the body, 6-connected and without cavities; and (j, 3) int, the voxels that were
         added to connect components.
     """
-    from scipy.ndimage import distance_transform_edt
-
     nowhere = np.zeros((0, 3), dtype=np.intp)
     pieces, sizes = components(inside, corners=False)
     if len(sizes) == 1:
         return inside, nowhere
+    from scipy.ndimage import distance_transform_edt
+
     near = _pieces_at(pieces, grid.coordinates(points))  # (n,)
     support = np.bincount(near, minlength=len(sizes)) / len(points)
     sizes[0] = 0

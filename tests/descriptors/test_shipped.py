@@ -6,12 +6,7 @@ from importlib import resources
 
 import numpy as np
 import pytest
-from benchmarks.shipped import (
-    features,
-    sparse_dictionary,
-    supervised_dictionary,
-    triplet_loss,
-)
+from benchmarks.shipped import features, sparse_dictionary, supervised_dictionary, triplet_loss
 
 from pcretrieve.descriptors.dl import PENALTY, SurfacePoints, sparse_codes
 from pcretrieve.values import FloatArray

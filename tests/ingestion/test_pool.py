@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
 import threading
@@ -20,6 +21,9 @@ hoard: list[object] = []  # what a worker never gives back
 
 def own_process(item: int) -> tuple[int, int]:
     return item, os.getpid()
+
+
+own_process.prepare = lambda: logging.getLogger("pcretrieve").warning("ready soon")  # type: ignore[attr-defined]
 
 
 def keep_half_the_memory(item: int) -> int:
@@ -68,7 +72,9 @@ def do(what: str) -> object:
     return threading.Lock() if what == "lock" else Explosive()
 
 
-def test_every_item_has_its_outcome_and_no_process_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_item_has_its_outcome_and_no_process_is_left(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     """Workers are as many as there are items, and items are read as they are needed."""
     started, start = [], pool.Worker
 
@@ -79,6 +85,7 @@ def test_every_item_has_its_outcome_and_no_process_is_left(monkeypatch: pytest.M
     monkeypatch.setattr(pool, "Worker", counted)
     assert len(list(pool.in_processes(own_process, range(2), workers=8, timeout=PATIENCE))) == 2
     assert len(started) == 2
+    assert caplog.messages.count("ready soon") == 1
     items = iter(range(1000))
     running = pool.in_processes(own_process, items, workers=2)
     for _ in range(6):

@@ -234,19 +234,23 @@ def galleries() -> dict[str, FloatArray]:
 def bounds_of_all(made: LowerBounds, point: FloatArray, scan: Scan) -> FloatArray:
     """(N,) lower bounds; infinite for rows that are in no block."""
     query = (point - made.mean) @ made.axes
-    rows, found = scan(*made.cells, np.arange(len(made.rows)), query, bounds.HALF_CELL, np.float32(np.inf))
+    rows, found = scan(*made.cells(query), np.arange(len(made.rows)), np.float32(np.inf))
     every = np.full(int((made.rows >= 0).sum()), np.inf)
     every[rows] = found
     return every
 
 
 @pytest.mark.parametrize("name", galleries())
-def test_no_signature_lies_within_a_distance_and_beyond_its_limit(name: str) -> None:
+def test_no_signature_lies_within_a_distance_and_beyond_its_limit(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """By numpy and compiled, with few and all directions, of rows and of whole blocks."""
     gallery = galleries()[name]
     queries = (gallery[0], gallery[-1], gallery[0] + 1e-7, np.random.default_rng(6).normal(size=12) * 300)
     for n_leading in (1, 24):
-        made = LowerBounds.of(gallery, n_leading)
+        monkeypatch.setattr(bounds, "N_LEADING", n_leading)
+        monkeypatch.setattr(bounds, "SHARE", 0.0)
+        made = LowerBounds.of(gallery)
         for query in queries:
             exact = pairwise("log", query[np.newaxis], gallery)[0]
             rounding = index.ROUNDING * N_VALUES**2 * max(np.abs(gallery).max(), np.abs(query).max())
@@ -261,6 +265,14 @@ def test_no_signature_lies_within_a_distance_and_beyond_its_limit(name: str) -> 
                     assert block <= limit or not np.isin(within, rows).any()
 
 
+def test_where_no_directions_lead_few_signatures_are_compared() -> None:
+    gallery = np.random.default_rng(7).normal(size=(3000, 60))
+    exact = np.linalg.norm(gallery - gallery[0], axis=1)
+    found = LowerBounds.of(gallery).candidates(gallery[0], 5, lambda rows: np.sort(exact[rows])[4], SCANS[0])
+    assert np.isin(np.argsort(exact)[:5], found).all()
+    assert len(found) <= bounds.N_LAST * 5
+
+
 def test_queries_beyond_single_precision_leave_nothing_out() -> None:
     gallery = galleries()["spread"]
     made = LowerBounds.of(gallery)
@@ -268,5 +280,5 @@ def test_queries_beyond_single_precision_leave_nothing_out() -> None:
     query = (np.full(N_VALUES, 1e30) - made.mean) @ made.axes
     for scan in SCANS:
         assert np.isfinite(bounds_of_all(made, gallery[3], scan)).all()
-        rows, _ = scan(*made.cells, np.array([0]), query, bounds.HALF_CELL, np.float32(np.inf))
+        rows, _ = scan(*made.cells(query), np.array([0]), np.float32(np.inf))
         assert sorted(rows) == list(range(len(gallery)))

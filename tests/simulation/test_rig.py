@@ -24,15 +24,7 @@ from pcretrieve.draw.open3d import RayScene
 from pcretrieve.formats.conf import read_poses
 from pcretrieve.formats.ply import read_ply
 from pcretrieve.points.register.alignment import moved
-from pcretrieve.simulation import (
-    POSES,
-    RigOptions,
-    body,
-    camera_pose,
-    make_subject,
-    scan,
-    scan_views,
-)
+from pcretrieve.simulation import POSES, RigOptions, body, camera_pose, make_subject, scan, scan_views
 from pcretrieve.simulation.samples import random_motion, write_samples
 from pcretrieve.simulation.skeleton import Bone, Pose, RoundCone, Subject
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
