@@ -20,7 +20,7 @@ from pcretrieve.errors import (
     ShapeError,
     did_you_mean,
 )
-from pcretrieve.options import JUDGED, OptionsLike, PipelineOptions, check_many
+from pcretrieve.options import OptionsLike, PipelineOptions, check_many
 from pcretrieve.retrieval import SignatureIndex
 from pcretrieve.retrieval.clusters import NearPair, cluster_numbers, near_pairs
 from pcretrieve.retrieval.covariances import LEAST_SHAPES
@@ -369,17 +369,13 @@ def duplicates(
             index = store.index(chosen)
             # Each of two equal errors is the part of the threshold that adds up to it.
             return near_pairs(index, np.full(len(index), threshold / np.sqrt(2)))
-        plain = chosen.changed(
-            signature=JUDGED,
-            retrieval={"distance": "log", "whitening": "none", "calibration": None},
-        )
-        table = store.signatures(plain)
+        table = store.signatures(chosen.judged)
         sound = (record for record in store if not record.is_incomplete)
         errors = {one.id: max(LEAST_ERROR, one.verdict.uncertainty if one.verdict else 0) for one in sound}
         ids = [shape_id for shape_id in table.ids if shape_id in errors]
         if not ids:
             return []
-        index = SignatureIndex(table.select(ids), plain.retrieval)
+        index = SignatureIndex(table.select(ids), chosen.judged.retrieval)
         return near_pairs(index, np.array([errors[shape_id] for shape_id in index.ids]))
 
 

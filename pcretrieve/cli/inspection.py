@@ -13,6 +13,12 @@ from pcretrieve.cli import options as opt, output as out
 from pcretrieve.cli.messages import say, shown_path
 from pcretrieve.cli.scans import each_scan
 
+# What JSON has of an inspection, beside the files and the signature.
+FOUND = (
+    *("verdict", "summary", "shape_verdict", "checks", "cuts", "bridges", "rescan_deviation", "spread"),
+    *("failure", "steps"),
+)
+
 
 @opt.command("inspect")
 @click.argument("scan", type=opt.PATH, metavar="SCAN|FOLDER")
@@ -68,21 +74,9 @@ def inspect_command(scan: Path, output: Path | None, png: Path | None, **run: An
 def _inspected(scan: Path, page: Path, **asked: Any) -> dict[str, Any]:
     """Inspect a scan in a worker process, which writes the page. Returns what JSON has of it."""
     found = pr.inspect(scan, page=page, **asked)
-    return {
-        "page": str(page.absolute()),
-        "png": asked["png"],
-        "verdict": found.verdict,
-        "summary": found.summary,
-        "shape_verdict": found.shape_verdict,
-        "checks": found.checks,
-        "cuts": found.cuts,
-        "bridges": found.bridges,
-        "signature": None if found.signature is None else found.signature.values,
-        "rescan_deviation": found.rescan_deviation,
-        "spread": found.spread,
-        "failure": found.failure,
-        "steps": found.steps,
-    }
+    signature = None if found.signature is None else found.signature.values
+    written = {"page": str(page.absolute()), "png": asked["png"], "signature": signature}
+    return written | {name: getattr(found, name) for name in FOUND}
 
 
 def _say_checks(found: dict[str, Any]) -> None:

@@ -231,8 +231,9 @@ def matrix_command(
     click.FloatRange(min=0),
 )
 @opt.on_catalogue
+@opt.option("--html PAGE", "Write an HTML page too, with both shapes of each pair.", opt.PATH, into="page")
 def duplicates_command(
-    store: pr.Catalogue, options: pr.PipelineOptions, threshold: float | None
+    store: pr.Catalogue, options: pr.PipelineOptions, threshold: float | None, page: Path | None
 ) -> out.Result:
     """Find shapes that look the same, such as two scans of one body in one pose.
 
@@ -240,9 +241,13 @@ def duplicates_command(
     those of log-signatures without whitening, and incomplete scans are left out.
 
     \b
-    pcretrieve duplicates --catalogue bodies.sqlite
+    pcretrieve duplicates --catalogue bodies.sqlite --html pairs.html
     """
     pairs = pr.duplicates(store, options=options, threshold=threshold)
+    if page is not None:
+        compared = options.judged if threshold is None else options
+        written = pr.query_page(store, pairs, page, options=compared)
+        say(f"page: {shown_path(str(written))}", indent=None)
     rows = ((f"{one.distance:#.4g}", f"{one.limit:#.4g}", one.first, one.second) for one in pairs)
     say(f"{len(pairs)} {'pair' if len(pairs) == 1 else 'pairs'}")
     return out.Result([pair._asdict() for pair in pairs], options, partial(out.write_table, PAIR, rows))

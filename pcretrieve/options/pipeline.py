@@ -191,6 +191,12 @@ class PipelineOptions(Options):
         """The options, in which the whitening auto is not fitted to labels, as in an evaluation."""
         return self.model_copy(update={"retrieval": self.retrieval.without_labels})
 
+    @property
+    def judged(self) -> PipelineOptions:
+        """The options by which shapes are equal: R-BiHDM and the distance log, without whitening."""
+        plain = {"distance": "log", "whitening": "none", "rerank": "none", "calibration": None}
+        return self.changed(signature=JUDGED, retrieval=plain)
+
 
 def options_difference(stored: PipelineOptions, given: PipelineOptions) -> list[str]:
     """A line such as ``surface.genus: 'auto' there, 0 here`` for each option that a catalogue has otherwise.

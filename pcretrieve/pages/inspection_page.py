@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 from pcretrieve import Inspection, PointCloud
 from pcretrieve.draw.pictures import CLAY, Colour, rgb
 from pcretrieve.options import OptionsLike
-from pcretrieve.pages.html import encoded, page_of, write_page
+from pcretrieve.pages.html import encoded, page_of
 from pcretrieve.pages.inspection_pictures import (
     AWAY,
     BRIDGE,
@@ -84,35 +84,21 @@ def inspect(
     from pcretrieve.pipeline.inspecting import inspect_scan
 
     # Of one of several scans in a file, too: ``file#name``.
-    read = (
-        [Path(name) for name in (str(scan), str(scan).partition("#")[0])]
-        if isinstance(scan, (str, Path))
-        else []
-    )
+    read = (str(scan), str(scan).partition("#")[0]) if isinstance(scan, (str, Path)) else ()
     for target in (page, png):
         if target is not None:
-            check_target(Path(target), read)
+            check_target(Path(target), [*map(Path, read)])
     found = inspect_scan(scan, options, n_rescans=n_rescans)
     if page is not None:
-        write_inspection_page(found, page)
+        write_file(Path(page).absolute(), inspection_html(found))
     if png is not None:
         write_inspection_png(found, png)
     return found
 
 
-def inspection_html(inspection: Inspection, served: tuple[str, str] | None = None) -> bytes:
+def inspection_html(it: Inspection, served: tuple[str, str] | None = None) -> bytes:
     """The page of an inspection; of a server, with its title and the address that the page leads back to."""
-    return page_of("inspection.html", **_shown(inspection, served))
-
-
-def write_inspection_page(inspection: Inspection, path: str | Path) -> Path:
-    """Write the page of an inspection. An existing file is replaced in one step, or left unchanged."""
-    return write_page(path, "inspection.html", **_shown(inspection, None))
-
-
-def _shown(it: Inspection, served: tuple[str, str] | None) -> dict[str, Any]:
-    """What the template shows."""
-    return {"it": it, "rows": rows_of(it), "scene": _scene(it), "served": served}
+    return page_of("inspection.html", it=it, rows=rows_of(it), scene=_scene(it), served=served)
 
 
 def _scene(it: Inspection) -> dict[str, Any] | None:

@@ -9,10 +9,13 @@ from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pcretrieve import (
     Answer,
     Catalogue,
     DistanceMatrix,
+    Neighbors,
     PipelineOptions,
     ShapeError,
     Signature,
@@ -31,9 +34,13 @@ DISTANCES = {
 }
 
 
+# Two near shapes, their distance and its limit.
+Pair = tuple[str, str, float, float]
+
+
 def query_page(
     catalogue: Catalogue | str | Path,
-    queries: str | Path | Iterable[str | Path | Signature],
+    queries: str | Path | Iterable[str | Path | Signature | Pair],
     path: str | Path,
     *,
     options: OptionsLike = None,
@@ -48,7 +55,8 @@ def query_page(
     catalogue : Catalogue, str or Path
         The catalogue that is searched.
     queries : str, Path, or iterable of str, Path or Signature
-        As for `search_many`. Scans that fail are listed on the page, with the reasons.
+        As for `search_many`. Scans that fail are listed on the page, with the reasons. Or the pairs that
+        `duplicates` has found, which are shown side by side.
     path : str or Path
         The HTML file. It needs no other file.
     options : OptionsLike, optional
@@ -79,9 +87,11 @@ def query_page(
         files = [Path(one) for one in (store.location, *many) if isinstance(one, (str, Path))]
         check_target(Path(path), files)
         thumbnails = Thumbnails(store, up)
-        outcomes = list(
-            search_many(store, many, options=chosen, has_pictures=True, up=thumbnails.said, **asked)
-        )
+        pairs = [_paired(store, one) for one in many if isinstance(one, tuple)]
+        alone = [one for one in many if not isinstance(one, tuple)]
+        asked |= {"options": chosen, "has_pictures": True, "up": thumbnails.said}
+        what, outcomes = "pairs" if pairs else "queries", pairs + list(search_many(store, alone, **asked))
+        matrix, labels, least = (asked.get(name) for name in ("matrix", "labels", "min_score"))
         panels = [
             {"name": name} | _panel(store, one, thumbnails)
             for name, one in outcomes
@@ -91,19 +101,25 @@ def query_page(
         written = write_page(
             path,
             "query.html",
-            title=Path(outcomes[0][0]).name if len(outcomes) == 1 else f"{len(outcomes)} queries",
+            title=Path(outcomes[0][0]).name if len(outcomes) == 1 else f"{len(outcomes)} {what}",
             catalogue=Path(store.location).name,
             panels=panels,
             failures=failures,
-            min_score=asked.get("min_score"),
-            settings=settings_in_words(
-                store, chosen, asked.get("matrix"), asked.get("labels"), asked.get("min_score")
-            ),
+            min_score=least,
+            settings=settings_in_words(store, chosen, matrix, labels, least),
             version=__version__,
         )
         for name, outcome in outcomes:
             on_answer(name, outcome)
         return written
+
+
+def _paired(catalogue: Catalogue, pair: Pair) -> tuple[str, Answer]:
+    """A pair as a query with one answer."""
+    first, second, distance, limit = pair
+    found = Neighbors((second,), np.array([distance]))
+    name = f"{first} and {second}, less than {limit:#.3g} apart"
+    return name, Answer(found, (catalogue.record(second),), query=first)
 
 
 def settings_in_words(

@@ -230,9 +230,12 @@ def test_duplicates_are_nearer_than_the_noise(near: Path) -> None:
     (pair,) = pr.duplicates(near)
     assert (pair.first, pair.second) == ("1", "2")
     assert pair.limit == pytest.approx(0.03 * 2**0.5)
-    done = run("duplicates", "-c", near)
+    page = near.with_name("pairs.html")
+    done = run("duplicates", "-c", near, "--html", page)
     assert [line.split()[2:] for line in done.stdout.splitlines()[1:]] == [["1", "2"]]
-    assert done.stderr == "1 pair\n"
+    assert done.stderr == f"page: {page}\n1 pair\n"
+    text = page.read_text("utf-8")
+    assert re.findall('alt="(.*?)" src="data:', text) == ["1", "2"] and f"{pair.limit:.4f} apart" in text
     assert result("duplicates", "-c", near) == [pair._asdict()]
 
 

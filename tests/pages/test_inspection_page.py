@@ -6,7 +6,6 @@ import json
 import re
 from base64 import b64decode
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from pcretrieve.checks import Check, Inspection, graded
 from pcretrieve.checks.stages import fit_checks, surface_checks
 from pcretrieve.draw.pictures import Colour
-from pcretrieve.pages.inspection_page import write_inspection_page
+from pcretrieve.pages.inspection_page import inspection_html
 from pcretrieve.pages.inspection_pictures import DROPPED, KEPT, inspection_cameras, rows_of
 from pcretrieve.pages.scene import measures, thicker
 from pcretrieve.simulation import POSES, body, make_subject
@@ -66,16 +65,14 @@ def has_colour(colour: Colour, pixels: NDArray[np.float64]) -> NDArray[np.bool_]
 # --- the page -----------------------------------------------------------------------------------------
 
 
-def scene_of(page: Path) -> dict[str, Any]:
-    text = page.read_text(encoding="utf-8")
-    (found,) = re.findall(r'<script type="application/json" id="scene">(.*?)</script>', text, re.DOTALL)
-    scene: dict[str, Any] = json.loads(found)
-    return scene
+def scene_of(page: bytes) -> dict[str, Any]:
+    (found,) = re.findall(rb'<script type="application/json" id="scene">(.*?)</script>', page, re.DOTALL)
+    return dict(json.loads(found))
 
 
-def test_the_viewer_gets_points_normals_and_faces(tmp_path: Path) -> None:
+def test_the_viewer_gets_points_normals_and_faces() -> None:
     seen = inspection()
-    scene = scene_of(write_inspection_page(seen, tmp_path / "page.html"))
+    scene = scene_of(inspection_html(seen))
     layers = {layer["name"]: layer for layer in scene["layers"]}
     assert list(layers) == ["points", "dropped", "cut", "normals", "surface", "filled", "cuts", "bridges"]
 
@@ -116,7 +113,7 @@ def test_outliers_far_away_do_not_shrink_the_body_and_are_at_the_edge() -> None:
     assert has_colour(DROPPED, first[:, -4:]).any()
 
 
-def test_the_page_needs_nothing_else_stays_small_and_no_name_can_break_it(tmp_path: Path) -> None:
+def test_the_page_needs_nothing_else_stays_small_and_no_name_can_break_it() -> None:
     many = shapes.points_on(SPHERE, 300_000)
     nasty = "</script><script>alert(\"1\")</script> & ' onload='x"
     seen = replace(
@@ -131,9 +128,8 @@ def test_the_page_needs_nothing_else_stays_small_and_no_name_can_break_it(tmp_pa
         mesh=SPHERE,
         filled=np.ones(len(SPHERE.faces), dtype=bool),
     )
-    page = write_inspection_page(seen, tmp_path / "page.html")
-    assert page.stat().st_size < 5e6
-    text = page.read_text(encoding="utf-8")
+    text = inspection_html(seen).decode()
+    assert len(text) < 5e6
     assert "alert(&#34;1&#34;)" in text
     assert text.count("<script") == text.count("</script>") == 2
     assert "default-src 'none'" in text
