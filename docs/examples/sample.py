@@ -12,7 +12,14 @@ from matplotlib.colors import Normalize
 from numpy.typing import NDArray
 
 from pcretrieve.draw.axes import body_axes
-from pcretrieve.draw.pictures import CLAY, cameras_framing, point_picture, rotation, surface_picture
+from pcretrieve.draw.pictures import (
+    CLAY,
+    cameras_framing,
+    depth_picture,
+    point_picture,
+    rotation,
+    surface_picture,
+)
 from pcretrieve.draw.thumbnail import AZIMUTH, ELEVATION
 from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.values import PointCloud, TriangleMesh
@@ -65,6 +72,8 @@ def draw(
         if isinstance(one, TriangleMesh):
             shades = shades[one.faces].mean(axis=1)
             picture = surface_picture(one.vertices, one.faces, shades, camera, size=600)
+        elif values is None:
+            picture = depth_picture(at, CLAY, camera, width=POINT * camera.half, size=600)
         else:
             picture = point_picture(at, shades, camera, width=POINT * camera.half, size=600)
         place.imshow(picture.crop(picture.getbbox()))
