@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Generator, Iterable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pcretrieve.errors import PcretrieveError, shape_error
 
@@ -25,6 +25,26 @@ def in_this_process(
         except Exception as error:  # noqa: BLE001  as an executor must
             outcome = shape_error(error)
         yield item, outcome
+
+
+MADE: dict[bytes, Any] = {}  # what was made of a content
+
+
+def remembered(
+    function: Callable[[Item], Answer],
+    items: Iterable[Item],
+    /,
+    *,
+    meanwhile: Callable[[], None] = lambda: None,
+    **limits: float | None,
+) -> Generator[tuple[Item, Answer | PcretrieveError], None, None]:
+    """The same, which computes what it makes of a content once; something else may happen meanwhile."""
+    for item in items:
+        data = item.path.read_bytes()  # type: ignore[attr-defined]
+        if data not in MADE:
+            _, MADE[data] = next(in_this_process(function, [item]))
+        meanwhile()
+        yield item, MADE[data]
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = PATIENCE) -> bool:

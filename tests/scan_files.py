@@ -266,7 +266,6 @@ def pcd_bomb(n_bytes: int, n: int = 3 * 10**8, packed: int = 99) -> bytes:
 # code, other formats, references, text that never ends or says nothing.
 HOSTILE: list[tuple[str, bytes, str]] = [
     ("a.ply", ply("ascii", f"element vertex {HUGE}\n{XYZ}", b"0 0 0\n"), "declares"),
-    ("a.ply", ply("binary_little_endian", f"element vertex {HUGE}\n{XYZ}", b"0"), "declares"),
     ("a.pcd", pcd_header("x", "y", "z", n=HUGE, data="binary").encode() + bytes(12), "declares"),
     ("a.pcd", pcd_bomb(36 * 10**8), "declares 3600000000 bytes in 99"),
     ("a.pcd", pcd_bomb(36 * 10**6, 3 * 10**6, 10**6), "declares 36000000 bytes in 1000000"),
@@ -282,5 +281,4 @@ HOSTILE: list[tuple[str, bytes, str]] = [
     ("a.ply", b'<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><a>&x;</a>', "first line is not 'ply'"),
     ("a.xyz", b"9" * 900_000 + b" 1 2\n", "each line must hold 3 numbers"),
     ("a.xyz", b"1e308 -1e308 1e308\n" * 200, "coordinates must be 1e-50 to 1e+50 in size"),
-    ("a.off", b"OFF\nscan: read in 1.2.3 s\nscan: x in 1 s\n", "not a complete OFF"),
 ]

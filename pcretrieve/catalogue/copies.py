@@ -160,7 +160,7 @@ def _merge(stores: Sequence[Rows]) -> MergedCatalogues:
         for start in range(0, len(ids), STORED_AT_ONCE):
             entries = store.entries(ids[start : start + STORED_AT_ONCE])
             for at, entry in enumerate(entries):
-                label = labels[entry.record.path] or None
+                label = labels.get(entry.record.path, entry.record.label) or None  # it may have moved
                 if entry.record.label != label:
                     entries[at] = replace(entry, record=replace(entry.record, label=label))
             target.add(entries)

@@ -268,8 +268,8 @@ def _is_writable(path: Path) -> bool:
 
 def _connected(path: Path, mode: str) -> sqlite3.Connection:
     connection = sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, timeout=LOCK_TIMEOUT)
-    # What a transaction has stored is on the disk when it ends; the schema of a file calls nothing that acts.
-    statements = ["PRAGMA synchronous = FULL", "PRAGMA trusted_schema = OFF"]
+    # A transaction that has ended is on the disk, and its journal is not; a schema calls nothing that acts.
+    statements = ["PRAGMA synchronous = EXTRA", "PRAGMA trusted_schema = OFF"]
     if mode.startswith("rw") and _journal(path) == "DELETE":
         # Also for a file that was copied from a place where it had a write-ahead log.
         statements += [

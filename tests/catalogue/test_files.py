@@ -10,12 +10,9 @@ import sqlite3
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
-from dataclasses import replace
-from itertools import count
 from pathlib import Path
 from sqlite3 import sqlite_version as VERSION
 from tempfile import TemporaryDirectory
-from threading import Event
 
 import pytest
 import shapes
@@ -73,18 +70,6 @@ def failure(name: str) -> Record:
 
 
 # --- what is no catalogue, or not the one that was meant --------------------------------------------------
-
-
-def test_of_several_that_make_one_catalogue_each_gets_the_same(tmp_path: Path) -> None:
-    def voxel(number: int) -> float | str:
-        with Catalogue(tmp_path / "new.sqlite", create=True) as store:
-            store.put(failure(f"r{number}"))
-            return store.options.scan.voxel
-
-    with ThreadPoolExecutor(8) as several:
-        assert len(set(several.map(voxel, range(8)))) == 1
-    with Catalogue(tmp_path / "new.sqlite") as store:
-        assert len(store.records()) == 8
 
 
 def test_what_is_no_catalogue_is_left_as_it_is(tmp_path: Path, original: Path) -> None:
@@ -331,40 +316,3 @@ def test_a_damaged_sql_index_is_made_again(path: Path) -> None:
     assert {defect.kind for defect in found.defects} == {"database"}
     assert "missing from index shapes_by_content" in found.defects[0].message
     assert pr.check(path, sample=0).is_whole
-
-
-# --- backup ---------------------------------------------------------------------------------------------
-
-
-def store_pairs(path: Path, ended: Event) -> None:
-    """Store pairs of shapes until the end."""
-    with Catalogue(path) as store:
-        (entry,) = store.entries(["2"])
-        for number in count():
-            names = (f"a{number}", f"b{number}")
-            store.add([replace(entry, record=replace(entry.record, id=one, path=one)) for one in names])
-            if ended.is_set():
-                return
-
-
-def test_a_backup_while_writing_goes_on_is_one_state(
-    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("pcretrieve.catalogue.copies.PAGES_AT_ONCE", 1)
-    sizes, ended = [20], Event()
-    with ThreadPoolExecutor() as pool, Catalogue(path) as store:
-        writing = pool.submit(store_pairs, path, ended)
-        try:
-            for number in range(2):
-                assert wait_for(lambda: len(store) > N_SHAPES + sizes[-1])
-                copy = tmp_path / f"copy{number}.sqlite"
-                pr.backup(path, copy)
-                assert pr.check(copy, sample=0).is_whole
-                with Catalogue(copy) as copied:
-                    sizes.append(len(copied) - N_SHAPES)
-                assert sizes[-1] % 2 == 0
-            assert wait_for(lambda: len(store) > N_SHAPES + sizes[-1])
-        finally:
-            ended.set()
-        writing.result()
-    assert sizes == sorted({*sizes})

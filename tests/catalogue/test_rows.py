@@ -8,14 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from benchmarks.catalogue import OPTIONS
 from commands import run
-from numpy.random import default_rng
-from stored import content
 
-from pcretrieve import Catalogue, PipelineOptions, merge_catalogues
+from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.catalogue import Record, postgresql as postgresql_module
-from pcretrieve.catalogue.copies import MergedCatalogues
 from pcretrieve.catalogue.records import OWN, PAYLOADS, Entry, settings_of
 from pcretrieve.catalogue.rows import Rows
 from pcretrieve.errors import CatalogueError, OptionError
@@ -183,69 +179,3 @@ def test_a_server_that_is_not_there(url: str, said: str) -> None:
         Catalogue(url, create=True)
     assert "secret" not in str(raised.value)
     assert isinstance(run("list", "-c", url, code=None).exception, CatalogueError)
-
-
-# --- merges ---------------------------------------------------------------------------------------------
-
-
-def part(path: Path, *entries: Entry) -> Path:
-    with Catalogue(path, OPTIONS, create=True) as store:
-        store.add(entries)
-    return path
-
-
-def test_a_merge_goes_on_after_an_interruption(tmp_path: Path, new_location: str) -> None:
-    """The catalogue that has some of the shapes gets the others, and a second merge changes nothing."""
-    entries = [done("a"), failed("b"), done("c"), done("d", label=None)]
-    whole = part(tmp_path / "whole.sqlite", *entries)
-    merge_catalogues([part(tmp_path / "part.sqlite", *entries[:2])], new_location)
-    assert merge_catalogues([whole], new_location) == MergedCatalogues(2, 2)
-    with Catalogue(new_location) as merged:
-        revision = merged.revision()
-        assert merge_catalogues([whole, whole], merged) == MergedCatalogues(0, 4)
-        assert merged.revision() == revision
-    assert content(new_location) == content(whole)
-
-
-def test_parts_are_merged_in_any_grouping(tmp_path: Path) -> None:
-    """Parts with failures, repetitions and missing labels at random."""
-    rng = default_rng(7)
-    for trial in range(5):
-        place = iter(tmp_path / f"{trial}-{number}.sqlite" for number in range(8))
-        parts = []
-        for number in range(3):
-            names = [name for name in "abcdefgh" if rng.uniform() < 0.6]
-            entries = [
-                (done, failed)[rng.integers(2)](
-                    name, label=[None, name.upper()][rng.integers(2)], added=f"{number}"
-                )
-                for name in names
-            ]
-            parts.append(part(next(place), *entries))
-        left, right, one, two, whole = place
-        merge_catalogues(parts[:2], left)
-        merge_catalogues([left, parts[2]], one)
-        merge_catalogues(parts[1:], right)
-        merge_catalogues([parts[0], right], two)
-        merge_catalogues(parts, whole)
-        assert content(one) == content(two) == content(whole)
-
-
-def test_conflicts_are_named_and_nothing_is_stored(tmp_path: Path) -> None:
-    for number, (changes, said) in enumerate(
-        (
-            ({"content_hash": "new"}, "/a.ply has different contents in .*/one.sqlite and in .*/two.sqlite"),
-            ({"label": "cat"}, "/a.ply has the labels 'label' and 'cat' in .*/one.sqlite and in .*/two"),
-            ({"path": "/b.ply"}, "'a' is /a.ply in .*/one.sqlite and /b.ply in .*/two.sqlite"),
-        )
-    ):
-        folder = tmp_path / f"{number}"
-        folder.mkdir()
-        first = part(folder / "one.sqlite", done("a"), done("c"))
-        second = part(folder / "two.sqlite", done("a", **changes), done("d"))
-        with pytest.raises(CatalogueError, match=f"with conflicts cannot be merged: {said}"):
-            merge_catalogues([first, second], folder / "all.sqlite")
-        assert not (folder / "all.sqlite").exists()
-        with pytest.raises(CatalogueError, match=said):
-            merge_catalogues([second], first)
-        assert [record.id for record, *_ in content(first)] == ["a", "c"]

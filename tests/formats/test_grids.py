@@ -152,14 +152,11 @@ def test_a_camera_that_cannot_be_read(tmp_path: Path) -> None:
     write(tmp_path / "a.png", MILLIMETRES)
     for name, text, words in (
         ("camera.json", "{", "the camera file camera.json must have intrinsic_matrix as Open3D writes it"),
-        ("camera.json", "[]", "the camera file camera.json must have"),
         (
             "camera.json",
             json.dumps(OPEN3D | {"width": 81}),
             r"the camera has \(81, 60\) pixels, the image has",
         ),
-        ("camera.json", json.dumps(OPEN3D | {"intrinsic_matrix": [1, 2]}), "ValueError cannot reshape"),
-        ("camera.toml", "fx = 1\n", "KeyError 'fy'"),
         ("camera.toml", FLAT.replace("70", "-70"), "focal lengths and the depth scale must be positive"),
         ("camera.toml", FLAT + "depth_scale = 0\n", "focal lengths and the depth scale must be positive"),
         ("camera.toml", FLAT + "#" * (1 << 16), "must have at most 65536 bytes"),

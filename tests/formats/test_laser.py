@@ -57,17 +57,12 @@ def test_damaged_headers_and_chunks(tmp_path: Path) -> None:
     # lazrs would allocate the layers of a chunk that take more than the chunk, and end the process.
     layers = struct.unpack_from("<I", laz, 96)[0] + 8 + 30 + 4
     for whole, at, value, words in (
-        (las, 0, b"SLAF", "its first bytes are not those of LAS"),
         (las, 24, b"\2", "its header says version 2.2"),
-        (las, 94, struct.pack("<H", 100), "Incoherent header size"),
         (las, 96, struct.pack("<I", 10**9), "its points begin at byte 1000000000"),
         (las, 100, struct.pack("<I", 2**32 - 1), "its header declares 4294967295 records in 0 bytes"),
-        (las, 104, b"\x0b", "not a complete LAS file"),
-        (las, 105, struct.pack("<H", 12), "Incoherent point size"),
         (las, 107, struct.pack("<I", 2**32 - 1), "its header declares 4294967295 points, 17000 bytes follow"),
         (las, 131, struct.pack("<d", np.nan), "its scale is not finite"),
         (laz[:-100], 0, b"", "its chunks are listed at byte"),
-        (laz[:-3], 0, b"", "failed to fill whole buffer"),
         (laz, layers, struct.pack("<I", 2**32 - 1), "the layers of a chunk have 42949"),
     ):
         path = tmp_path / ("b.las" if whole is las else "b.laz")

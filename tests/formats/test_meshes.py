@@ -273,9 +273,6 @@ def test_damaged_archives_and_those_that_expand_to_much_more(tmp_path: Path) -> 
         (file.read_bytes(), r"its members declare 2\d+ bytes in \d+"),
         (three_mf(shapes.icosphere(3), items=items), "its scene declares 1153200 values"),
         (three_mf(BALL, items=f"<item objectid='31'/>{nested}"), r"its scene has \d{10} bodies, 1000 may"),
-        (b"PK\x03\x04", "not a complete 3MF file"),
-        (three_mf(BALL, items=""), "not a complete 3MF file"),
-        (whole[:-30], "not a complete 3MF file"),
         (whole[:-6] + b"\xff\xff\0\0" + whole[-2:], "not a complete 3MF file .*Invalid argument"),
         (re.sub(rb"(?s)(PK\x01\x02..).", b"\\g<1>\xff", whole), r"zip file version 25\.5"),
     ):

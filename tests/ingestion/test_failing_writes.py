@@ -6,6 +6,8 @@ By default some of the writes; PCRETRIEVE_EVERY_WRITE=1 lets every one of them f
 from __future__ import annotations
 
 import os
+import pickle
+import re
 import shutil
 import subprocess
 import sys
@@ -13,7 +15,13 @@ from pathlib import Path
 
 import pytest
 import shapes
+from benchmarks.damage import calls_of, cut_power
+from processes import remembered
+from stored import everything
 
+from pcretrieve import Catalogue, ingest
+from pcretrieve.catalogue import find_defects
+from pcretrieve.errors import CatalogueError
 from pcretrieve.formats import write_mesh
 
 PATIENCE = 1200  # seconds
@@ -23,83 +31,36 @@ STEP = 1 if os.environ.get("PCRETRIEVE_EVERY_WRITE") else 17
 
 N_SHAPES = 3
 
-# Counts the calls that change files of a folder, and lets one of them fail.
-FAILING_WRITES = """
-#define _GNU_SOURCE
-#include <dlfcn.h>
-#include <errno.h>
-#include <stdio.h>
-#include <string.h>
-#include <unistd.h>
+# Number of power cuts.
+N_CUTS = int(os.environ.get("PCRETRIEVE_CUTS", "50"))
 
-static char folder[4096];
-static long chosen = -1, seen;
-static int code;
+# Of file systems: with a write-ahead log, and with the rollback journal of networks.
+KINDS = ["ext4", pytest.param("nfs4", marks=pytest.mark.slow)]
 
-void fail_write(const char *place, long number, int error) {
-    strncpy(folder, place, sizeof folder - 1);
-    chosen = number;
-    code = error;
-    seen = 0;
-}
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 
-long writes_seen(void) { return seen; }
-
-static int fails(int file) {
-    char link[64], path[4096];
-    if (chosen < 0) return 0;
-    snprintf(link, sizeof link, "/proc/self/fd/%d", file);
-    ssize_t length = readlink(link, path, sizeof path - 1);
-    if (length < 0) return 0;
-    path[length] = 0;
-    if (strncmp(path, folder, strlen(folder))) return 0;
-    if (seen++ != chosen) return 0;
-    errno = code;
-    return 1;
-}
-
-#define FAILING(result, name, parameters, arguments)                                      \\
-    result name parameters {                                                              \\
-        result (*actual) parameters = (result (*) parameters)dlsym(RTLD_NEXT, #name);     \\
-        return fails(file) ? -1 : actual arguments;                                       \\
-    }
-
-FAILING(ssize_t, write, (int file, const void *data, size_t size), (file, data, size))
-FAILING(ssize_t, pwrite, (int file, const void *data, size_t size, off_t at), (file, data, size, at))
-FAILING(ssize_t, pwrite64, (int file, const void *data, size_t size, off64_t at), (file, data, size, at))
-FAILING(int, ftruncate, (int file, off_t size), (file, size))
-FAILING(int, ftruncate64, (int file, off64_t size), (file, size))
-FAILING(int, fsync, (int file), (file))
-FAILING(int, fdatasync, (int file), (file))
-"""
-
-# Ingests the same scans again and again, each time with another write that fails.
-INGESTS = """
-import ctypes, errno, shutil, sys
+COMMON = """
+import ctypes, errno, pickle, shutil, sys
 from itertools import count
 from pathlib import Path
-from processes import in_this_process
+from benchmarks.damage import calls_of, cut_power
+from processes import remembered
 from stored import everything
 from pcretrieve.catalogue import Catalogue, find_defects, sqlite
 from pcretrieve.errors import CatalogueError
 from pcretrieve import ingest as ingest_scans
 
-scans, step, sqlite.MOUNTS = Path(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3])
-folder = scans.parent / "catalogues"
+sqlite.MOUNTS, scans = Path(sys.argv[1]), sorted(Path(sys.argv[2]).iterdir())
+folder = scans[0].parents[1] / "catalogues"
 path = folder / "c.sqlite"
 shim = ctypes.CDLL(None)
-made = {}
+"""
 
-def remembered(function, items, /, **limits):
-    # What is computed of a scan is always the same, and need not be computed for each write.
-    for item in items:
-        if item.path.name not in made:
-            made[item.path.name] = next(iter(in_this_process(function, [item])))[1]
-        yield item, made[item.path.name]
-
+# Ingests the same scans again and again, each time with another write that fails.
+INGESTS = """
 def ingest():
     with Catalogue(path, create=True) as store:
-        ingest_scans(sorted(scans.iterdir()), store, executor=remembered, workers=1)
+        ingest_scans(scans, store, executor=remembered, workers=1)
 
 def stored():
     with Catalogue(path) as store:
@@ -110,6 +71,7 @@ def fresh():
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
 
+step = int(sys.argv[3])
 fresh()
 ingest()
 whole = stored()
@@ -150,25 +112,95 @@ assert "the disk or the network reports an error" in said
 """
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="a library that lets writes fail needs a C compiler")
-@pytest.mark.parametrize("kind", ["ext4", pytest.param("nfs4", marks=pytest.mark.slow)])
-def test_every_write_fails_once(kind: str, tmp_path: Path) -> None:
-    """With a write-ahead log, and with the rollback journal of network file systems."""
-    (tmp_path / "scans").mkdir()
+# Changes a catalogue in all ways, and notes each state after the call that made it, with all that it wrote.
+RECORDED = """
+states, trace = [{}], scans[0].parents[1] / "trace"
+
+def noted(*_):
+    states.append(everything(path))
+    shim.note(ctypes.c_char(b"m"), str(folder).encode(), ctypes.c_long(0), ctypes.c_long(0), None)
+
+def ingest(store, *scans, **given):
+    ingest_scans(scans, store, executor=remembered, workers=1, **given)
+    noted()
+
+folder.mkdir()
+shim.record(str(folder).encode(), str(trace).encode())
+with Catalogue(path, create=True) as store:
+    noted()
+    for scan in scans[:-1]:
+        ingest(store, scan)
+    ingest(store, scans[0], labels={scans[0].name: "egg"})
+    store.remove(*[scan.stem for scan in scans[:-2]])
+    noted()
+    ingest(store, scans[0])
+for scan in scans[1:]:
+    with Catalogue(path) as store:
+        ingest(store, scan)
+trace.with_name("states").write_bytes(pickle.dumps(states))
+"""
+
+
+def run(script: str, kind: str, folder: Path, *given: object) -> Path:
+    """Run a script beside scans, with a library that sees its writes, on a file system of some kind."""
+    (folder / "scans").mkdir()
     for number in range(N_SHAPES):
         egg = shapes.ellipsoid((1, 1.2, 1.5 + number / 5), subdivisions=2)
-        write_mesh(egg, tmp_path / "scans" / f"{number}.off")
-    mounts, shim = tmp_path / "mountinfo", tmp_path / "shim.so"
+        write_mesh(egg, folder / "scans" / f"{number}.off")
+    mounts, library = folder / "mountinfo", folder / "calls.so"
     mounts.write_text(f"22 27 0:21 / / rw - {kind} server:/scans rw\n")
-    (tmp_path / "shim.c").write_text(FAILING_WRITES)
-    compiling = ["cc", "-shared", "-fPIC", "-o", str(shim), str(tmp_path / "shim.c"), "-ldl"]
+    compiling: list[str | Path] = [
+        "cc",
+        "-shared",
+        "-fPIC",
+        "-o",
+        library,
+        Path(__file__).with_name("calls.c"),
+        "-ldl",
+    ]
     subprocess.run(compiling, check=True, timeout=PATIENCE)
-    done = subprocess.run(
-        [sys.executable, "-c", INGESTS, str(tmp_path / "scans"), str(STEP), str(mounts)],
-        env={**os.environ, "LD_PRELOAD": str(shim), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        stderr=subprocess.PIPE,
-        text=True,
-        timeout=PATIENCE,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-3000:]
+    known = {"LD_PRELOAD": str(library), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    command: list[str | Path] = [
+        sys.executable,
+        "-c",
+        COMMON + script,
+        mounts,
+        folder / "scans",
+        *map(str, given),
+    ]
+    subprocess.run(command, env=os.environ | known, check=True, timeout=PATIENCE)
+    return mounts
+
+
+@needs_compiler
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_write_fails_once(kind: str, tmp_path: Path) -> None:
+    run(INGESTS, kind, tmp_path, STEP)
+
+
+@needs_compiler
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_power_fails(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What counted as stored is on the disk, no shape is there in part, and the same command goes on."""
+    monkeypatch.setattr("pcretrieve.catalogue.sqlite.MOUNTS", run(RECORDED, kind, tmp_path))
+    calls = calls_of((tmp_path / "trace").read_bytes())
+    states = pickle.loads((tmp_path / "states").read_bytes())
+    assert sum(call[0] == "m" for call in calls) == len(states) - 1
+    for number in range(N_CUTS):
+        place = tmp_path / f"cut{number}"
+        n_noted = cut_power(calls, number, place)
+        path, found = place / "c.sqlite", {}
+        try:
+            with Catalogue(path) as store:
+                assert find_defects(store) == [], number
+            found = everything(str(path))
+        except CatalogueError as error:
+            assert re.search("there is no catalogue|but no catalogue", error.message), (number, error)
+            assert n_noted == 0
+        assert found in states[n_noted : n_noted + 2], (number, n_noted, [*found])
+        again = ingest(tmp_path / "scans", path, executor=remembered)
+        assert {record.id for record in again.done + again.held} == {f"{one}" for one in range(N_SHAPES)}
+        with Catalogue(path) as store:
+            assert find_defects(store) == [], number
+        shutil.rmtree(place)
