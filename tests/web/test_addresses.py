@@ -78,7 +78,7 @@ ADDRESSES = {
 
 
 def test_sizes_of_compared_shapes_name_their_unit(server: Server) -> None:
-    for pair, said in (("a=Egg10&b=Egg11", " m²</td>"), ("a=Egg00&b=Egg10", "units differ")):
+    for pair, said in (("a=Egg10&b=Egg11", "&nbsp;m²</td>"), ("a=Egg00&b=Egg10", "units differ")):
         page = server.ask(f"/compare?{pair}").body.decode()
         assert said in page and ("does not name" in page) == ("Egg00" in pair)
 
