@@ -64,11 +64,7 @@ ONE = Signature(np.ones(1), "x")
         (SignatureTable, [("a",), [[1.0, 0.0]], "x"], "signature values must be positive, got 0.0"),
         (SignatureTable, [("a",), [[1]], "x", "", ("b", "c")], "labels must be as many as ids (1), got 2"),
         (ONE.distance, [1], "the other signature must be of the type Signature, got int"),
-        (
-            ONE.distance,
-            [Signature(np.ones(1), "y")],
-            "must be made by the same options, got ('x',",
-        ),
+        (ONE.distance, [Signature(np.ones(1), "y")], "must be made by the same options, got ('x',"),
         (eigenpairs, [CORNERS], "operator must be of the type LaplaceBeltrami, got ndarray"),
         (ModalSpectrum.of, [1], "pairs must be of the type Eigenpairs or ModalSpectrum, got int"),
         (Surface, [0.0], "the area of a surface must be positive and finite, got 0.0"),

@@ -128,6 +128,8 @@ def cli(context: click.Context) -> None:
 def main() -> NoReturn:
     """Run the command line, and end with an exit code. Errors are printed as messages."""
     _open_standard_streams()
+    # Pydantic would look for plug-ins of its own in all packages: a twentieth of a short command.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "true")
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_DFL:  # not if the signal is ignored, as under nohup
             signal.signal(number, _stop)

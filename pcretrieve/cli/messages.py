@@ -244,7 +244,7 @@ class Progress:
         if self._bar is not None:
             self._bar.set_postfix(failed=self._n_failed, refresh=False)
             self._bar.update()
-        elif self._mode == "bar" and time.monotonic() - self._said >= LINE_INTERVAL:
+        elif self._mode == "bar" and self._total and time.monotonic() - self._said >= LINE_INTERVAL:
             self._said = time.monotonic()
             seconds = self._said - self._started
             left = duration(seconds / self._n_done * (self._total - self._n_done))

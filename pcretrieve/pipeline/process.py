@@ -63,7 +63,7 @@ N_REMEMBERED = 200
 
 
 def signature(scan: ScanLike, options: OptionsLike = None, *, method: str | None = None) -> Signature:
-    """The signature of one scan.
+    """The signature of one scan, whose quality `process` and `inspect` check.
 
     Parameters
     ----------
