@@ -13,10 +13,8 @@ import numpy as np
 
 from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.draw.pictures import CLAY
+from pcretrieve.draw.thumbnail import MOST_POINTS
 from pcretrieve.errors import InputError
-
-# Largest number of points that are drawn. More points take longer, without a visible difference.
-MOST_POINTS = 20_000
 
 # Number of groups in a column of a key.
 KEY_ROWS = 34
@@ -68,8 +66,8 @@ def draw_places(groups: Sequence[tuple[str | None, FloatArray, str]], *, title: 
     axes = figure.subplots()
     for number, (name, places, colour) in enumerate(groups):
         label = "class unknown" if name is None else name
-        x, y = places.T
         marker = "os^Dv"[number // 8 % 5]  # of more classes than colours
+        x, y = places.T
         axes.scatter(x, y, s=30, c=colour, marker=marker, edgecolors="white", linewidths=0.5, label=label)
     axes.set_aspect("equal")
     axes.set(xticks=[], yticks=[], title=title)

@@ -37,7 +37,7 @@ AZIMUTH, ELEVATION = 20.0, 10.0
 
 # How a picture was drawn, and which direction is upwards in it, which its PNG file says. To be changed when
 # bodies are drawn differently, so that pictures of earlier versions in catalogues are drawn again.
-DRAWN_BY = "pcretrieve drawing 3, up"
+DRAWN_BY = "pcretrieve drawing 4, up"
 DIRECTION = re.compile(rb"Comment\0" + DRAWN_BY.encode() + rb"((?: -?[0-9]\.[0-9]{4}){3})")
 
 # The palette has one entry for the background, and one for each brightness at each coverage, at most 256 in
@@ -104,9 +104,8 @@ def cloud_thumbnail(points: FloatArray) -> bytes:
 
 def picture_html(picture: bytes | None, words: str) -> str:
     """A picture with words below it, for notebooks."""
-    image = ""
-    if picture is not None:
-        image = f'<img alt="" src="data:image/png;base64,{b64encode(picture).decode("ascii")}"><br>'
+    address = f"data:image/png;base64,{b64encode(picture or b'').decode('ascii')}"
+    image = "" if picture is None else f'<img alt="" src="{address}"><br>'
     return f"<div style='display: inline-block'>{image}<code>{escape(words)}</code></div>"
 
 

@@ -43,23 +43,14 @@ N_CHANGES = 10
 # The measures, explained for readers who do not know retrieval benchmarks.
 MEASURES = {
     "NN": ("nearest neighbour", "How often the first shape found is of the query's class."),
-    "FT": (
-        "first tier",
-        "Fraction of the other shapes of the class that are among the first R, where R is their number.",
-    ),
+    "FT": ("first tier", "Share of the R other shapes of the class that are among the first R found."),
     "ST": ("second tier", "The same among the first 2R."),
     "E": (
         "E-measure",
-        "Harmonic mean of precision and recall of the first 32; below 1 even for a perfect ranking.",
+        "Harmonic mean of precision and recall of the first 32; below 1 even if all is right.",
     ),
-    "DCG": (
-        "discounted cumulative gain",
-        "How early the shapes of the class are ranked; the first ranks have the largest weights.",
-    ),
-    "mAP": (
-        "mean average precision",
-        "Mean precision at the ranks of the other shapes of the class: the whole ranking in one number.",
-    ),
+    "DCG": ("discounted cumulative gain", "How early the shapes of the class come; first ranks count most."),
+    "mAP": ("mean average precision", "Mean precision at the ranks of the class: all ranks in one number."),
 }
 
 
