@@ -277,6 +277,7 @@ def test_nobody_else_and_under_no_other_name_may_have_a_scan_kept(keeper: Server
 
 
 def test_what_failed_is_not_kept_and_uploads_end_with_the_server(keeper: Server, tmp_path: Path) -> None:
+    keeper.outcome("egg.off", egg(tmp_path))
     bad = keeper.outcome("bad.off", b"OFF\n1 1 1\nnothing")
     for job in (bad["job"], "none"):
         assert keeper.ask(f"/scans/{job}/keep?id=three", method="POST").status == 404
