@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import count
 from pathlib import Path
-from tempfile import mkdtemp
+from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any
 from uuid import uuid4
 
@@ -49,7 +49,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 NAMES = ("one/a.off", "one/b.off", "two/a.off", "two/c.off")
 N_GOOD, N = 3, 5  # the others cannot be read
-N_EVENTS = 20
 
 
 @dataclass(frozen=True)
@@ -172,17 +171,14 @@ def merged(table: Table, other: Table) -> Table | str:
 @cache
 def contents() -> dict[int, bytes]:
     """Contents of files."""
-    folder = Path(mkdtemp(prefix="pcretrieve-orders-"))
-    files = {number: folder / f"{number}.off" for number in range(N)}
-    for number, file in files.items():
-        if number < N_GOOD:
-            write_mesh(shapes.ellipsoid((1, 1.2, 1.5 + number), subdivisions=1), file)
-        else:
+    with TemporaryDirectory() as folder:
+        files = {number: Path(folder) / f"{number}.off" for number in range(N)}
+        for number, file in files.items():
             file.write_text("OFF\n" * number)
-    pr.ingest(folder, folder / "c.sqlite", options=OPTIONS, executor=remembered)
-    found = {number: file.read_bytes() for number, file in files.items()}
-    shutil.rmtree(folder)
-    return found
+            if number < N_GOOD:
+                write_mesh(shapes.ellipsoid((1, 1.2, 1.5 + number), subdivisions=1), file)
+        pr.ingest(folder, f"{folder}/c.sqlite", options=OPTIONS, executor=remembered)
+        return {number: file.read_bytes() for number, file in files.items()}
 
 
 def killed_ingest(made: bytes, location: str, folder: Path, transaction: int) -> None:
@@ -524,7 +520,7 @@ def run(machine: type[Orders], n_orders: int) -> None:
     given = os.environ.get("PCRETRIEVE_SEED")
     chosen = settings(
         max_examples=int(os.environ.get("PCRETRIEVE_ORDERS", n_orders)),
-        stateful_step_count=N_EVENTS,
+        stateful_step_count=20,
         deadline=None,
         database=None,
         derandomize=given is None,
