@@ -71,7 +71,7 @@ def listing_document(catalogue: Catalogue, listing: Listing) -> Document:
         for shape_id, label in labels.items()
         if (not listing.label or label == listing.label)
         and shape_id in among
-        and all(word in shape_id.casefold() for word in words)
+        and (not words or all(word in shape_id.casefold() for word in words))
     ]
     if listing.since or listing.until or listing.sort.endswith("added"):
         times = defaultdict(str, catalogue.times())  # without shapes that were stored since

@@ -91,5 +91,5 @@ if (map) {
   look();
 }
 
-// A map that a server still computes.
-if (document.getElementById("waiting")) setTimeout(() => location.reload(), 1000);
+// A map that a server still computes, which waits for it for a second before it answers.
+if (document.getElementById("waiting")) setTimeout(() => location.reload(), 100);
