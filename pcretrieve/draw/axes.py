@@ -25,10 +25,11 @@ LEAST_EQUAL = 0.89
 FOOT_TO_FOOT, HAND_TO_HAND = (0.79, 1.04), (0.64, 0.88)
 END, THICKEST, FOOT = 0.3, 1.6, 0.15
 
-# Ends of an animal. Limits of ways over its surface: between two pairs of feet, relative to within a pair;
-# and how much those from the feet of a pair to other ends differ, relative to the longest. Of 97 animals and
-# centaurs, 94 stand within 60 degrees, by their skewness 74; of 30 hands, one has such feet.
-N_ENDS, LONGER, UNLIKE = 7, 1.16, 0.75
+# Ends of an animal. Limits of ways over its surface: between two pairs of feet, and within the narrower pair,
+# relative to within the wider; how much those from the feet of a pair to other ends differ, relative to the
+# longest; the product of the first and the height above the feet. Of 97 animals and centaurs, 94 stand within
+# 60 degrees, by their skewness 74. People with raised arms have no such feet, of 30 hands two.
+N_ENDS, LONGER, EQUAL, UNLIKE, ABOVE = 7, 1.15, 0.6, 0.75, 0.1
 
 
 def upward(axis: str | None) -> FloatArray | None:
@@ -106,15 +107,17 @@ def _above_feet(vertices: FloatArray, faces: IntArray) -> FloatArray | None:
     """(3,) upwards from the feet of an animal: the pairs of ends that are most alike for its other ends."""
     numbers, ways = _ends(vertices, faces, N_ENDS)
     apart = ways[:, numbers]
-    if not apart.max() < np.inf:
+    if not (longest := apart.max()) < np.inf:
         return None  # several parts
     unlike = np.abs(apart[:, None] - apart).sum(axis=2) - 2 * apart  # without the ways within a pair
     pairs = [two for two in combinations(combinations(range(N_ENDS), 2), 2) if len({*two[0], *two[1]}) == 4]
     first, second = min(pairs, key=lambda two: unlike[two[0]] + unlike[two[1]])
-    is_long = apart[np.ix_(first, second)].mean() > LONGER * max(apart[first], apart[second])
-    is_alike = unlike[first] + unlike[second] < UNLIKE * apart.max()
+    narrow, wide = sorted((apart[first], apart[second]))
     upwards = vertices.mean(axis=0) - vertices[numbers[[*first, *second]]].mean(axis=0)
-    return upwards / np.linalg.norm(upwards) if is_long and is_alike else None
+    height, between = np.linalg.norm(upwards), apart[np.ix_(first, second)].mean()
+    are_alike = narrow > EQUAL * wide and unlike[first] + unlike[second] < UNLIKE * longest
+    are_below = between > LONGER * wide and height * between > ABOVE * wide * longest
+    return np.asarray(upwards / height) if are_alike and are_below else None
 
 
 def body_axes(vertices: FloatArray, faces: IntArray, up: FloatArray | None = None) -> FloatArray:

@@ -18,8 +18,8 @@ Colour = tuple[float, float, float]
 #: The colour of surfaces: a light clay, visible on white and on black; sRGB in [0, 1].
 CLAY = (0.86, 0.80, 0.74)
 
-#: Margin on each side of a picture, relative to its width.
-MARGIN = 0.04
+# Margin on each side of a picture, relative to its width. Smallest field of view, relative to the body.
+MARGIN, SMALL = 0.04, 1e-3
 
 # Number of rays along each side of a pixel, for antialiasing: four rays give five levels of coverage.
 SUPERSAMPLING = 2
@@ -27,9 +27,6 @@ SUPERSAMPLING = 2
 # Azimuths of the cameras around a body, to the right of its front, and their elevation; degrees.
 AZIMUTHS = (20, 110, 200, 290)
 ELEVATION = 15
-
-# Smallest size of the field of view, relative to the size of the body.
-SMALL = 1e-3
 
 # Directions to the two lamps in the frame of the camera (right, up, towards), and their strengths: a key
 # light from the upper left, and a weak fill light from the right.
