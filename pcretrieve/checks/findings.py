@@ -37,24 +37,27 @@ N_NEIGHBORS = 8
 MEASURED = 5000
 
 # Distance to the nearest point beyond which a face was filled in, in median distances between nearest
-# neighbours. If points are distributed uniformly over a surface, the fraction of the surface beyond this
-# distance is 1e-6.
-FILLED = 4
+# neighbours, and, where points are sparse, in spacings there. If points are distributed uniformly over a
+# surface, their nearest neighbours are half a spacing apart, and the share of the surface beyond is 1e-6.
+FILLED, FILLED_OF_SPARSE = 4, 2
 
-# Distance to the nearest point beyond which a face was filled in where points are sparse, in spacings there.
-# As often exceeded as FILLED, if points are random: their nearest neighbours are half a spacing apart.
-FILLED_OF_SPARSE = 2
+# The same beyond which a face may close a cut limb or a hole.
+BARE, BARE_OF_SPARSE = 1.75, 0.6
 
 # Of a face that closes a cut limb: the largest cosine of the angle between its normal and that of the nearest
-# point, since in a hole of a smooth surface these agree; the least distance to this point, relative to that
-# of a face that was filled in; and the largest distance to an extremity of the body, relative to the
-# diagonal. The extremities are four limbs, the head, and perhaps a tail, or half a limb that is left.
-TURNED, HALF_FILLED, NEAR_END, N_ENDS = 0.3, 0.5, 0.05, 7
+# point, since in a hole of a smooth surface these agree; the largest distance to an extremity of the body,
+# relative to the diagonal; and the number of extremities: limbs, head, tail, ears, half a limb that is left.
+TURNED, NEAR_END, N_ENDS = 0.3, 0.06, 13
+
+# Normals round a cut limb, unlike those round a gap between limbs, are perpendicular to that of the faces
+# that close it: areas are weighted by 1 − |cosine|, or BLUNT where more flat discs than POINTED are near the
+# extremity, which then is none.
+POINTED, BLUNT = 0.9, 0.3
 
 # Of a face in a hole that is not explained by occlusion: the least distance to the nearest point, relative to
 # the diagonal, and the least share of the hemisphere above it, weighted by the cosine as for ambient
 # occlusion, that the body leaves free. Sensors do not reach into folds.
-FAR_OFF, OPEN, N_RAYS = 0.012, 0.7, 64
+FAR_OFF, OPEN, N_RAYS = 0.01, 0.6, 64
 
 # Height above a face from which rays are cast, relative to the diagonal: beyond single precision.
 ABOVE = 1e-3
@@ -97,13 +100,11 @@ def findings_of(
     if cloud is not None:
         some = slice(None, None, max(1, len(cloud.points) // MEASURED))
         places = np.ascontiguousarray(cloud.points[some])
-        distance, near = nearest(
-            cloud.points, places, min(N_NEIGHBORS + 1, len(cloud.points))
-        )  # itself first
+        distance, near = nearest(cloud.points, places, min(N_NEIGHBORS + 1, len(cloud.points)))
         spacing = float(np.median(distance[:, 1]))
         checks += point_checks(cloud, spacing=spacing)
         if cloud.normals is not None:
-            checks += normal_checks(cloud.normals, cloud.normals[some], near[:, 1:])
+            checks += normal_checks(cloud.normals, cloud.normals[some], near[:, 1:])  # itself first
         if mesh is not None:
             base = np.zeros((0, 3)) if marks is None else marks.base
             filled, fit = _fit(cloud, mesh, places, spacing, base)
@@ -126,11 +127,11 @@ def _fit(
     middles = mesh.vertices[mesh.faces].mean(axis=1)
     distance, number = nearest(cloud.points, middles, 1)
     apart, near = distance[:, 0], number[:, 0]  # (m,)
-    limit = np.full(len(apart), FILLED * spacing)
-    some_bare = apart > HALF_FILLED * limit
-    sparse = FILLED_OF_SPARSE * _spacings(cloud.points, near[some_bare])
-    limit[some_bare] = np.maximum(limit[some_bare], sparse)
-    filled, bare = np.asarray(apart > limit), apart > HALF_FILLED * limit
+    local, some_bare = np.zeros(len(apart)), apart > BARE * spacing
+    around = nearest(cloud.points, cloud.points[near[some_bare]], SPACING_NEIGHBORS + 1)
+    local[some_bare] = local_spacings(Neighborhoods(*around))
+    filled = apart > np.maximum(FILLED * spacing, FILLED_OF_SPARSE * local)
+    bare = apart > np.maximum(BARE * spacing, BARE_OF_SPARSE * local)
     vectors = mesh.area_vectors
     areas = np.linalg.norm(vectors, axis=1)
     area = areas.sum()
@@ -143,9 +144,16 @@ def _fit(
     ends = 0.0
     if cloud.normals is not None:
         lean = np.einsum("ij,ij->i", vectors, cloud.normals[near])  # area times cosine
-        turned = np.where(bare & (lean < TURNED * areas), areas, 0)
-        at_ends = (paths < NEAR_END * cloud.diagonal for paths in islice(from_extremities(mesh), N_ENDS))
-        ends = max(float(turned[end[mesh.faces].any(axis=1)].sum() / area) for end in at_ends)
+        turned = bare & (areas > 0) & (lean < TURNED * areas)
+        disc = np.pi * (NEAR_END * cloud.diagonal) ** 2
+        for paths in islice(from_extremities(mesh), N_ENDS):
+            end = (paths < NEAR_END * cloud.diagonal)[mesh.faces].any(axis=1)
+            closing = np.flatnonzero(turned & end)
+            if len(closing):
+                axis = vectors[closing].sum(axis=0)
+                rim = cloud.normals[np.unique(near[closing])] @ axis / np.linalg.norm(axis)
+                weight = 1 - np.abs(rim).mean() if areas[end].sum() < POINTED * disc else BLUNT
+                ends = max(ends, float(weight * areas[closing].sum() / area))
     order = np.argsort(apart)
     covered = np.searchsorted(np.cumsum(areas[order]), COVERED * areas.sum())
     # Open3D computes these distances in single precision, so the points are moved near the origin.
@@ -192,13 +200,7 @@ def _openness(scene: RayScene, places: FloatArray, normals: FloatArray) -> Float
     directions = np.sign(cosines)[:, :, np.newaxis] * rays
     distance = scene.cast(np.repeat(places, N_RAYS, axis=0), directions.reshape(-1, 3))[0]
     light = np.abs(cosines)
-    free: FloatArray = (light * np.isinf(distance).reshape(light.shape)).sum(axis=1) / light.sum(axis=1)
-    return free
-
-
-def _spacings(points: FloatArray, chosen: NDArray[np.intp]) -> FloatArray:
-    """The spacing of the points near each of the chosen ones; unit of the file."""
-    return local_spacings(Neighborhoods(*nearest(points, points[chosen], SPACING_NEIGHBORS + 1)))
+    return np.asarray((light * np.isinf(distance).reshape(light.shape)).sum(axis=1) / light.sum(axis=1))
 
 
 def _places(cells: FloatArray, reach: float) -> FloatArray:

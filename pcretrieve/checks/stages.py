@@ -17,8 +17,8 @@ from pcretrieve.values import FloatArray, PointCloud, Shape, Step, TriangleMesh
 ERROR_OF_FILLED = 2.0
 ERROR_OF_LOST = 5.0
 ERROR_OF_NOISE = 100.0
-ERROR_OF_ENDS = 75.0
-ENDS_OF_NOISE = 0.0015
+ERROR_OF_ENDS = 100.0
+ENDS_OF_NOISE = 0.00125
 ERROR_OF_GAPS = 2900.0
 
 # Log-signature error of a base if the ground was not seen: what was cut off there may be legs.
@@ -136,17 +136,14 @@ def fit_checks(
     """Check how well points and surface fit each other."""
     near = f"95 % of the surface lie within {percent(gaps)} of the diagonal of a point"
     beyond_noise = max(0.0, ends - ENDS_OF_NOISE)
-    off, scatter = (
-        f"{percent(lost)} of the points lie off the surface",
-        f"{percent(noise)} of the diagonal (rms)",
-    )
+    off = f"{percent(lost)} of the points lie off the surface"
     return [
         graded("Filled in", filled, f"{percent(filled)} of the surface", error=ERROR_OF_FILLED * filled),
         graded("Closed ends", ends, f"{percent(ends)} of the surface", error=ERROR_OF_ENDS * beyond_noise),
         graded("Gaps", gaps, near, error=ERROR_OF_GAPS * gaps**2),
         graded("Largest hole", hole, f"{percent(hole)} of the surface"),
         graded("Left out", lost, off, error=ERROR_OF_LOST * lost),
-        graded("Noise", noise, scatter, error=ERROR_OF_NOISE * noise),
+        graded("Noise", noise, f"{percent(noise)} of the diagonal (rms)", error=ERROR_OF_NOISE * noise),
     ]
 
 

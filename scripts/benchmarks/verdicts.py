@@ -137,10 +137,17 @@ def _kept(points: FloatArray, mesh: TriangleMesh, condition: str, rng: np.random
     return np.flatnonzero(~gone)
 
 
-# A body has four limbs and a head; tails and ears come later.
-N_ENDS = 5
+# A body has four limbs and a head. Ends with a smaller share of the surface are tails of dogs and horses,
+# those with a larger one are no ends.
+N_ENDS, SHARES = 5, (0.02, 0.25)
 
 
 def _from_an_end(mesh: TriangleMesh, rng: np.random.Generator) -> FloatArray:
     """(n,) geodesic distances of the vertices from the end of a random limb."""
-    return next(islice(from_extremities(mesh), int(rng.integers(N_ENDS)), None))
+    reach, areas = LIMB * np.ptp(mesh.vertices, axis=0).max(), mesh.face_areas / mesh.area
+
+    def is_limb(paths: FloatArray) -> bool:
+        share = float(areas[(paths < reach)[mesh.faces].all(axis=1)].sum())
+        return SHARES[0] < share < SHARES[1]
+
+    return next(islice(filter(is_limb, from_extremities(mesh)), int(rng.integers(N_ENDS)), None))
