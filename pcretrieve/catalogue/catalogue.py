@@ -151,8 +151,7 @@ class Catalogue(Rows):
         if stored is None:
             raise self.unknown(shape_id)
         with intact(self.location, f"the signature of {shape_id!r}"):
-            values: FloatArray = unpacked_values(stored, 1, len(stored) // 8 - 1)[0]
-            return values
+            return np.asarray(unpacked_values(stored, 1, len(stored) // 8 - 1)[0])
 
     def described(self, shape_id: str, options: PipelineOptions) -> Signature:
         """The signature of a shape by other options, from what is stored; ShapeError if a part is missing."""

@@ -186,5 +186,4 @@ def geodesic_matrix(mesh: TriangleMesh, *, weighted: bool = True) -> FloatArray:
     corners = np.repeat(coarse.face_areas / 3, 3)  # (3m,)
     areas = np.bincount(coarse.faces.ravel(), corners, n)  # (n,)
     weights = np.sqrt(areas if weighted else np.full_like(areas, areas.mean()))  # (n,)
-    matrix: FloatArray = np.outer(weights, weights) * (distances + distances.T) / 2
-    return matrix
+    return np.asarray(np.outer(weights, weights) * (distances + distances.T) / 2)

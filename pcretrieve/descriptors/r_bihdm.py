@@ -117,5 +117,4 @@ def leading(matrix: FloatArray, n_values: int, n_modes: int, scale: Scale, area:
             "the eigenpairs are not those of a connected surface"
         )
     unit = {"relative": mu[-1], "area": area**2, "absolute": 1.0}[scale]
-    magnitudes: FloatArray = np.abs(mu[:n_values]) / unit  # (L,)
-    return magnitudes
+    return np.asarray(np.abs(mu[:n_values]) / unit)

@@ -56,8 +56,7 @@ class Camera:
 
     def seen(self, points: FloatArray) -> FloatArray:
         """(n, 3) image coordinates, right, up and towards the camera; the field of view is [-1, 1]²."""
-        seen: FloatArray = (points - self.centre) @ self.axes.T / self.half
-        return seen
+        return np.asarray((points - self.centre) @ self.axes.T / self.half)
 
 
 def cameras_around(points: FloatArray, axes: FloatArray | None = None) -> list[Camera]:
@@ -113,8 +112,7 @@ def pooled(rays: FloatArray) -> FloatArray:
     """The means over the rays of each pixel, of values in the order of `visible_faces`."""
     size = len(rays) // SUPERSAMPLING
     blocks = rays.reshape(size, SUPERSAMPLING, size, SUPERSAMPLING, *rays.shape[2:])
-    means: FloatArray = blocks.mean(axis=(1, 3))
-    return means
+    return np.asarray(blocks.mean(axis=(1, 3)))
 
 
 def point_picture(

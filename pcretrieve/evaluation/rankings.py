@@ -133,8 +133,7 @@ def _by_distance(block: DistanceBlock, ids: Sequence[str]) -> Positions:
     by_id = np.array(sorted(range(len(ids)), key=ids.__getitem__), dtype=np.intp)  # (N,)
     columns = block.distances[:, by_id]  # (q, N): a stable sort then orders equal distances by identifier
     columns[block.queries[:, np.newaxis] == by_id] = -np.inf
-    order: Positions = by_id[np.argsort(columns, axis=1, kind="stable")]
-    return order
+    return np.asarray(by_id[np.argsort(columns, axis=1, kind="stable")])
 
 
 def _rank_sorted(

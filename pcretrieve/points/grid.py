@@ -310,5 +310,4 @@ def _winding(triangles: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[
     height = (parts * triangles[face, :, 2]).sum(axis=1) / total
     crossings = np.zeros((shape[0], shape[1], shape[2] + 1), dtype=np.int32)
     np.add.at(crossings, (*line.T, np.ceil(height).astype(np.intp)), np.sign(total).astype(np.int32))
-    winding: NDArray[np.int32] = np.cumsum(crossings, axis=2, dtype=np.int32)[:, :, :-1]
-    return winding
+    return np.asarray(np.cumsum(crossings, axis=2, dtype=np.int32)[:, :, :-1])

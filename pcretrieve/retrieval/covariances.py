@@ -71,8 +71,7 @@ def checked_shrinkage(kind: str, shrinkage: Shrinkage) -> float:
 def inverse_square_root(covariance: FloatArray) -> FloatArray:
     """The symmetric inverse square root C^(−1/2) of a covariance (L, L), symmetric positive definite."""
     variances, directions = np.linalg.eigh(covariance)
-    root: FloatArray = (directions / np.sqrt(variances)) @ directions.T
-    return root
+    return np.asarray((directions / np.sqrt(variances)) @ directions.T)
 
 
 def scatter_matrix(logs: FloatArray, mean: FloatArray) -> FloatArray:
@@ -97,8 +96,7 @@ def _shrunk(covariance: FloatArray, intensity: float, *, one_unit: bool = True) 
     variances = np.diag(covariance)
     mean = variances.mean()
     target = np.full(len(variances), mean) if one_unit else np.maximum(variances, LEAST_VARIANCE * mean)
-    result: FloatArray = (1 - intensity) * covariance + intensity * np.diag(target)
-    return result
+    return np.asarray((1 - intensity) * covariance + intensity * np.diag(target))
 
 
 def within_class_covariance(
@@ -147,8 +145,7 @@ def _members(labels: Sequence[str | None]) -> list[list[int]]:
 
 def _pooled(values: FloatArray, classes: Positions) -> FloatArray:
     """(L, L) pooled within-class covariance of residuals (n, L), without bias."""
-    covariance: FloatArray = values.T @ values / (len(values) - len(np.unique(classes)))
-    return covariance
+    return np.asarray(values.T @ values / (len(values) - len(np.unique(classes))))
 
 
 def _likeliest_shrinkage(residuals: FloatArray, classes: Positions, *, one_unit: bool) -> float:

@@ -45,8 +45,7 @@ BLOCK_DISTANCES = 2**22
 
 
 def _d1(x: FloatArray) -> FloatArray:
-    total: FloatArray = np.tanh(np.abs(x) / 2).sum(axis=-1)
-    return total
+    return np.asarray(np.tanh(np.abs(x) / 2).sum(axis=-1))
 
 
 def _d2(x: FloatArray) -> FloatArray:
@@ -57,8 +56,7 @@ def _d2(x: FloatArray) -> FloatArray:
 
 
 def _log(x: FloatArray) -> FloatArray:
-    root: FloatArray = np.sqrt((x**2).sum(axis=-1))
-    return root
+    return np.asarray(np.sqrt((x**2).sum(axis=-1)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,11 @@ differ, S_t = S_w, and differences do not count. Other whitenings would amplify 
 Both covariances were estimated from raw scans of simulated people in several poses (people.txt), so that the
 distance of two scans of people hardly changes when others are added to a catalogue.
 
+Pose moves coordinates along curves. Before the default descriptor is compared, a network of one hidden layer
+therefore takes each scan half of the way to what it expects of the other scans of this person:
+
+    x ← (x + B max(0, A x + a)) / 2
+
 References
 ----------
 .. [1] M. Köstinger, M. Hirzer, P. Wohlhart, P. M. Roth and H. Bischof, "Large scale metric learning from
@@ -31,8 +36,9 @@ from pcretrieve.options import SignatureOptions, fused_names
 from pcretrieve.values import FloatArray
 
 # mean (105,), within and total (105, 105), scale (105,): the moments of the coordinates of hapt, of 59 values
-# of r-bihdm and of log area, divided by the scale of each. Written by scripts/benchmark_people --learn.
-SAMPLE = "people.npz"
+# of r-bihdm and of log area, divided by the scale of each; network (137, H): A, a and B one above the other,
+# of hapt and N_VALUES of r-bihdm, with H hidden units. Written by scripts/benchmark_people --learn.
+SAMPLE, N_VALUES = "people.npz", 23
 
 # Where the coordinates of a descriptor begin, how many of r-bihdm there are, and of how many modes they are.
 BEGINS = {"hapt": 0, "r-bihdm": 45}
@@ -51,11 +57,15 @@ COMPARED = 10_000
 
 
 class People(NamedTuple):
-    """The mean (L,) of the coordinates of people, their covariance within people and in total, (L, L)."""
+    """The mean (L,) of the coordinates of people, their covariance within people and in total, (L, L).
+
+    network: (2 l + 1, H), A, a and B of the first l coordinates; empty but for the default descriptor.
+    """
 
     mean: FloatArray
     within: FloatArray
     total: FloatArray
+    network: FloatArray
 
     def unlikeness(self, coordinates: FloatArray) -> float:
         """The median variance of some scans (N, L) about the mean, in units of that of simulated scans."""
@@ -72,8 +82,18 @@ class People(NamedTuple):
         if own is not None:
             within = (1 - share) * within + share * np.trace(within) / np.trace(own) * own
         total = self.total - self.within + within
-        metric: FloatArray = np.linalg.inv(within) - np.linalg.inv(total)
-        return metric
+        return np.asarray(np.linalg.inv(within) - np.linalg.inv(total))
+
+
+def corrected(coordinates: FloatArray, network: FloatArray) -> FloatArray:
+    """(N, L) coordinates, the first of them half of the way to what the network expects of the person."""
+    if not network.size:
+        return coordinates
+    n, moved = len(network) // 2, np.array(coordinates)
+    # As in `Whitening.apply`, a row must not depend on others.
+    hidden = np.maximum(np.einsum("ij,jk->ik", coordinates[:, :n], network[:n]) + network[n], 0)
+    moved[:, :n] = (coordinates[:, :n] + np.einsum("ij,kj->ik", hidden, network[n + 1 :])) / 2
+    return moved
 
 
 def people(options: SignatureOptions, arrays: Mapping[str, FloatArray] | None = None) -> People | None:
@@ -93,6 +113,8 @@ def people(options: SignatureOptions, arrays: Mapping[str, FloatArray] | None = 
     scale = np.ones(len(chosen)) if len(names) > 1 else sample["scale"][chosen]
     if options.size_weight:
         chosen, scale = np.append(chosen, -1), np.append(scale, options.size_weight)
+    is_default = names == tuple(BEGINS) and options.n_values == N_VALUES and "network" in sample
+    network = sample["network"] if is_default else np.zeros((0, 0))
     among = np.ix_(chosen, chosen)
     within, total = (sample[name][among] * np.outer(scale, scale) for name in ("within", "total"))
-    return People(sample["mean"][chosen] * scale, within, total)
+    return People(sample["mean"][chosen] * scale, within, total, network)

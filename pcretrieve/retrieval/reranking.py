@@ -163,8 +163,7 @@ def k_reciprocal(
         jaccard[number] = 1 - common / (2 - common)
     plain = lists.distances[rows]
     mean = np.maximum(plain[:, 1:].mean(axis=1, keepdims=True), np.finfo(np.float64).tiny)
-    combined: FloatArray = (1 - weight) * jaccard + weight * plain / mean
-    return combined
+    return np.asarray((1 - weight) * jaccard + weight * plain / mean)
 
 
 def nearest_matrix(order: Positions, k: int) -> csr_array:

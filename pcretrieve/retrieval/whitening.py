@@ -27,7 +27,7 @@ import io
 import zipfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -47,7 +47,7 @@ from pcretrieve.retrieval.covariances import (
     within_class_covariance,
 )
 from pcretrieve.retrieval.distances import table_coordinates
-from pcretrieve.retrieval.people import ALIKE, KNOWN, LEAST_SHARE, People
+from pcretrieve.retrieval.people import ALIKE, KNOWN, LEAST_SHARE, People, corrected
 from pcretrieve.values import FloatArray, Metric, SignatureTable
 from pcretrieve.values.base import Value, locked
 from pcretrieve.values.files import write_file
@@ -83,7 +83,7 @@ class Arrays(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Whitening(Arrays):
-    """The map x → W (x − mean) of log-signatures.
+    """The map x → W (c(x) − mean) of log-signatures, in which c corrects the pose of people.
 
     Attributes
     ----------
@@ -101,6 +101,8 @@ class Whitening(Arrays):
         Digest of the signatures of the fit, to which alone the whitening may be applied.
     reason : str
         What was used and why, in one line.
+    network : (2 L + 1, H) float64
+        The correction, as in `pcretrieve.retrieval.people`; without hidden units none.
     """
 
     kind: str
@@ -110,6 +112,7 @@ class Whitening(Arrays):
     shrinkage: float = 0.0
     options_digest: str = ""
     reason: str = ""
+    network: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         if self.kind not in (*WHITENINGS, CALIBRATED):
@@ -118,6 +121,7 @@ class Whitening(Arrays):
         matrix = locked("the matrix of a whitening", self.matrix, (len(mean), len(mean)))
         object.__setattr__(self, "mean", mean)
         object.__setattr__(self, "matrix", matrix)
+        object.__setattr__(self, "network", locked("the network of a whitening", self.network, (None, None)))
 
     def check_made_for(self, digest: str) -> None:
         """InputError if the whitening was fitted on signatures of another digest."""
@@ -128,7 +132,7 @@ class Whitening(Arrays):
             )
 
     def apply(self, logs: FloatArray) -> FloatArray:
-        """W (x − mean) for each row x of log-signatures (N, L); for ``none`` the input array itself."""
+        """W (c(x) − mean) for each row x of log-signatures (N, L); for ``none`` the input array itself."""
         if logs.ndim != 2 or logs.shape[1] != len(self.mean):
             raise InputError(
                 f"log-signatures must have shape (N, {len(self.mean)}), as this whitening was fitted, "
@@ -138,8 +142,7 @@ class Whitening(Arrays):
             return logs
         # einsum instead of a BLAS product, in which the rounding of a row depends on the other rows: equal
         # signatures would no longer be at exactly equal distances.
-        whitened: FloatArray = np.einsum("ij,kj->ik", logs - self.mean, self.matrix)
-        return whitened
+        return np.asarray(np.einsum("ij,kj->ik", corrected(logs, self.network) - self.mean, self.matrix))
 
 
 def write_whitening(whitening: Whitening, path: Path) -> None:
@@ -192,7 +195,7 @@ def fit_whitening(
     if kind in AUTOMATIC:
         used = _chosen(logs, labels if kind == "auto" else None, unlike)
     if used == "people":
-        own = neighbour_covariance(logs, shrinkage)
+        own = neighbour_covariance(logs if people is None else corrected(logs, people.network), shrinkage)
         return replace(_of_people(own, people, unlike), options_digest=options_digest)
     fit = Fit(logs, None, 0.0, "none")
     if used == "pca":
@@ -234,6 +237,7 @@ def calibrated_whitening(
     logs = table_coordinates(table, options.distance)
     if people is None or not len(logs) or (unlike := people.unlikeness(logs)) > ALIKE:
         return table_whitening(table, options.model_copy(update={"whitening": "within-class"}))
+    logs = corrected(logs, people.network)
     own = within_class_covariance(logs, table.labels, options.shrinkage, one_unit=True)
     return replace(_of_people(own, people, unlike), options_digest=table.digest)
 
@@ -268,7 +272,7 @@ def _of_people(own: Fit, people: People | None, unlike: float) -> Whitening:
     reason = f"people: {1 - share:.0%} learned from simulated people"
     reason += f", {share:.0%} from {own.reason}" if share else ""
     n_own = len(own.shapes) if share else 0
-    return Whitening("people", people.mean, root, n_own, own.shrinkage, reason=reason)
+    return Whitening("people", people.mean, root, n_own, own.shrinkage, "", reason, people.network)
 
 
 def _pca(logs: FloatArray, shrinkage: Shrinkage) -> Fit:

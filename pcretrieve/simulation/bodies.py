@@ -105,8 +105,7 @@ def skin(subject: Subject) -> Skin:
 def blend(weights: FloatArray, moved: FloatArray, points: FloatArray) -> FloatArray:
     """Linear blend skinning: (n, 3) points after the means of the motions (b, 4, 4) by weights (n, b)."""
     mean = np.tensordot(weights, moved, axes=1)  # (n, 4, 4)
-    there: FloatArray = np.einsum("nij,nj->ni", mean[:, :3, :3], points) + mean[:, :3, 3]
-    return there
+    return np.asarray(np.einsum("nij,nj->ni", mean[:, :3, :3], points) + mean[:, :3, 3])
 
 
 def _rest_surface(subject: Subject) -> TriangleMesh:

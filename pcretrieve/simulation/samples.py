@@ -112,8 +112,7 @@ def random_motion(rng: np.random.Generator) -> FloatArray:
 
 def moved(motion: FloatArray, points: FloatArray) -> FloatArray:
     """(n, 3) points after a rigid motion."""
-    there: FloatArray = points @ motion[:3, :3].T + motion[:3, 3]
-    return there
+    return np.asarray(points @ motion[:3, :3].T + motion[:3, 3])
 
 
 def write_ply(path: Path, points: FloatArray) -> None:

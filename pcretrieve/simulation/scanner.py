@@ -128,8 +128,7 @@ def _step_behind(depth: FloatArray) -> FloatArray:
     """The largest depth of the four neighbours of each pixel minus its own depth, (p, p); may be infinite."""
     framed = np.pad(depth, 1, constant_values=0)
     around = [framed[:-2, 1:-1], framed[2:, 1:-1], framed[1:-1, :-2], framed[1:-1, 2:]]
-    step: FloatArray = np.max(around, axis=0) - np.where(np.isfinite(depth), depth, 0)
-    return step
+    return np.asarray(np.max(around, axis=0) - np.where(np.isfinite(depth), depth, 0))
 
 
 # Outliers lie in the bounding box of the surface, enlarged by this factor about its centre.

@@ -145,8 +145,7 @@ def _turns(subject: Subject, pose: Pose) -> FloatArray:
         * Rotation.from_rotvec(bend * np.cross(along, front))
         * Rotation.from_rotvec(twist * side * along)
     )
-    matrices: FloatArray = turn.as_matrix()
-    return matrices
+    return np.asarray(turn.as_matrix())
 
 
 def bone_distance(bone: Bone, points: FloatArray) -> FloatArray:

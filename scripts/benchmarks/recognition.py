@@ -13,7 +13,8 @@ one person that are refused where one in a thousand pairs of two people is accep
 there are, 1 − rank-1 is continued as a power of n; these rows are marked as fitted. "form and size" is by
 `--size-weight 6`.
 
-The metric is learned by the covariances within and between people: see `pcretrieve.retrieval.people`.
+The metric is learned by the covariances within and between people, and a network, in the space of this
+metric, by what one scan of a person tells of the mean of the others: see `pcretrieve.retrieval.people`.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import hypergeom
+from sklearn.neural_network import MLPRegressor
 
 import pcretrieve.retrieval
 from benchmarks.measuring import Column, Table, argument_parser, draw_curves, print_lines
@@ -121,7 +123,48 @@ def learned(scans: Scans) -> dict[str, FloatArray]:
     weights, directions = np.linalg.eigh(between)
     between = (directions * np.maximum(weights, 0)) @ directions.T
     moments = {"mean": points.mean(axis=0), "within": shrunk, "total": shrunk + between, "scale": scale}
+    moments["network"] = _network(scans, moments)
     return {name: array.astype(np.float32) for name, array in moments.items()}
+
+
+# Number of hidden units, and weight decay. A layer of 128 units is no worse than two of 256 and 128; a decay
+# of .3 or 5 gives a rank-1 among 10,000 people, fitted, of .972 or .968, not .970.
+N_HIDDEN, DECAY = 128, 1.0
+
+# Least weight of a direction that the network changes, relative to the largest.
+LEAST_WEIGHT = 0.003
+
+
+def _network(scans: Scans, moments: Mapping[str, FloatArray]) -> FloatArray:
+    """The network of `pcretrieve.retrieval.people.corrected`."""
+    options = SignatureOptions()
+    points = fused_points(scans.parts, options)
+    whitening = fit_whitening("people", points, people=people(options, moments))
+    whitened = whitening.apply(points)
+    n_of = np.bincount(scans.person)
+    sums = np.stack([np.bincount(scans.person, column) for column in whitened.T], axis=1)
+    known = n_of[scans.person] > 1
+    own, person = whitened[known], scans.person[known]
+    others = (sums[person] - own) / (n_of[person] - 1)[:, np.newaxis]
+    unit = own.std()
+    network = MLPRegressor(
+        hidden_layer_sizes=(N_HIDDEN,),
+        alpha=DECAY,
+        early_stopping=True,
+        n_iter_no_change=15,
+        max_iter=500,
+        random_state=0,
+    )
+    network.fit(own / unit, others / unit)
+    (first, last), (bias, shift) = network.coefs_, network.intercepts_
+    back = unit * np.linalg.pinv(whitening.matrix, rcond=LEAST_WEIGHT, hermitian=True)
+    first, last, shift = whitening.matrix @ first / unit, last @ back, whitening.mean + shift @ back
+    # The shift is the output of one more unit, which is always 1.
+    first, bias = (
+        np.column_stack([first, np.zeros(len(first))]),
+        np.append(bias - whitening.mean @ first, 1.0),
+    )
+    return np.concatenate([first, [bias], np.column_stack([last.T, shift])])
 
 
 def _some(scans: Scans, chosen: Positions) -> Scans:

@@ -14,6 +14,7 @@ from pcretrieve.descriptors import DESCRIPTORS, signature_length
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import RetrievalOptions, SignatureOptions
 from pcretrieve.retrieval import People, Whitening, fit_whitening, pairwise, people
+from pcretrieve.retrieval.people import corrected
 from pcretrieve.retrieval.whitening import calibrated_whitening, read_whitening, write_whitening
 from pcretrieve.values import FloatArray, Metric
 
@@ -183,8 +184,7 @@ def test_the_metric_of_people_finds_them(method: str, size_weight: float) -> Non
     # Scans of others are compared by their own neighbours, the more so the less they are like people.
     far = known.mean + 30 * (logs - known.mean)
     assert fit_whitening("auto", far, people=known).kind == "neighbours"
-    twice = known.mean + 2 * (logs - known.mean)
-    assert "% from neighbours: " in fit_whitening("people", twice, people=known).reason
+    assert "% from neighbours: " in fit_whitening("people", 2 * logs - known.mean, people=known).reason
     # Three scans are compared by the simulated people alone.
     assert fit_whitening("unsupervised", logs[:3], people=known).n_fitted == 0
     # Labelled scans adapt it; of others, the classes alone are used.
@@ -195,17 +195,18 @@ def test_the_metric_of_people_finds_them(method: str, size_weight: float) -> Non
 
 
 def test_the_metric_of_people_is_known_for_these_signatures_alone() -> None:
-    for options in (
-        {"method": "csd"},
-        {"n_modes": 59},
-        {"n_values": 60},
-        {"scale": "relative"},
-        {"method": "hapt+csd"},
-    ):
-        assert people(SignatureOptions.model_validate(options)) is None
+    for name, value in (("method", "csd"), ("n_modes", 59), ("n_values", 60), ("scale", "relative")):
+        assert people(SignatureOptions.model_validate({name: value})) is None
     fused, alone = (people(SignatureOptions(method=method)) for method in ("r-bihdm+hapt", "r-bihdm"))
     assert fused is not None and alone is not None
     spread = DESCRIPTORS["r-bihdm"].spread
     np.testing.assert_allclose(fused.within[:23, :23] * spread**2, alone.within, rtol=1e-5)
+    default = people(SignatureOptions(size_weight=6.0))
+    assert default is not None and default.network.size and not fused.network.size
+    logs = some_people(default)[0]
+    whitening = fit_whitening("people", logs, people=default)
+    assert (Whitening.from_arrays(whitening.to_arrays()).apply(logs[5:6]) == whitening.apply(logs)[5]).all()
+    moved = corrected(logs, default.network)
+    assert (moved[:, -1] == logs[:, -1]).all() and (moved[:, :-1] != logs[:, :-1]).all()
     with pytest.raises(OptionError, match="whitening 'people' is known for hapt, r-bihdm and their fusion"):
         fit_whitening("people", np.ones((3, 8)))
