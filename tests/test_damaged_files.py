@@ -260,7 +260,7 @@ def test_a_damaged_file_is_read_or_named(name: str, whole: Path) -> None:
 @pytest.mark.parametrize("found", FOUND, ids=lambda path: path.stem)
 def test_a_file_that_was_read_wrongly_is_read_or_named(found: Path, whole: Path, tmp_path: Path) -> None:
     if found.parent.name == "scan":
-        path = tmp_path / found.name
+        path = whole_scan("depth.npy", tmp_path).with_name(found.name)  # beside the file of a camera
         assert not read_damaged(path, lambda seed: found.read_bytes(), read_scan, 1, str(path))[1]
     else:
         assert not faults(found.parent.name, whole, lambda data, seed: found.read_bytes())

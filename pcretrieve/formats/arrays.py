@@ -58,7 +58,7 @@ def read_npz(path: Path) -> RawScan:
             """The first array of these names."""
             for name in known:
                 if name in members:
-                    return _member(archive, members[name])
+                    return _member(archive, members[name], path.stat().st_size)
             return None
 
         found = array(POINTS if len(members) != 1 else tuple(members))
@@ -146,16 +146,13 @@ def _numbers(table: NDArray[Any]) -> NDArray[np.float64]:
 
 def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
     """The arrays of an archive by name, in lower case."""
-    return {
-        info.filename.removesuffix(".npy").lower(): info
-        for info in archive.infolist()
-        if info.filename.endswith(".npy")
-    }
+    arrays = (info for info in archive.infolist() if info.filename.endswith(".npy"))
+    return {info.filename.removesuffix(".npy").lower(): info for info in arrays}
 
 
-def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
+def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, n_bytes: int) -> NDArray[Any]:
     """An array in an archive, whose size is checked before it is expanded."""
-    if info.file_size > DEFLATE_RATIO * (info.compress_size + 1):
+    if info.file_size > DEFLATE_RATIO * (info.compress_size + 1) or info.compress_size > n_bytes:
         raise ScanReadError(
             f"its member {info.filename} declares {info.file_size} bytes in {info.compress_size}"
         )
@@ -169,7 +166,7 @@ def _array(file: IO[bytes], n_bytes: int) -> NDArray[Any]:
     if dtype.hasobject:
         raise ScanReadError("it holds Python objects, which are not read: save an array of numbers")
     promised = int(np.prod([*shape, dtype.itemsize], dtype=object))
-    if any(size < 0 for size in shape) or promised > n_bytes - file.tell():
+    if any(not 0 <= size <= n_bytes for size in shape) or promised > n_bytes - file.tell():
         raise Damaged(f"its header declares {promised} bytes, {n_bytes - file.tell()} follow")
     values = np.frombuffer(file.read(promised), dtype)
     return values.reshape(shape, order="F" if in_columns else "C")
@@ -177,7 +174,9 @@ def _array(file: IO[bytes], n_bytes: int) -> NDArray[Any]:
 
 def _header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], bool]:
     """Shape and type of an array, and whether it is stored by columns."""
-    version = np.lib.format.read_magic(file)
+    head = io.BytesIO(file.read(1 << 16))  # more than NumPy reads, which would allocate what is declared
+    version = np.lib.format.read_magic(head)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, in_columns, dtype = read(file)
+    shape, in_columns, dtype = read(head)
+    file.seek(head.tell())
     return shape, dtype, in_columns
