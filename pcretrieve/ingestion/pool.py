@@ -144,8 +144,8 @@ def in_processes(
                 if (news := worker.news()) is None:
                     continue
                 if not worker.n_items:
-                    if isinstance(*news, str):
-                        _tell_once(*news)
+                    if isinstance(news[0], str):
+                        _tell_once(news[0])
                         continue
                     failed_starts = failed_starts + 1 if worker.is_gone else 0
                     if failed_starts == MAX_FAILED_STARTS:

@@ -90,10 +90,15 @@ def corrected(coordinates: FloatArray, network: FloatArray) -> FloatArray:
     if not network.size:
         return coordinates
     n, moved = len(network) // 2, np.array(coordinates)
-    # As in `Whitening.apply`, a row must not depend on others.
-    hidden = np.maximum(np.einsum("ij,jk->ik", coordinates[:, :n], network[:n]) + network[n], 0)
-    moved[:, :n] = (coordinates[:, :n] + np.einsum("ij,kj->ik", hidden, network[n + 1 :])) / 2
+    hidden = row_products(moved[:, :n], network[:n]) + network[n]
+    moved[:, :n] += row_products(np.maximum(hidden, 0, out=hidden), network[n + 1 :].T)
+    moved[:, :n] /= 2
     return moved
+
+
+def row_products(rows: FloatArray, matrix: FloatArray) -> FloatArray:
+    """The product of each row (N, L) with a matrix (L, K); its rounding does not depend on the other rows."""
+    return np.asarray((rows[:, np.newaxis] @ matrix)[:, 0])
 
 
 def people(options: SignatureOptions, arrays: Mapping[str, FloatArray] | None = None) -> People | None:

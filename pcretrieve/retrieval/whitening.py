@@ -47,7 +47,7 @@ from pcretrieve.retrieval.covariances import (
     within_class_covariance,
 )
 from pcretrieve.retrieval.distances import table_coordinates
-from pcretrieve.retrieval.people import ALIKE, KNOWN, LEAST_SHARE, People, corrected
+from pcretrieve.retrieval.people import ALIKE, KNOWN, LEAST_SHARE, People, corrected, row_products
 from pcretrieve.values import FloatArray, Metric, SignatureTable
 from pcretrieve.values.base import Value, locked
 from pcretrieve.values.files import write_file
@@ -140,9 +140,7 @@ class Whitening(Arrays):
             )
         if self.kind == "none":
             return logs
-        # einsum instead of a BLAS product, in which the rounding of a row depends on the other rows: equal
-        # signatures would no longer be at exactly equal distances.
-        return np.asarray(np.einsum("ij,kj->ik", corrected(logs, self.network) - self.mean, self.matrix))
+        return row_products(corrected(logs, self.network) - self.mean, self.matrix.T)
 
 
 def write_whitening(whitening: Whitening, path: Path) -> None:
@@ -195,7 +193,12 @@ def fit_whitening(
     if kind in AUTOMATIC:
         used = _chosen(logs, labels if kind == "auto" else None, unlike)
     if used == "people":
-        own = neighbour_covariance(logs if people is None else corrected(logs, people.network), shrinkage)
+        if people is None:
+            raise OptionError(
+                "whitening 'people' is known for hapt, r-bihdm and their fusion, by area and with n_modes = "
+                "60: take one of these descriptors, or another whitening"
+            )
+        own = neighbour_covariance(corrected(logs, people.network), shrinkage)
         return replace(_of_people(own, people, unlike), options_digest=options_digest)
     fit = Fit(logs, None, 0.0, "none")
     if used == "pca":
@@ -205,8 +208,7 @@ def fit_whitening(
     elif used == "neighbours":
         fit = neighbour_covariance(logs, shrinkage)
     if fit.covariance is None:
-        n_values = logs.shape[1]
-        zero, identity = np.zeros(n_values), np.eye(n_values)
+        zero, identity = np.zeros(logs.shape[1]), np.eye(logs.shape[1])
         return Whitening("none", zero, identity, len(logs), 0.0, options_digest, fit.reason)
     total = covariance_of(fit.shapes)
     root = inverse_square_root(fit.covariance)
@@ -255,16 +257,11 @@ def _chosen(logs: FloatArray, labels: Sequence[str | None] | None, unlike: float
     return "people" if unlike <= ALIKE else "neighbours"
 
 
-def _of_people(own: Fit, people: People | None, unlike: float) -> Whitening:
+def _of_people(own: Fit, people: People, unlike: float) -> Whitening:
     """The symmetric root of the metric of people, by which the total variance of people does not change.
 
     own: what the shapes themselves teach. The less they are like the simulated people, the more it counts.
     """
-    if people is None:
-        raise OptionError(
-            "whitening 'people' is known for hapt, r-bihdm and their fusion, by area and with n_modes = 60: "
-            "take one of these descriptors, or another whitening"
-        )
     share = 0.0 if own.covariance is None else max(LEAST_SHARE, 1 - 1 / unlike)
     weights, directions = np.linalg.eigh(people.metric(own.covariance, share))
     root = (directions * np.sqrt(np.maximum(weights, 0))) @ directions.T
