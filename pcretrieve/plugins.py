@@ -69,6 +69,7 @@ METHODS: dict[str, bool] = {
     "csd": False,
     "ispm": False,
     "hapt": False,
+    "moments": False,
 }
 
 #: The names of the descriptors, of pcretrieve and of other packages.

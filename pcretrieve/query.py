@@ -21,7 +21,6 @@ from pcretrieve.errors import (
     did_you_mean,
 )
 from pcretrieve.options import OptionsLike, PipelineOptions, check_many
-from pcretrieve.retrieval import SignatureIndex
 from pcretrieve.retrieval.clusters import NearPair, cluster_numbers, near_pairs
 from pcretrieve.retrieval.covariances import LEAST_SHAPES
 from pcretrieve.retrieval.distances import checked_k, nearest_of, position_of
@@ -37,8 +36,9 @@ if TYPE_CHECKING:
 # measured on classes that were left out, see docs/decisions.md, sure.
 SURE, UNLIKELY = 0.85, 0.5
 
-# Least error of a log-signature: a mirror image is at 1e-9, another pose of the body at .1.
-LEAST_ERROR = 0.03
+# Largest distance of two copies of one body in one pose, by the logarithms of their moments: see
+# docs/decisions.md, SAME.
+SAME = 0.03
 
 # Number of results, or more, among which the next class is looked for.
 LOOKED_AT = 30
@@ -183,9 +183,8 @@ def search(
     catalogue : Catalogue, str or Path
         The catalogue that is searched.
     query : ScanLike or Signature
-        The file of a scan, which is processed with the options of the catalogue unless the catalogue has a
-        shape of the same content; the id of a shape of the catalogue, as a str that is not the path of a
-        file; an array or geometry, which is processed; or a signature that was made with the same options.
+        The file of a scan, which is processed unless a shape has the same content; the id of a shape, as a
+        str that is no path of a file; an array or geometry; or a signature that was made with these options.
     k : int, default 10
         Number of shapes, or all if the catalogue has fewer.
     options : OptionsLike, optional
@@ -193,8 +192,7 @@ def search(
     matrix : DistanceMatrix, optional
         Distances that replace the distances of signatures, for a query that the catalogue has.
     unit : str, optional
-        Unit of the query (``um mm cm dm m km in ft``), if it has none itself and sizes are compared; by
-        default that of the options of the catalogue.
+        Unit of a query that has none itself, if sizes are compared; by default that of the catalogue.
     labels : collection of str, optional
         The classes whose shapes are searched; by default all shapes.
     exclude_self : bool, default False
@@ -213,8 +211,7 @@ def search(
     CatalogueError
         If the options require other spectra than the catalogue has.
     InputError
-        If the catalogue has no shapes, or none of these classes; or, with `matrix`, does not have this query;
-        or if sizes are compared of which only one has a known unit.
+        If no shape is of these classes, `matrix` lacks the query, or only one of two sizes has a unit.
     ShapeError
         If the scan cannot be read or has no usable surface.
     """
@@ -339,17 +336,16 @@ def _match(found: list[tuple[float, str]], scores: MatchScores | None, far: floa
 def duplicates(
     catalogue: CatalogueLike, *, options: OptionsLike = None, threshold: float | None = None
 ) -> list[NearPair]:
-    """The pairs of shapes that are nearer than the noise, such as two scans of one body in one pose.
+    """The pairs of shapes that are copies: of other resolutions, mirrored, or scanned twice in one pose.
 
     Parameters
     ----------
     catalogue : Catalogue, str or Path
-        The shapes.
+        The shapes, with their meshes unless there is a `threshold`. All are compared, incomplete ones too.
     options : OptionsLike, optional
-        The signatures, with a `threshold` also distance and whitening; by default those of the catalogue.
+        With a `threshold` the signatures, distance and whitening; by default those of the catalogue.
     threshold : float, optional
-        The largest distance of a pair. By default that of the uncertainties of both shapes, for R-BiHDM and
-        the distance ``log`` without whitening; incomplete shapes, which are near to many, are then left out.
+        The largest distance of a pair. By default the moments of the surfaces are compared, up to `SAME`.
 
     Returns
     -------
@@ -363,20 +359,11 @@ def duplicates(
     """
     with Catalogue.opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
-        if threshold is not None:
-            if not 0 <= threshold < np.inf:
-                raise OptionError(f"threshold must be 0 or more, got {threshold}")
-            index = store.index(chosen)
-            # Each of two equal errors is the part of the threshold that adds up to it.
-            return near_pairs(index, np.full(len(index), threshold / np.sqrt(2)))
-        table = store.signatures(chosen.judged)
-        sound = (record for record in store if not record.is_incomplete)
-        errors = {one.id: max(LEAST_ERROR, one.verdict.uncertainty if one.verdict else 0) for one in sound}
-        ids = [shape_id for shape_id in table.ids if shape_id in errors]
-        if not ids:
-            return []
-        index = SignatureIndex(table.select(ids), chosen.judged.retrieval)
-        return near_pairs(index, np.array([errors[shape_id] for shape_id in index.ids]))
+        if threshold is None:
+            chosen, threshold = chosen.of_copies, SAME
+        elif not 0 <= threshold < np.inf:
+            raise OptionError(f"threshold must be 0 or more, got {threshold}")
+        return near_pairs(store.index(chosen), threshold)
 
 
 def cluster(
@@ -389,8 +376,7 @@ def cluster(
     catalogue : Catalogue, str or Path
         The shapes.
     options : OptionsLike, optional
-        Signature and whitening. By default the options of the catalogue; the whitening auto does not use
-        labels.
+        Signature and whitening, without labels. By default the options of the catalogue.
     min_size : int, default 3
         Least number of shapes of a cluster.
 

@@ -227,7 +227,7 @@ def matrix_command(
 @opt.catalogue_option
 @opt.option(
     "--threshold DISTANCE",
-    "Find pairs up to this distance.  [default: the error bars of both]",
+    "Find pairs up to this distance.  [default: moments up to .03]",
     click.FloatRange(min=0),
 )
 @opt.on_catalogue
@@ -235,17 +235,17 @@ def matrix_command(
 def duplicates_command(
     store: pr.Catalogue, options: pr.PipelineOptions, threshold: float | None, page: Path | None
 ) -> out.Result:
-    """Find shapes that look the same, such as two scans of one body in one pose.
+    """Find copies of shapes: at another resolution, mirrored, or two scans of one body in one pose.
 
-    The table has the distance, its limit and both ids, nearest first. Without --threshold, distances are
-    those of log-signatures without whitening, and incomplete scans are left out.
+    The table has the distance, its limit and both ids, nearest first. Distances are those of the moments of
+    the surfaces; with --threshold, those of the signatures.
 
     \b
     pcretrieve duplicates --catalogue bodies.sqlite --html pairs.html
     """
     pairs = pr.duplicates(store, options=options, threshold=threshold)
     if page is not None:
-        compared = options.judged if threshold is None else options
+        compared = options.of_copies if threshold is None else options
         written = pr.query_page(store, pairs, page, options=compared)
         say(f"page: {shown_path(str(written))}", indent=None)
     rows = ((f"{one.distance:#.4g}", f"{one.limit:#.4g}", one.first, one.second) for one in pairs)

@@ -21,6 +21,7 @@ from pcretrieve.descriptors.descriptor import Descriptor, fused
 from pcretrieve.descriptors.dl import DL, DL_SUPERVISED
 from pcretrieve.descriptors.hapt import HAPT
 from pcretrieve.descriptors.ispm import ISPM
+from pcretrieve.descriptors.moments import MOMENTS
 from pcretrieve.descriptors.r_bihdm import R_BIHDM
 from pcretrieve.descriptors.shape_dna import SHAPE_DNA, SHAPE_DNA_NORM1, SHAPE_DNA_VALUES
 from pcretrieve.errors import OptionError, ShapeError, Stage
@@ -66,7 +67,7 @@ DESCRIPTORS: Registry[Descriptor] = _Descriptors(
         record.name: record
         for record in (
             *(R_BIHDM, BIHDM, BIHDM_SAMPLED, SHAPE_DNA, SHAPE_DNA_NORM1, SHAPE_DNA_VALUES),
-            *(SD_GDM, SD_GDM_SAMPLED, *HEAT_KERNEL_BAGS, DL, DL_SUPERVISED, WKS, CSD, ISPM, HAPT),
+            *(SD_GDM, SD_GDM_SAMPLED, *HEAT_KERNEL_BAGS, DL, DL_SUPERVISED, WKS, CSD, ISPM, HAPT, MOMENTS),
         )
     },
     _checked,

@@ -17,6 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.descriptors.descriptor import Descriptor
+from pcretrieve.descriptors.moments import in_principal_frame
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.points.grid import Grid, interior
 from pcretrieve.values import FloatArray, Signature, TriangleMesh
@@ -61,7 +62,7 @@ def hapt(mesh: TriangleMesh) -> Signature:
 
 def projected_areas(mesh: TriangleMesh, radii: FloatArray, spread: float) -> FloatArray:
     """(r, k) the transform for radii (r,), in units of √A, at the centres of all k voxels inside a body."""
-    framed = _framed(mesh)
+    framed = in_principal_frame(mesh)
     grid = _grid(framed, margin=int(np.ceil(spread * radii.max() / CELL)) + 1)
     inside = np.flatnonzero(interior(framed, grid))  # (k,)
     if not len(inside):
@@ -113,23 +114,6 @@ def _gathered(
         for number in range(len(offsets)):
             gathered[row] += shares[number] * arrived[inside[row] + offsets[number]]
     return gathered
-
-
-def _framed(mesh: TriangleMesh) -> TriangleMesh:
-    """The surface of unit area, oriented outwards, with its centre and principal axes as the frame."""
-    areas = mesh.face_areas  # (m,)
-    total = areas.sum()
-    if not 0 < total < np.inf:
-        raise DegenerateMeshError(f"hapt needs a surface with a positive area, got an area of {total:g}")
-    corners = mesh.vertices[mesh.faces]  # (m, 3, 3)
-    centre = areas @ corners.mean(axis=1) / total
-    corners = (corners - centre) / np.sqrt(total)
-    # The second moments of a triangle are a twelfth of those of its corners, and nine times its centre.
-    points = np.concatenate([corners, 3 * corners.mean(axis=1, keepdims=True)], axis=1)  # (m, 4, 3)
-    moments = np.einsum("m,mki,mkj->ij", areas / total, points, points)
-    axes = np.linalg.eigh(moments)[1]
-    turned = TriangleMesh((mesh.vertices - centre) @ axes / np.sqrt(total), mesh.faces)
-    return turned if turned.volume >= 0 else TriangleMesh(turned.vertices, turned.faces[:, ::-1])
 
 
 def _grid(mesh: TriangleMesh, margin: int) -> Grid:

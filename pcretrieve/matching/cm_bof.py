@@ -18,6 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import cdist
 
+from pcretrieve.descriptors.moments import in_principal_frame
 from pcretrieve.errors import DegenerateMeshError, OptionError, Stage
 from pcretrieve.values import FloatArray, IntArray, Shape, TriangleMesh
 
@@ -134,18 +135,10 @@ def scaled_coordinates(distances: FloatArray) -> FloatArray:
 
 def _posed(mesh: TriangleMesh) -> TriangleMesh:
     """The surface, centred, turned to its principal axes and scaled to radius 1, or its mirror image."""
-    areas = mesh.face_areas
-    if not areas.sum() > 0:
-        raise DegenerateMeshError("the canonical form has no area", stage=Stage.SIGNATURE)
-    shares = areas / areas.sum()
-    vertices = mesh.vertices - shares @ mesh.vertices[mesh.faces].mean(axis=1)
-    corners = vertices[mesh.faces]  # (m, 3, 3)
-    # The midpoints of the edges integrate quadratics over a triangle exactly.
-    middles = (corners + np.roll(corners, 1, axis=1)) / 2
-    moments = np.einsum("f,fki,fkj->ij", shares, middles, middles) / 3
-    vertices = vertices @ np.linalg.eigh(moments)[1][:, ::-1]
+    framed = in_principal_frame(mesh)
+    vertices = framed.vertices[:, ::-1]
     vertices = vertices / np.linalg.norm(vertices, axis=1).max()
-    skew = shares @ vertices[mesh.faces].mean(axis=1) ** 3  # (3,)
+    skew = framed.face_areas @ vertices[mesh.faces].mean(axis=1) ** 3  # (3,)
     vertices = vertices * np.where(skew < 0, -1.0, 1.0)
     side = np.sign(TriangleMesh(vertices, mesh.faces).volume) or 1.0
     return TriangleMesh(vertices * [1.0, 1.0, side], mesh.faces)

@@ -192,10 +192,11 @@ class PipelineOptions(Options):
         return self.model_copy(update={"retrieval": self.retrieval.without_labels})
 
     @property
-    def judged(self) -> PipelineOptions:
-        """The options by which shapes are equal: R-BiHDM and the distance log, without whitening."""
+    def of_copies(self) -> PipelineOptions:
+        """The options by which copies are found: moments and the distance log, without whitening."""
         plain = {"distance": "log", "whitening": "none", "rerank": "none", "calibration": None}
-        return self.changed(signature=JUDGED, retrieval=plain)
+        signature = {"method": "moments", "scale": "area", "size_weight": 0.0}
+        return self.changed(signature=signature, retrieval=plain)
 
 
 def options_difference(stored: PipelineOptions, given: PipelineOptions) -> list[str]:

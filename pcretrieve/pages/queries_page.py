@@ -27,13 +27,6 @@ from pcretrieve.pages.html import write_page
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.values.files import check_target
 
-DISTANCES = {
-    "log": "log, the Euclidean distance of the logarithms of the values",
-    "d1": "d1, the dissimilarity D1 of Ye and Yu",
-    "d2": "d2, the dissimilarity D2 of Ye and Yu",
-}
-
-
 # Two near shapes, their distance and its limit.
 Pair = tuple[str, str, float, float]
 
@@ -141,7 +134,7 @@ def settings_in_words(
         "searched": f"{classes}{len(index)} shapes",
         "signature": f"{compared.method}, {len(index.whitening.mean)} values, "
         + (f"with the size, weighted by {size:g}" if size else "of the form alone"),
-        "distance": DISTANCES.get(retrieval.distance, retrieval.distance),
+        "distance": retrieval.distance,
         "whitening": index.whitening.reason,
         "re-ranking": "none" if retrieval.rerank == "none" else f"by {retrieval.rerank} neighbours",
         "score": index.scores.reason if index.scores else "none, because labels and shapes are too few",

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import OptionError
 from pcretrieve.retrieval.index import SignatureIndex
-from pcretrieve.values import FloatArray, Neighbors
+from pcretrieve.values import FloatArray
 
 # Effective number of neighbours of a point of t-SNE.
 PERPLEXITY = 30.0
@@ -27,8 +27,7 @@ N_ROUNDS = 60
 
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
-# Number of neighbours that are searched first for near pairs; it is doubled until they are farther than any
-# pair can be.
+# Number of neighbours that are searched first for near pairs; it is doubled until one is no longer near.
 FIRST = 4
 
 
@@ -46,10 +45,9 @@ def cluster_numbers(index: SignatureIndex, *, min_size: int = 3) -> NDArray[np.i
     # Clusters from the excess of mass (Campello, Moulavi and Sander, 2013); −1 between clusters.
     method = HDBSCAN(min_cluster_size=min_size, cluster_selection_method="eom", copy=True)
     found = np.asarray(method.fit_predict(index.points), dtype=np.intp)
-    sizes = np.bincount(found[found >= 0], minlength=int(found.max(initial=-1)) + 1)
-    first = [int(np.argmax(found == number)) for number in range(len(sizes))]
-    order = sorted(range(len(sizes)), key=lambda number: (-sizes[number], first[number]))
-    numbers = np.zeros(len(sizes) + 1, dtype=np.intp)  # the last one for −1
+    _, first, sizes = np.unique(np.append(found, -1), return_index=True, return_counts=True)
+    order = np.lexsort((first[1:], -sizes[1:]))
+    numbers = np.zeros(len(sizes), dtype=np.intp)  # the last one for −1
     numbers[order] = np.arange(1, len(order) + 1)
     return numbers[found]
 
@@ -117,25 +115,14 @@ class NearPair(NamedTuple):
     limit: float
 
 
-def near_pairs(index: SignatureIndex, errors: FloatArray) -> list[NearPair]:
-    """Find all pairs of shapes that are nearer than the root of the sum of squares of their errors (N,)."""
-    error_of = dict(zip(index.ids, errors.tolist(), strict=True))
-    largest = max(error_of.values(), default=0.0)
+def near_pairs(index: SignatureIndex, limit: float) -> list[NearPair]:
+    """Find all pairs of shapes that are at most so far apart, nearest first."""
     found = []
-    for shape_id, error in error_of.items():
-        near = _within(index, shape_id, float(np.hypot(error, largest)))
+    for shape_id in index.ids:
+        k = FIRST
+        while (near := index.nearest(shape_id, k)).distances[-1] <= limit and k < len(index):
+            k *= 2
         for other, distance in zip(near.ids, near.distances.tolist(), strict=True):
-            limit = float(np.hypot(error, error_of[other]))
             if other > shape_id and distance <= limit:
                 found.append(NearPair(shape_id, other, distance, limit))
     return sorted(found, key=lambda pair: (pair.distance, pair.first, pair.second))
-
-
-def _within(index: SignatureIndex, shape_id: str, radius: float) -> Neighbors:
-    """All neighbours up to a distance, and perhaps some that are farther."""
-    k = FIRST
-    while True:
-        found = index.nearest(shape_id, k)
-        if len(found) == len(index) or found.distances[-1] > radius:
-            return found
-        k *= 2

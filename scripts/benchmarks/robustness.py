@@ -3,6 +3,8 @@
 The gallery are the clean meshes of a set, used as they are. Each mesh is changed in one way, and is then a
 query; all meshes of its class are relevant, its own among them. The whitening is `unsupervised`, fitted to
 the gallery. The last row of a set has raw scans as queries and as gallery, each left out of its own results.
+"copies" is the share of the queries that `duplicates` finds to be copies of the mesh that was changed, and
+"others" the number of other pairs that it finds.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from pcretrieve.descriptors import describe
 from pcretrieve.errors import ShapeError
 from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.pipeline.process import process
+from pcretrieve.query import SAME
 from pcretrieve.retrieval import coordinates, fit_whitening, pairwise, people
 from pcretrieve.simulation import RigOptions, scan
 from pcretrieve.simulation.samples import moved, random_motion
@@ -57,6 +60,7 @@ CHANGES: dict[str, Change] = {
     **{f"noise {size} edges": partial(noisy, size=size) for size in (0.1, 0.3, 0.5)},
     **{f"{share:.0%} faces lost": partial(without_faces, share=share) for share in (0.01, 0.03)},
     "unit, motion": _moved,
+    "mirrored": lambda mesh, rng: TriangleMesh(mesh.vertices * [-1, 1, 1], mesh.faces[:, ::-1]),
     SCANS: _scanned,
 }
 
@@ -68,6 +72,8 @@ TABLE = Table(
     Column("set", 7, align="<"),
     Column("queries", 15, align="<"),
     *(Column(f"{name} {n}".replace("hapt 23", "hapt"), 15, ".3f") for name, n in METHODS),
+    Column("copies", 7, ".3f"),
+    Column("others", 7, ".0f"),
 )
 
 
@@ -94,7 +100,8 @@ def _lines(data: Path, limit: int | None, only: Sequence[str]) -> Iterator[str]:
         for change, queries in made.items():
             gallery = queries if change == SCANS else list(made["as it is"])
             classes = np.array([body.label for body in bodies])
-            yield TABLE.row(name, change, *(_map(gallery, queries, classes, *how) for how in METHODS))
+            maps = [_map(gallery, queries, classes, *how) for how in METHODS]
+            yield TABLE.row(name, change, *maps, *_copies(gallery, queries))
 
 
 class Task(NamedTuple):
@@ -108,10 +115,11 @@ class Task(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """The values of hapt (45,) and of r-bihdm (59,) of one shape."""
+    """The values of hapt (45,), of r-bihdm (59,) and of moments (6,) of one shape."""
 
     hapt: FloatArray
     r_bihdm: FloatArray
+    moments: FloatArray
 
 
 def parts(task: Task) -> Parts | None:
@@ -121,10 +129,20 @@ def parts(task: Task) -> Parts | None:
     options = PipelineOptions().changed(surface={"mode": "auto" if change == SCANS else "keep"})
     try:
         shape = process(CHANGES[change](item.mesh, rng=rng), options)
-        made = (SignatureOptions(method=method, n_values=59) for method in ("hapt", "r-bihdm"))
+        made = (SignatureOptions(method=method, n_values=59) for method in ("hapt", "r-bihdm", "moments"))
         return Parts(*(describe(shape, one).values for one in made))
     except ShapeError:
         return None
+
+
+def _copies(gallery: Sequence[Parts | None], queries: Sequence[Parts | None]) -> tuple[float, float]:
+    """The share of the queries that are near their own shape, and the number of other near pairs."""
+    known, points = (
+        np.log([one.moments if one else np.full(6, np.nan) for one in side]) for side in (gallery, queries)
+    )
+    near = pairwise("log", points, known) <= SAME
+    is_own = np.eye(len(near), dtype=bool)
+    return float("nan") if gallery is queries else float(near[is_own].mean()), float(near[~is_own].sum() / 2)
 
 
 def _map(

@@ -215,28 +215,26 @@ def test_two_settings_matrices_and_files_give_one_comparison(eggs: Path, tmp_pat
 
 @pytest.fixture(scope="module")
 def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six eggs of two kinds; the third of each is almost the second, and incomplete of the last kind."""
+    """Six eggs of two kinds; the third of each is almost the second, the last one coarse and incomplete."""
     location, options = tmp_path_factory.mktemp("near") / "eggs.sqlite", pr.PipelineOptions()
     with pr.Catalogue(location, create=True) as store:
         for number, (kind, width) in enumerate(product(("a", None), (1, 1.08, 1.0801))):
-            shape = pr.process(shapes.ellipsoid((width, 1, 1.8 if kind else 2.3), 3))
+            shape = pr.process(shapes.ellipsoid((width, 1, 1.8 if kind else 2.3), 2 if number == 5 else 3))
             verdict = pr.Verdict("incomplete", 0.5) if number == 5 else pr.Verdict("good", 0.01)
             content = Content(replace(shape, verdict=verdict), pr.describe(shape, options.signature).values)
             store.put(Record(f"{number}", f"/{number}.off", f"hash {number}", kind), content)
     return location
 
 
-def test_duplicates_are_nearer_than_the_noise(near: Path) -> None:
-    (pair,) = pr.duplicates(near)
-    assert (pair.first, pair.second) == ("1", "2")
-    assert pair.limit == pytest.approx(0.03 * 2**0.5)
+def test_copies_of_other_resolution_are_duplicates(near: Path) -> None:
+    pair, coarse = pr.duplicates(near)
+    assert pair[:2] == ("1", "2") and coarse[:2] == ("4", "5") and coarse.distance > 5 * pair.distance
     page = near.with_name("pairs.html")
     done = run("duplicates", "-c", near, "--html", page)
-    assert [line.split()[2:] for line in done.stdout.splitlines()[1:]] == [["1", "2"]]
-    assert done.stderr == f"page: {page}\n1 pair\n"
-    text = page.read_text("utf-8")
-    assert re.findall('alt="(.*?)" src="data:', text) == ["1", "2"] and f"{pair.limit:.4f} apart" in text
-    assert result("duplicates", "-c", near) == [pair._asdict()]
+    assert [line.split()[2:] for line in done.stdout.splitlines()[1:]] == [["1", "2"], ["4", "5"]]
+    assert done.stderr == f"page: {page}\n2 pairs\n"
+    assert re.findall('alt="(.*?)" src="data:', page.read_text("utf-8")) == ["1", "2", "4", "5"]
+    assert result("duplicates", "-c", near) == [pair._asdict(), coarse._asdict()]
 
 
 def test_a_map_is_a_picture_or_a_page(near: Path, tmp_path: Path) -> None:

@@ -72,6 +72,7 @@ def compared(shape: Shape, method: str) -> FloatArray:
 LENGTHS = {
     "ispm": (1 + 2 + 4 + 8) * N_VALUES,
     "hapt": 5 * 9,
+    "moments": 6,
     **dict.fromkeys(("hks-bow-spatial", "si-hks-bow-spatial"), N_VALUES * (N_VALUES + 1) // 2),
     **dict.fromkeys(("dl", "dl-supervised"), 32),
 }

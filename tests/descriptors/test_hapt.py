@@ -1,4 +1,4 @@
-"""Histograms of the area projection transform."""
+"""Histograms of the area projection transform, and moments."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import shapes
 
 from pcretrieve.descriptors import hapt
 from pcretrieve.descriptors.hapt import CELL, projected_areas
+from pcretrieve.descriptors.moments import moments
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.values import FloatArray, TriangleMesh
 
@@ -41,12 +42,14 @@ def roots(mesh: TriangleMesh) -> FloatArray:
     return np.sqrt(hapt(mesh).values)
 
 
-def test_the_whole_area_of_a_sphere_arrives_at_its_centre() -> None:
+def test_the_area_of_a_sphere_arrives_at_its_centre() -> None:
     """Unit area: R = 1 / √(4 π)."""
     radius = 1 / np.sqrt(4 * np.pi)
     transform = projected_areas(shapes.icosphere(4), np.array([radius]), 0.25)
     assert transform.max() == pytest.approx(1, abs=0.01)
     assert transform.shape[1] * CELL**3 == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.01)
+    expected = radius * np.repeat(np.sqrt([1 / 3, 3 / 5]), 3)  # σ² = R² / 3, m₄ = R⁴ / 5
+    np.testing.assert_allclose(moments(shapes.icosphere(4)).values, expected, rtol=0.01)
 
 
 def test_half_of_a_sphere_arrives_on_the_axis_of_a_tube() -> None:
@@ -69,15 +72,16 @@ def test_bending_changes_less_than_girth() -> None:
     assert 4 * bent < thicker
 
 
-def test_rotation_reflection_scale_and_orientation_change_nothing() -> None:
+@pytest.mark.parametrize("make", [hapt, moments])
+def test_rotation_reflection_scale_and_orientation_change_nothing(make) -> None:  # type: ignore[no-untyped-def]
     body = shapes.body(3)
-    expected = hapt(body).values
+    expected = make(body).values
     turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     for moved in (turn, turn @ np.diag([1.0, 1.0, -1.0])):  # one of them is a reflection
-        found = hapt(TriangleMesh(3e-4 * body.vertices @ moved + [5, -7, 1], body.faces)).values
+        found = make(TriangleMesh(3e-4 * body.vertices @ moved + [5, -7, 1], body.faces)).values
         np.testing.assert_allclose(found, expected, atol=2e-6)
     turned = TriangleMesh(body.vertices, body.faces[:, ::-1])
-    np.testing.assert_array_equal(hapt(turned).values, expected)
+    np.testing.assert_allclose(make(turned).values, expected, rtol=1e-12)
 
 
 def test_a_body_that_is_all_length_needs_too_large_a_grid() -> None:
