@@ -20,11 +20,11 @@ from pcretrieve.errors import InputError, OptionError
 from pcretrieve.simulation import animals, hands, people
 from pcretrieve.simulation.skeleton import Bone, Contact, Pose, Subject, bone_distance, cone_distance, motions
 from pcretrieve.spectral import laplace_beltrami
+from pcretrieve.surface.marching import level_set
 from pcretrieve.values import FloatArray, TriangleMesh
 
 # Measures are clipped to this many standard deviations about the mean.
 LARGEST_DEVIATION = 2.0
-
 
 # Modules with the distributions of measures, the function that builds a skeleton, the cell, and poses.
 FAMILIES = {"person": people, "animal": animals, "hand": hands}
@@ -110,8 +110,6 @@ def blend(weights: FloatArray, moved: FloatArray, points: FloatArray) -> FloatAr
 
 def _rest_surface(subject: Subject) -> TriangleMesh:
     """Zero level set of the union of all flesh, by marching cubes and tangential smoothing."""
-    from skimage.measure import marching_cubes
-
     cones = [cone for bone in subject.bones for cone in bone.flesh]
     ends = np.array([end for cone in cones for end in (cone.start, cone.end)])
     # The grid contains the fillets, which extend by at most a quarter of their width.
@@ -121,8 +119,8 @@ def _rest_surface(subject: Subject) -> TriangleMesh:
         for low, high in zip(ends.min(axis=0), ends.max(axis=0), strict=True)
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)  # (x, y, z, 3)
-    vertices, faces, _, _ = marching_cubes(_flesh(subject, grid), 0.0, spacing=(subject.cell,) * 3)
-    mesh = _smoothed(subject, TriangleMesh(vertices.astype(np.float64) + grid[0, 0, 0], faces))
+    vertices, faces = level_set(-_flesh(subject, grid), 0.0)
+    mesh = _smoothed(subject, TriangleMesh(vertices * subject.cell + grid[0, 0, 0], faces))
     if mesh.euler_characteristic != 2:
         raise InputError(
             f"the flesh at rest must form one ball, of Euler characteristic 2, got "

@@ -1,7 +1,6 @@
 """The sample scans: simulated bodies, scanned by a virtual scanner.
 
-Equal seeds give equal points up to rounding errors; and equal files on one machine with equal versions of
-numpy, scipy, scikit-image and Open3D.
+Equal seeds give equal points up to rounding errors, and equal files on one machine with equal libraries.
 """
 
 from __future__ import annotations

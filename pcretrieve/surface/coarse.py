@@ -14,7 +14,7 @@ from pcretrieve.points.neighbors import SPACING_NEIGHBORS, nearest, neighborhood
 from pcretrieve.points.outside import sampled
 from pcretrieve.surface.caps import NO_CAP, Capped, capped
 from pcretrieve.surface.field import normals_of
-from pcretrieve.surface.marching import Crossings, crossed, marched
+from pcretrieve.surface.marching import level_set
 from pcretrieve.surface.poisson import poisson
 from pcretrieve.surface.repair import largest_component
 from pcretrieve.surface.topology import defects
@@ -177,10 +177,6 @@ LEVEL = 0.65
 FRINGE = 0.25
 WIDE = 0.036
 
-# Smallest distance of a vertex from the ends of its link, relative to the link, so that no triangle becomes
-# degenerate.
-LEAST_SHARE = 0.02
-
 # Side of the cube of the coarse Poisson surface, relative to the longest side of the bounding box. Larger
 # than the default of 1.1, so that holes at the border of the bounding box can be closed outside it; and
 # larger again, if the surface is not closed, as where a body stands.
@@ -218,12 +214,7 @@ def _level_set(cloud: PointCloud, n: int) -> TriangleMesh | None:
     fringe = grid.centres(np.argwhere((values > FRINGE * at_points) & (values < at_points)))
     if nearest(cloud.points, fringe, 1)[0].max(initial=0.0) > WIDE * cloud.diagonal:
         return None
-    crossings = []
-    for axis, low in enumerate(crossed(body)):
-        at_low, at_high = values[tuple(low.T)], values[tuple((low + np.eye(3, dtype=np.intp)[axis]).T)]
-        share = (level - at_low) / (at_high - at_low)
-        crossings.append(Crossings(low, np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE)))
-    vertices, faces = marched(body, crossings)
+    vertices, faces = level_set(values, level)
     return TriangleMesh(grid.centres(vertices), faces)
 
 

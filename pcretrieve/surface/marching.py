@@ -39,9 +39,21 @@ MIDDLE = 12
 # Largest number of triangles in a cube, and largest length of a loop.
 MOST = 7
 
+# Smallest distance of a vertex from the ends of its link, relative to the link: no triangle is degenerate.
+LEAST_SHARE = 0.02
+
 # The corner at the lower end of each edge, and the axis along which the edge is.
 LOWER = np.array([CORNERS[low] for low, _ in EDGES])  # (12, 3)
 AXIS = np.array([int((CORNERS[high] - CORNERS[low]).argmax()) for low, high in EDGES])  # (12,)
+
+
+def level_set(values: NDArray[np.floating], level: float) -> tuple[FloatArray, IntArray]:
+    """The surface, as `marched` gives it, round the voxels above a level, at linearly interpolated places."""
+    crossings = []
+    for axis, low in enumerate(crossed(values > level)):
+        near, far = values[tuple(low.T)], values[tuple((low + np.eye(3, dtype=np.intp)[axis]).T)]
+        crossings.append(Crossings(low, np.clip((level - near) / (far - near), LEAST_SHARE, 1 - LEAST_SHARE)))
+    return marched(values > level, crossings)
 
 
 def marched(body: Mask, crossings: Sequence[Crossings] = ()) -> tuple[FloatArray, IntArray]:
@@ -146,6 +158,7 @@ def _crossed(body: Mask, along_x: int, along_y: int, along_z: int) -> NDArray[np
     """The voxels of which the next one along an axis differs."""
     a, b, c = body.shape[0] - along_x, body.shape[1] - along_y, body.shape[2] - along_z
     on_line = np.zeros((a, b), dtype=np.int64)
+    n_found = 0
     for x in range(a):
         for y in range(b):
             here, after = body[x, y], body[x + along_x, y + along_y]
@@ -153,7 +166,8 @@ def _crossed(body: Mask, along_x: int, along_y: int, along_z: int) -> NDArray[np
             for z in range(c):
                 n += here[z] != after[z + along_z]
             on_line[x, y] = n
-    found = np.empty((on_line.sum(), 3), dtype=np.intp)
+            n_found += n
+    found = np.empty((n_found, 3), dtype=np.intp)
     n = 0
     for x in range(a):
         for y in range(b):

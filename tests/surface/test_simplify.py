@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import shapes
 from scipy.ndimage import gaussian_filter
-from skimage.measure import marching_cubes
 
 import pcretrieve as pr
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.surface import defects
+from pcretrieve.surface.marching import level_set
 from pcretrieve.surface.simplify import simplified
 from pcretrieve.surface.topology import compact, components
 from pcretrieve.values import FloatArray, Step, TriangleMesh
@@ -20,8 +20,7 @@ def blob(seed: int, n: int = 24) -> TriangleMesh:
     """Marching cubes on smooth noise: components of high genus, with slivers."""
     noise = gaussian_filter(np.random.default_rng(seed).standard_normal((n, n, n)), 2.0, mode="wrap")
     inside = np.pad(noise - 0.3 * noise.std(), 1, constant_values=-noise.std())
-    vertices, faces, _, _ = marching_cubes(inside, 0)
-    return TriangleMesh(vertices, faces[:, ::-1])
+    return TriangleMesh(*level_set(inside, 0.0))
 
 
 def smallest_angles(mesh: TriangleMesh) -> FloatArray:

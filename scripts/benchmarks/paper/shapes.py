@@ -70,16 +70,18 @@ def planar_mesh(silhouette: FloatArray, n_vertices: int = 6000) -> TriangleMesh:
     the largest component of the shape is kept; its holes stay. The mesh lies in the plane z = 0, oriented to
     +z; unit: pixel.
     """
+    from contourpy import contour_generator
     from scipy.ndimage import gaussian_filter, map_coordinates
     from scipy.spatial import Delaunay, KDTree
-    from skimage.measure import find_contours
 
     area = float(silhouette.sum())
     blur = max(LEAST_SMOOTHING, SMOOTHING * area**0.5)
     smooth = gaussian_filter(np.pad(silhouette, int(np.ceil(4 * blur)) + 1), blur)
     # The area for each vertex of a lattice of equilateral triangles is √3/2 of the square of an edge.
     edge = (area / (n_vertices * 3**0.5 / 2)) ** 0.5
-    outline = np.concatenate([np.empty((0, 2)), *(_resampled(c, edge) for c in find_contours(smooth, 0.5))])
+    contours = contour_generator(z=smooth.T).lines(0.5)  # of rows and columns
+    outlines = (_resampled(np.asarray(contour, dtype=np.float64), edge) for contour in contours)
+    outline = np.concatenate([np.empty((0, 2)), *outlines])
     lattice = _lattice(smooth.shape, edge)
     distance = KDTree(outline).query(lattice)[0] / edge
     is_inside = map_coordinates(smooth, lattice.T, order=1) > 0.5
