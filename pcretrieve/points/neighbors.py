@@ -84,7 +84,8 @@ def _sorted(points: FloatArray, low: FloatArray, edge: float, shape: Shape) -> t
         b = _cell(points[i, 1], low[1], edge, shape[1])
         cell[i] = (a * shape[1] + b) * shape[2] + _cell(points[i, 2], low[2], edge, shape[2])
         starts[cell[i] + 1] += 1
-    starts = np.cumsum(starts)
+    for i in range(1, len(starts)):
+        starts[i] += starts[i - 1]
     fill = starts[:-1].copy()
     order = np.empty(len(points), dtype=np.intp)
     for i in range(len(points)):

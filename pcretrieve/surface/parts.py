@@ -265,16 +265,12 @@ def joined(
     return hollow != hollow[0, 0, 0], np.concatenate([nowhere, *bridges])
 
 
-@njit(cache=True)
 def _pieces_at(pieces: NDArray[np.int32], at: FloatArray) -> NDArray[np.int32]:
     """The component of each point, which is in its voxel or in one adjacent to it; 0 for none."""
-    found = np.zeros(len(at), dtype=np.int32)
-    for i in range(len(at)):
-        x, y, z = int(np.rint(at[i, 0])), int(np.rint(at[i, 1])), int(np.rint(at[i, 2]))
-        found[i] = pieces[x, y, z]
-        if found[i] == 0:
-            found[i] = pieces[x - 1 : x + 2, y - 1 : y + 2, z - 1 : z + 2].max()
-    return found
+    voxel = np.rint(at).astype(np.intp)
+    around = np.max([pieces[tuple((voxel + step).T)] for step in np.argwhere(np.ones((3, 3, 3))) - 1], axis=0)
+    here = pieces[tuple(voxel.T)]
+    return np.asarray(np.where(here != 0, here, around), dtype=np.int32)
 
 
 def _tube(start: NDArray[np.intp], end: NDArray[np.intp], *, radius: float) -> NDArray[np.intp]:

@@ -64,8 +64,8 @@ def simplified(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
     if not area > 0:
         raise DegenerateMeshError(f"no face of {len(mesh.faces)} has an area")
     quadrics[:, :3] += LEAST_WEIGHT * EVENNESS * area / len(vertices)
-    faces = _collapsed(vertices, corners, twin, quadrics / area, area, n_faces)
-    return compact(vertices, faces)
+    _collapsed(vertices, corners, twin, quadrics / area, area, n_faces)
+    return compact(vertices, corners.reshape(-1, 3)[corners[::3] >= 0])
 
 
 @njit(cache=True)
@@ -87,7 +87,8 @@ def _twins(corners: IntArray, n_vertices: int) -> tuple[IntArray, int]:
     starts = np.zeros(n_vertices + 1, dtype=np.int32)
     for v in corners:
         starts[v + 1] += 1
-    starts = np.cumsum(starts)
+    for v in range(n_vertices):
+        starts[v + 1] += starts[v]
     fill = starts[:-1].copy()
     leaving = np.empty(len(corners), dtype=np.int32)  # half-edges, grouped by their first vertex
     for h in range(len(corners)):
@@ -346,8 +347,8 @@ def _collapsed(
     quadrics: FloatArray,
     area: float,
     n_faces: int,
-) -> IntArray:
-    """Collapse edges in place, and return the (m, 3) remaining faces."""
+) -> None:
+    """Collapse edges in place; the corners of faces that do not remain become negative."""
     spent = np.zeros(len(vertices))  # the value of the quadric of each vertex at its position
     moved = np.zeros(len(vertices), dtype=np.int32)  # the step in which it was moved to its position
     mark = np.zeros(len(vertices), dtype=np.int32)
@@ -385,15 +386,15 @@ def _collapsed(
             continue
         step += 1
         n_left -= 2
-        vertices[u] = place
-        quadrics[u] += quadrics[v]
+        # Numba takes a second to compile the message of an assignment of a row to a row of another length.
+        vertices[u, 0], vertices[u, 1], vertices[u, 2] = place[0], place[1], place[2]
+        for k in range(quadrics.shape[1]):
+            quadrics[u, k] += quadrics[v, k]
         spent[u] = cost
         moved[u] = step
         start = _merge(corners, twin, edge, half, h)
         is_rejected[u] |= is_rejected[v]
         size = _requeue(corners, twin, edge, start, is_rejected, queued, heap, size)
-    left: IntArray = corners.reshape(-1, 3)[corners[::3] >= 0]
-    return left
 
 
 # Surfaces with diagonals in this range are decimated in the caller's unit of length.
