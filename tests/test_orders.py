@@ -202,7 +202,7 @@ def killed_ingest(made: bytes, location: str, folder: Path, transaction: int) ->
 def started(location: str, folder: Path, transaction: int = -1) -> Any:
     """The process of such an ingest, which nobody kills without a number of a transaction."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["test_orders"])
+    context.set_forkserver_preload(["test_orders", "pcretrieve.spectral"])  # scipy once, and not by each
     process = context.Process(target=killed_ingest, args=(pickle.dumps(MADE), location, folder, transaction))
     process.start()
     return process

@@ -1,8 +1,9 @@
 """Files of laser scanners, in metres: LAS and LAZ by laspy, E57 [2]_ by pye57.
 
 laspy follows what a damaged header declares, up to four thousand million records, and lazrs allocates what
-the table of the chunks [1]_ and the list of the layers of a chunk declare, and ends the process if there is
-not so much memory. Both are checked first. E57 files hold scans with the poses of their sensors.
+the table of the chunks [1]_ and the list of the layers of a chunk declare, and on several threads what the
+size of a chunk does, and ends the process if there is not so much memory. The first two are checked, and one
+thread reads. E57 files hold scans with the poses of their sensors.
 
 References
 ----------
@@ -63,7 +64,7 @@ def read_las(path: Path) -> RawScan:
     data = path.read_bytes()
     _check_records(data)
     try:
-        with laspy.open(io.BytesIO(data), read_evlrs=False) as reader:
+        with laspy.open(io.BytesIO(data), laz_backend=laspy.LazBackend.Lazrs, read_evlrs=False) as reader:
             _check_points(data, reader.header)
             records = [*reader.chunk_iterator(AT_ONCE)]
     except BaseException as error:
