@@ -148,10 +148,12 @@ def _body_surface(
         crossed_links |= continued
         if folds.any():
             crossed_links |= _walls(cloud.select(folds), grid)
+        del continued
     inside, bridges = joined(inside, cloud.points, grid, options, notes)
     if not inside.any():
         raise ReconstructionError(f"{len(cloud.points)} points enclose nothing")
     body, cuts = with_topology(inside, crossed_links, outside, options, notes)
+    del outside, coarse_inside, core, crossed_links  # most memory is needed next
     mesh, is_invented = _surface(body, inside, parted, distance, coarse_crossings, grid)
     invented = _invented(mesh, is_invented)
     final = simplified(mesh, options.target_faces)
