@@ -4,6 +4,7 @@
     pcretrieve ingest seen --labels seen/labels.csv -c seen.sqlite
     scripts/benchmark_people seen.sqlite --unseen 1000        # learns from the others, and prints the curve
     scripts/benchmark_people seen.sqlite --learn              # writes pcretrieve/retrieval/people.npz
+    scripts/benchmark_people others.sqlite --coarser          # adds what coarser meshes of scans change
 
 Each scan is a query in all other scans. Rank-1 is the share of queries whose nearest scan is of the same
 person; rank-5, of which one of the nearest five people is this person. They are the expected values over all
@@ -29,12 +30,14 @@ from scipy.stats import hypergeom
 from sklearn.neural_network import MLPRegressor
 
 import pcretrieve.retrieval
-from benchmarks.measuring import Column, Table, argument_parser, draw_curves, print_lines
+from benchmarks.measuring import Column, Table, all_in_workers, argument_parser, draw_curves, print_lines
+from benchmarks.sets import to_faces
 from pcretrieve.catalogue import Catalogue
-from pcretrieve.descriptors import DESCRIPTORS
-from pcretrieve.errors import BenchmarkError
+from pcretrieve.descriptors import DESCRIPTORS, describe
+from pcretrieve.errors import BenchmarkError, ShapeError
 from pcretrieve.evaluation.measures import verification
 from pcretrieve.options import PipelineOptions, SignatureOptions, fused_names
+from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import Positions, coordinates, fit_whitening, people
 from pcretrieve.retrieval.people import BEGINS, SAMPLE
 from pcretrieve.values import FloatArray
@@ -71,17 +74,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--unseen", type=int, help="judge by so many people, drawn at random, and learn from others"
     )
     parser.add_argument("--learn", action="store_true", help="write the moments into the package")
+    parser.add_argument("--coarser", action="store_true", help="add what coarser meshes of the scans change")
     parser.add_argument("--methods", nargs="+", default=["hapt+r-bihdm", "hapt", "r-bihdm"])
     parser.add_argument("--draw", type=Path, metavar="PICTURE", help="draw the curve")
     given = parser.parse_args(arguments)
-    scans = scans_of(given.catalogues)
-    if given.learn:
-        target = Path(pcretrieve.retrieval.__file__).with_name(SAMPLE)
+    target = Path(pcretrieve.retrieval.__file__).with_name(SAMPLE)
+    if given.learn or given.coarser:
+        arrays = learned(scans_of(given.catalogues)) if given.learn else dict(np.load(target))
+        if given.coarser:
+            changed = coarser(given.catalogues) / np.outer(arrays["scale"], arrays["scale"])
+            arrays |= {name: (arrays[name] + changed).astype(np.float32) for name in ("within", "total")}
         packed = io.BytesIO()
-        np.savez_compressed(packed, allow_pickle=False, **learned(scans))
+        np.savez_compressed(packed, allow_pickle=False, **arrays)
         write_file(target, packed.getvalue())
     else:
-        print_lines(_lines(scans, given.methods, given.unseen, given.draw))
+        print_lines(_lines(scans_of(given.catalogues), given.methods, given.unseen, given.draw))
 
 
 def scans_of(catalogues: Sequence[Path]) -> Scans:
@@ -125,6 +132,42 @@ def learned(scans: Scans) -> dict[str, FloatArray]:
     moments = {"mean": points.mean(axis=0), "within": shrunk, "total": shrunk + between, "scale": scale}
     moments["network"] = _network(scans, moments)
     return {name: array.astype(np.float32) for name, array in moments.items()}
+
+
+# Numbers of faces of the coarser meshes, and the share of what they change in the covariance within people:
+# see docs/decisions.md, coarser.
+N_FACES, COARSER = (1000, 2000, 3000), 0.25
+
+
+def coarser(catalogues: Sequence[Path]) -> FloatArray:
+    """(105, 105) the share of the second moment of what coarser meshes of stored scans change."""
+    tasks: list[tuple[Path, str, int]] = []
+    for path in catalogues:
+        with Catalogue(path) as catalogue:
+            ids = [record.id for record in catalogue.records(status="done")]
+        tasks += [(path, shape_id, N_FACES[row % len(N_FACES)]) for row, shape_id in enumerate(ids)]
+    changes = np.array(
+        [change for change in all_in_workers(_changed, tasks, "coarser") if change is not None]
+    )
+    return np.asarray(COARSER * changes.T @ changes / len(changes))
+
+
+def _changed(task: tuple[Path, str, int]) -> FloatArray | None:
+    """(105,) what the coordinates change by if the mesh of a scan has so many faces; None if it fails."""
+    path, shape_id, n_faces = task
+    options = PipelineOptions().changed(surface={"mode": "keep"})
+    with Catalogue(path) as catalogue:
+        fine = catalogue.shape(shape_id)
+    try:
+        coarse = process(to_faces(n_faces, fine.mesh), options)
+    except ShapeError:
+        return None
+    points = []
+    for shape in (fine, coarse):
+        made = [describe(shape, SignatureOptions(method=method, n_values=59)) for method in BEGINS]
+        parts = [coordinates(one.values, one.metric) for one in made]
+        points.append(np.concatenate([*parts, [np.log(shape.area)]]))
+    return np.asarray(points[1] - points[0])
 
 
 # Number of hidden units, and weight decay. A layer of 128 units is no worse than two of 256 and 128; a decay

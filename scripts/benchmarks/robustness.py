@@ -15,12 +15,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from trimesh.remesh import subdivide
 
 from benchmarks.measuring import Column, Table, add_data, all_in_workers, argument_parser, print_lines
 from benchmarks.paper.shapes import noisy, without_faces
 from benchmarks.recognition import fused_points
-from benchmarks.sets import SETS, Item, left_out
+from benchmarks.sets import SETS, Item, left_out, to_faces
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import ShapeError
 from pcretrieve.options import PipelineOptions, SignatureOptions
@@ -35,15 +34,6 @@ from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 Change = Callable[..., TriangleMesh | PointCloud]
 
 
-def _to_faces(n: int, mesh: TriangleMesh, rng: np.random.Generator) -> TriangleMesh:
-    """The mesh with n faces, by subdivision and the quadric simplification of Open3D."""
-    vertices, faces = mesh.vertices, mesh.faces
-    while len(faces) < n:
-        vertices, faces = subdivide(vertices, faces)  # type: ignore[no-untyped-call]
-    made = TriangleMesh(vertices, faces).to_open3d().simplify_quadric_decimation(n)
-    return TriangleMesh(np.asarray(made.vertices), np.asarray(made.triangles))
-
-
 def _moved(mesh: TriangleMesh, rng: np.random.Generator) -> TriangleMesh:
     """The mesh in another unit, turned and moved."""
     return TriangleMesh(1000 * moved(random_motion(rng), mesh.vertices), mesh.faces)
@@ -56,7 +46,7 @@ def _scanned(mesh: TriangleMesh, rng: np.random.Generator) -> PointCloud:
 SCANS = "raw scans"
 CHANGES: dict[str, Change] = {
     "as it is": lambda mesh, rng: mesh,
-    **{f"{n:,} faces": partial(_to_faces, n) for n in (40_000, 10_000, 5000, 2000, 1000, 500)},
+    **{f"{n:,} faces": partial(to_faces, n) for n in (40_000, 10_000, 5000, 2000, 1000, 500)},
     **{f"noise {size} edges": partial(noisy, size=size) for size in (0.1, 0.3, 0.5)},
     **{f"{share:.0%} faces lost": partial(without_faces, share=share) for share in (0.01, 0.03)},
     "unit, motion": _moved,

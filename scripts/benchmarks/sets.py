@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from trimesh.remesh import subdivide
 
 from benchmarks.measuring import progress
 from benchmarks.uniform import UniformOptions, scan_uniformly
@@ -59,6 +60,15 @@ def read_mesh(path: Path) -> TriangleMesh:
     if not isinstance(mesh, TriangleMesh):
         raise BenchmarkError(f"{path} must hold a mesh, got points without faces")
     return mesh
+
+
+def to_faces(n: int, mesh: TriangleMesh, rng: np.random.Generator | None = None) -> TriangleMesh:
+    """The mesh with n faces, by subdivision and the quadric simplification of Open3D."""
+    vertices, faces = mesh.vertices, mesh.faces
+    while len(faces) < n:
+        vertices, faces = subdivide(vertices, faces)  # type: ignore[no-untyped-call]
+    made = TriangleMesh(vertices, faces).to_open3d().simplify_quadric_decimation(n)
+    return TriangleMesh(np.asarray(made.vertices), np.asarray(made.triangles))
 
 
 @contextmanager
