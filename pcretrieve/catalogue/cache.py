@@ -2,8 +2,7 @@
 
 An index of a million shapes takes seconds to compute and milliseconds to open. It is stored in a folder
 beside the file of the catalogue, ``bodies.sqlite.gallery``, or in the cache folder of the user if that folder
-cannot be written. An index belongs to one state of the catalogue, and is computed again after a change. The
-folder may be deleted.
+cannot be written. It belongs to one state of the catalogue. The folder may be deleted.
 """
 
 from __future__ import annotations
@@ -45,12 +44,10 @@ MAPPED = 2**16
 # The file with the checksum of each file of arrays.
 CHECKSUMS = "checksums.json"
 
-# Largest number of bytes of an array that is compared with its checksum whenever it is opened: 16 MiB are
-# read in about 10 ms.
+# Largest array that is compared with its checksum whenever it is opened: 16 MiB are read in 10 ms.
 CHECKED = 2**24
 
-# Beginning of the name of a folder until it is complete, and the age in seconds after which such a folder is
-# removed, because the process that wrote it must have been killed.
+# Beginning of the name of an unfinished folder; after so many seconds its process must have been killed.
 UNFINISHED = ".unfinished-"
 ABANDONED = 3600.0
 

@@ -304,7 +304,6 @@ class Catalogue(Rows):
 
     def _table(self, options: PipelineOptions) -> tuple[SignatureTable, str]:
         """The signatures by some options, and a name of the state of the catalogue that they belong to."""
-        # Imported here, because other functions do not need this slow import.
         from pcretrieve.descriptors import DESCRIPTORS, signature_length
 
         descriptor = DESCRIPTORS[options.signature.method]

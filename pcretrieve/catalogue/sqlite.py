@@ -12,6 +12,7 @@ import logging
 import os
 import re
 import sqlite3
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from os.path import samestat
@@ -24,7 +25,7 @@ from pcretrieve.errors import CatalogueError
 logger = logging.getLogger(__name__)
 
 # Longest time to wait for another process that is writing; seconds.
-LOCK_TIMEOUT = 30.0
+LOCK_TIMEOUT, N_WAITS = 30.0, 1000
 
 # Share of unused pages of a file above which it is written again without them.
 UNUSED = 0.25
@@ -165,7 +166,12 @@ class SqliteDatabase:
         """Create the tables of a new file; check that another one is a catalogue."""
         if not self.execute(PARTS_OF_FILE):
             # With a write-ahead log, other processes can read while one process writes.
-            self.execute(f"PRAGMA journal_mode = {_journal(self._path) or 'DELETE'}")
+            # SQLite does not wait where another process sets the mode of the file at the same time.
+            for wait in (*[0.01] * N_WAITS, 0.0):
+                with suppress(CatalogueError) if wait else nullcontext():
+                    self.execute(f"PRAGMA journal_mode = {_journal(self._path) or 'DELETE'}")
+                    break
+                time.sleep(wait)
             with self._transaction("IMMEDIATE"):
                 if not self.execute(PARTS_OF_FILE):  # another process may have created them in the meantime
                     unique = "CREATE UNIQUE INDEX shapes_by_path ON shapes (path)"

@@ -6,8 +6,7 @@ at a point x is the area that arrives within a distance of σ = c R from x, divi
 sphere: 1 in the centre of a sphere, and about c on the axis of a tube. The descriptor says in how much of the
 body it exceeds certain levels, for each radius R.
 
-Poses change the transform little, because limbs remain tubes when they bend. It depends on the position of
-the surface in space, and not on its intrinsic geometry alone, so that its errors are not those of spectra.
+Poses change it little: limbs remain tubes when they bend. Its errors are not those of spectra.
 """
 
 from __future__ import annotations

@@ -10,9 +10,8 @@ likelihoods of d is, up to constants, −dᵀ M d with
 which is the metric KISSME [1]_. It is that of linear discriminants: in directions in which people do not
 differ, S_t = S_w, and differences do not count. Other whitenings would amplify these directions.
 
-Both covariances were estimated from raw scans of simulated people in several poses (people.txt), so that the
-distance of two scans of people hardly changes when others are added to a catalogue. S_w contains what coarser
-meshes of the same scans change.
+Both covariances are those of raw scans of simulated people in several poses, and of coarser meshes of scans
+(people.txt): the distance of two scans of people hardly changes when others are added to a catalogue.
 
 Pose moves coordinates along curves. Before the default descriptor is compared, a network of one hidden layer
 therefore takes each scan half of the way to what it expects of the other scans of this person:
