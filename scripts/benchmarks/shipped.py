@@ -5,8 +5,9 @@
 
 heat: hks_sample.npy, (2, s, 6) heat kernel signatures, plain and scale-invariant, and wavelet_sample.npy,
 (s, 3) spectral graph wavelet signatures, of the same points of simulated bodies, from which the vocabularies
-of the bags of features are clustered. dictionary: the atoms of the descriptors dl and dl-supervised, learned
-without labels and with them. The metric of people is learned by scripts/benchmark_people.
+of the bags of features are clustered; those of the package are of bodies with other triangles. dictionary:
+the atoms of the descriptors dl and dl-supervised, learned without labels and with them. The
+metric of people is learned by scripts/benchmark_people.
 
 The dictionary with labels is learned as by Litman, Bronstein, Bronstein and Castellani, "Supervised learning
 of bag-of-features shape descriptors using sparse coding", 2014.

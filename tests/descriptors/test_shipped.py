@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from importlib import resources
-
 import numpy as np
 import pytest
-from benchmarks.shipped import features, sparse_dictionary, supervised_dictionary, triplet_loss
+from benchmarks.shipped import sparse_dictionary, supervised_dictionary, triplet_loss
+from scipy.spatial import cKDTree
 
+from pcretrieve.descriptors.bags import heat_features
+from pcretrieve.descriptors.descriptor import shipped
 from pcretrieve.descriptors.dl import PENALTY, SurfacePoints, sparse_codes
+from pcretrieve.simulation import POSES, body, make_subject
+from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.values import FloatArray
 
 LABELS = ("a", "a", "b", "b", "c", "c")
@@ -76,14 +79,11 @@ def test_learning_with_labels_separates_surfaces_that_it_has_not_seen() -> None:
     assert after < 0.75 * before
 
 
-def kept(package: str, name: str) -> FloatArray:
-    array: FloatArray = np.load(str(resources.files(package).joinpath(name)))
-    return array
-
-
-def test_the_words_come_from_the_first_subject_too() -> None:
-    made = next(features())
-    heat = kept("pcretrieve.descriptors", "hks_sample.npy")
-    np.testing.assert_allclose(made.heat, heat[:, : made.heat.shape[1]], atol=1e-3)
-    wavelets = kept("pcretrieve.descriptors", "wavelet_sample.npy")
-    np.testing.assert_allclose(made.wavelets, wavelets[: len(made.wavelets)], atol=1e-3)
+def test_words_are_near_points_of_the_first_subject() -> None:
+    rng = np.random.default_rng(0)
+    subject = make_subject("person", rng)
+    pairs = unit_eigenpairs(body(subject, next(iter(POSES["person"].values())), rng), 61)
+    for words, kind in zip(shipped("hks_sample.npy"), (False, True), strict=True):
+        near = cKDTree(heat_features(pairs, scale_invariant=kind)).query(words[:120])[0]
+        own, other = np.median(np.reshape(near, (2, -1)), axis=1)  # of this subject and of the second
+        assert 3 * own < other
