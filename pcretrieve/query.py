@@ -363,7 +363,7 @@ def duplicates(
             chosen, threshold = chosen.of_copies, SAME
         elif not 0 <= threshold < np.inf:
             raise OptionError(f"threshold must be 0 or more, got {threshold}")
-        return near_pairs(store.index(chosen), threshold)
+        return near_pairs(store.index(chosen), threshold) if store.records(status="done") else []
 
 
 def cluster(

@@ -24,7 +24,7 @@ from pcretrieve.errors import CatalogueError
 
 logger = logging.getLogger(__name__)
 
-# Longest time to wait for another process that is writing; seconds.
+# Longest time to wait for a process that writes; seconds. Tries, .01 s apart, to set the mode of a new file.
 LOCK_TIMEOUT, N_WAITS = 30.0, 1000
 
 # Share of unused pages of a file above which it is written again without them.
