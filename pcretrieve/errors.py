@@ -171,7 +171,8 @@ def shape_error(error: BaseException, stage: str | None = None) -> PcretrieveErr
     if isinstance(error, PcretrieveError):
         base = next(base for base in type(error).__mro__ if base.__module__ == __name__)
         return error if base is type(error) else base(error.message, stage=stage)
-    if isinstance(error, MemoryError):
+    # Without memory for the stack of a thread, C++ says that a resource is "temporarily unavailable".
+    if isinstance(error, MemoryError) or "Resource temporarily unavailable" in _words(error):
         return MemoryExceeded(
             "the scan needs more memory than there is, or than --memory allows: raise that, or thin the scan",
             stage=stage,

@@ -267,11 +267,7 @@ def _export_meshes(store: pr.Catalogue, shape_ids: tuple[str, ...], output: Path
         raise InputError(f"cannot make the folder {output}: {error.strerror}") from error
     files = []
     for shape_id in shape_ids or [record.id for record in store.records(status="done")]:
-        files.append(output / _file_name(shape_id))
+        # Ids are names of files, but a catalogue from elsewhere may have any.
+        files.append(output / (shape_id.replace("/", "%2F").replace("\0", "%00") + ".ply"))
         pr.write_mesh(store.mesh(shape_id), files[-1])
     return files
-
-
-def _file_name(shape_id: str) -> str:
-    """The name of the file of a mesh. Ids are names of files, but a catalogue from elsewhere may have any."""
-    return shape_id.replace("/", "%2F").replace("\0", "%00") + ".ply"

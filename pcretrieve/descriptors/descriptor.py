@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import resources
+from operator import attrgetter
 from typing import get_args
 
 import numpy as np
@@ -13,10 +14,6 @@ from pcretrieve.errors import OptionError
 from pcretrieve.options import SignatureOptions
 from pcretrieve.values import FloatArray, Metric, ModalSpectrum, Need, Shape, Signature
 from pcretrieve.values.signatures import COORDINATES
-
-
-def _n_values(options: SignatureOptions) -> int:
-    return options.n_values
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +54,7 @@ class Descriptor:
     make: Callable[[Shape, SignatureOptions], Signature]
     needs: tuple[Need, ...]
     has_size: bool = True
-    length: Callable[[SignatureOptions], int] = _n_values
+    length: Callable[[SignatureOptions], int] = attrgetter("n_values")
     metric: Metric = "logarithms"
     spread: float = 1.0
 

@@ -27,6 +27,7 @@ from contextlib import suppress
 from functools import cache, partial
 from multiprocessing import connection, resource_tracker
 from multiprocessing.connection import Connection
+from operator import methodcaller
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -180,15 +181,12 @@ def alone(
     function: Callable[..., Answer], /, *arguments: Any, timeout: float = 600.0, memory: float | None = None
 ) -> Answer:
     """Call a function once, in a process of its own, with limits as of `in_processes`."""
+    task: Callable[[partial[Answer]], Answer] = methodcaller("__call__")
     call = partial(function, *arguments)
-    ((_, outcome),) = in_processes(_called, [call], workers=1, timeout=timeout, memory=memory)
+    ((_, outcome),) = in_processes(task, [call], workers=1, timeout=timeout, memory=memory)
     if isinstance(outcome, PcretrieveError):
         raise outcome
     return outcome
-
-
-def _called(task: Callable[[], Answer]) -> Answer:
-    return task()
 
 
 def _is_tried_again(worker: Worker[Any, Any], outcome: object) -> bool:

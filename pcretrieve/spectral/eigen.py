@@ -6,11 +6,10 @@ from typing import Literal
 
 import numpy as np
 from scipy.linalg import LinAlgError, eigh
-from scipy.sparse import csc_array
-from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh, splu
+from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
 from pcretrieve.errors import OptionError, SpectrumError
-from pcretrieve.spectral.krylov import BLOCK, basis_size, block_krylov
+from pcretrieve.spectral.krylov import BLOCK, basis_size, block_krylov, superlu
 from pcretrieve.values import Eigenpairs, FloatArray, LaplaceBeltrami
 from pcretrieve.values.base import check_type
 
@@ -144,14 +143,7 @@ def _dense(operator: LaplaceBeltrami, n_pairs: int) -> tuple[FloatArray, FloatAr
 def _arpack(operator: LaplaceBeltrami, n_pairs: int, shift: float) -> tuple[FloatArray, FloatArray, int]:
     stiffness, mass = operator.stiffness, operator.mass
     n = stiffness.shape[0]
-    # The shifted matrix is symmetric positive definite: diagonal pivots are stable, and minimum degree
-    # ordering of the symmetric pattern causes less fill-in than the default ordering.
-    factor = splu(
-        csc_array(stiffness - shift * mass),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
+    factor = superlu(stiffness - shift * mass)
     n_solves = 0
 
     def solve(right: FloatArray) -> FloatArray:

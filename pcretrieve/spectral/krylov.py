@@ -14,7 +14,8 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg import LinAlgError, eigh
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array, csr_array
+from scipy.sparse.linalg import SuperLU, splu
 
 from pcretrieve.errors import SpectrumError
 from pcretrieve.values import FloatArray, LaplaceBeltrami
@@ -204,9 +205,11 @@ def _orthonormal(
 
 
 def _cholesky(matrix: csr_array) -> Callable[[FloatArray], FloatArray]:
-    """The inverse of a symmetric positive definite matrix, as a function; one triangle of it is read."""
-    import cholespy  # only imported here: it loads CHOLMOD, and a GPU driver if there is one
-
+    """The inverse of a symmetric positive definite matrix; one triangle of it is read, but by SuperLU."""
+    try:
+        import cholespy  # only imported here: it loads CHOLMOD, and a GPU driver if there is one
+    except ModuleNotFoundError:  # users who may have nothing under the GPL uninstall it
+        return superlu(matrix).solve
     rows, columns = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
     try:
         # In CSC format the arrays would not be copied, and be freed by the solver.
@@ -223,3 +226,9 @@ def _cholesky(matrix: csr_array) -> Callable[[FloatArray], FloatArray]:
         return solution
 
     return solve
+
+
+def superlu(matrix: csr_array) -> SuperLU:
+    """The factors of a symmetric positive definite matrix, for which pivots on the diagonal are stable."""
+    # Minimum degree ordering of the symmetric pattern causes less fill-in than the default ordering.
+    return splu(csc_array(matrix), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})

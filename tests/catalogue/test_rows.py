@@ -86,18 +86,6 @@ def test_signatures_are_listed_in_the_order_of_ids(rows: Rows) -> None:
         assert (found.has.tolist(), bytes(found.packed)) == (has, packed)
 
 
-def test_a_path_keeps_its_id_and_an_id_that_is_taken_gets_a_number(rows: Rows) -> None:
-    again = rows.store(done("f", path="/a.ply", content_hash="new"))
-    assert (again.id, again.content_hash) == ("a", "new")
-    before = rows.revision()
-    others = [rows.store(done("a", path=f"/{place}/a.ply")).id for place in range(20)]
-    assert rows.revision() != before
-    assert others == [f"a-{number}" for number in range(2, 22)]
-    assert rows.store(failed("b")) == done("b").record, "a failure replaces a failure only"
-    assert rows.store(failed("e", message="again")).message == "again"
-    assert rows.store(done("e")) == done("e").record
-
-
 def test_locations(tmp_path: Path) -> None:
     options = PipelineOptions().changed(signature={"n_values": 9})
     with Rows(tmp_path / "c.sqlite", settings_of(options), create=True) as rows:

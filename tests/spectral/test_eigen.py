@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from functools import partial
 from typing import Any
 
@@ -19,8 +20,11 @@ from pcretrieve.values import FloatArray, LaplaceBeltrami
 BODY = laplace_beltrami(shapes.body(3))
 
 
-@pytest.fixture(params=["krylov", "arpack"])
-def solver(request: pytest.FixtureRequest) -> Any:
+@pytest.fixture(params=["krylov", "arpack", "without cholespy"])
+def solver(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any:
+    if request.param == "without cholespy":
+        monkeypatch.setitem(sys.modules, "cholespy", None)  # the import raises ModuleNotFoundError
+        return "krylov"
     return request.param
 
 
@@ -124,12 +128,12 @@ def edited(matrix: csc_array, value: float, *places: tuple[int, int]) -> csc_arr
 
 TWO = laplace_beltrami(shapes.joined(shapes.icosphere(2), shapes.icosphere(2)))
 STIFFNESS, MASS = BODY.stiffness, BODY.mass
-NEGATIVE = r"(must not be negative, got -|must be positive definite)"
+NEGATIVE = "must not be negative, got -|must be positive definite|residuals must fall"
 BROKEN = {
     "two parts": (TWO.stiffness, TWO.mass, "at least 1e-06 after 1 zero modes, got .*: the surface is not"),
     "massless": (STIFFNESS, edited(MASS, 0, (3, 3)), "must have mass, got 1 of 642 without"),
     "indefinite": (STIFFNESS, edited(MASS, 1, (3, 5), (5, 3)), "solver failed|must not be negative"),
-    "skewed": (edited(STIFFNESS, 1, (0, 5)), MASS, "must have the eigenvalue 0|residuals must stay"),
+    "skewed": (edited(STIFFNESS, 1, (0, 5)), MASS, "must have the eigenvalue 0|residuals must|no room"),
     "negative": (-STIFFNESS, MASS, NEGATIVE),
     # Above the shift, so that there is a Cholesky factor.
     "just negative": (-0.5 / dense_eigenvalues(BODY)[-1] / BODY.area * STIFFNESS, MASS, NEGATIVE),
