@@ -3,9 +3,8 @@
 FROM python:3.11-slim-bookworm
 RUN apt-get update && apt-get install -y --no-install-recommends \
     libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1 && rm -rf /var/lib/apt/lists/*
-COPY pyproject.toml README.md LICENSE /source/
+COPY pyproject.toml setup.py README.md LICENSE /source/
 COPY pcretrieve /source/pcretrieve
 RUN pip install --no-cache-dir /source && rm -r /source
-RUN python -c "from pcretrieve.pipeline.process import compile_stages; compile_stages()"
 WORKDIR /data
 ENTRYPOINT ["pcretrieve"]

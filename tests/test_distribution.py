@@ -13,6 +13,7 @@ from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 import pytest
+from commands import program
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -39,10 +40,8 @@ def built(kind: str, source: Path, target: Path) -> Path:
     """The file that the build backend makes of the sources in a folder."""
     target.mkdir()
     code = f"from setuptools.build_meta import build_{kind} as build; build({str(target)!r})"
-    done = subprocess.run([sys.executable, "-c", code], cwd=source, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    (made,) = target.iterdir()
-    return made
+    subprocess.run([sys.executable, "-c", code], cwd=source, check=True)
+    return next(target.iterdir())
 
 
 @pytest.fixture(scope="module")
@@ -74,8 +73,12 @@ def test_the_wheel_has_every_file_of_the_package_and_nothing_else(folder: Path) 
     assert wheel.name == f"pcretrieve-{pcretrieve.__version__}-py3-none-any.whl"
     with zipfile.ZipFile(wheel) as archive:
         held = {name for name in archive.namelist() if ".dist-info/" not in name}
-    wanted = {name for name in tracked_files() if name.startswith("pcretrieve/")}
-    assert held == wanted
+        archive.extractall(installed := folder.parent / "installed")
+    compiled = {name for name in held if name.endswith((".nbi", ".nbc"))}
+    assert held - compiled == {name for name in tracked_files() if name.startswith("pcretrieve/")}
+    # A first scan after the installation compiles nothing.
+    assert "compiling" not in program("lab", "signature", ROOT / "new_scan.ply", cwd=installed).stderr
+    assert {str(path.relative_to(installed)) for path in installed.rglob("*.nb?")} == compiled
 
 
 def test_the_version_is_that_of_the_other_files() -> None:

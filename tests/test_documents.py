@@ -67,9 +67,9 @@ def test_the_dockerfile_says_what_the_project_says() -> None:
     (named,) = re.findall(r"system libraries (.+?)\.\s", README)
     assert libraries.split() == re.split(r", | and ", named)
     copied = [name for line in re.findall(r"^COPY (.+) /", text, re.M) for name in line.split()]
-    assert {"pyproject.toml", "pcretrieve"} < {name for name in copied if (ROOT / name).exists()} == {*copied}
-    compiling, command = re.findall(r'(?:python -c |^ENTRYPOINT \[)"(.+?)[;"]', text, re.M)
-    exec(compiling, {})
+    assert {"pyproject.toml", "setup.py", "pcretrieve"} < {*copied}
+    assert all((ROOT / name).exists() for name in copied)
+    (command,) = re.findall(r'^ENTRYPOINT \["(.+?)"', text, re.M)
     assert f"\n{command} = " in project
 
 
