@@ -29,14 +29,7 @@ from pcretrieve.errors import InputError, OptionError
 from pcretrieve.formats import ScanLike
 from pcretrieve.options import OptionsLike, PipelineOptions, Shrinkage, SignatureOptions
 from pcretrieve.pipeline.process import remembered, signature_of
-from pcretrieve.retrieval import (
-    Positions,
-    Whitening,
-    coordinates,
-    fit_whitening,
-    pairwise,
-    people,
-)
+from pcretrieve.retrieval import Positions, Whitening, coordinates, fit_whitening, pairwise, people
 from pcretrieve.retrieval.distances import BLOCK_DISTANCES, known_distance
 from pcretrieve.values import FloatArray
 

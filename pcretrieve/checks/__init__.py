@@ -9,11 +9,4 @@ from pcretrieve.checks.findings import findings_of
 from pcretrieve.checks.grading import OUTCOMES, Check, graded, verdict_of
 from pcretrieve.checks.inspection import Inspection
 
-__all__ = [
-    "OUTCOMES",
-    "Check",
-    "Inspection",
-    "findings_of",
-    "graded",
-    "verdict_of",
-]
+__all__ = ["OUTCOMES", "Check", "Inspection", "findings_of", "graded", "verdict_of"]

@@ -8,11 +8,4 @@ from pcretrieve.points.clean import check_extent, clean, outliers
 from pcretrieve.points.crop import crop, kept_points
 from pcretrieve.points.normals import oriented_normals
 
-__all__ = [
-    "check_extent",
-    "clean",
-    "crop",
-    "kept_points",
-    "oriented_normals",
-    "outliers",
-]
+__all__ = ["check_extent", "clean", "crop", "kept_points", "oriented_normals", "outliers"]

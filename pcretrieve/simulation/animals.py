@@ -12,7 +12,6 @@ from dataclasses import replace
 from pcretrieve.simulation.skeleton import (
     COLLINEAR,
     Bone,
-    Contact,
     Pose,
     RoundCone,
     Vector,
@@ -151,10 +150,7 @@ def _with_paw(foot: Bone, girth: float) -> Bone:
     return replace(foot, flesh=(*foot.flesh, paw))
 
 
-_HIND = both(hip=22, knee=-48, hock=34)
-_FORE = both(shoulder=-20, elbow=26, wrist=-8)
-_STAND = _HIND | _FORE | turn(tail=20)
-_FOLDED_HIND = both(hip=(98, 8, 0), knee=-112, hock=92)
+_STAND = both(hip=22, knee=-48, hock=34, shoulder=-20, elbow=26, wrist=-8) | turn(tail=20)
 
 POSES: dict[str, Pose] = {
     "stand": Pose(_STAND),
@@ -164,48 +160,5 @@ POSES: dict[str, Pose] = {
         | right(hip=-8, knee=-34, shoulder=8, elbow=14)
         | turn(neck=12)
     ),
-    "trot": Pose(
-        _STAND
-        | left(hip=55, knee=-70, hock=55, shoulder=-42)
-        | right(hip=-14, knee=-20, shoulder=30, elbow=30, wrist=-45)
-        | turn(tail=-40)
-    ),
-    "gallop": Pose(
-        both(hip=-38, knee=-18, hock=8, shoulder=58, elbow=4) | turn(spine=-24, neck=22, tail=-50)
-    ),
-    "gather": Pose(
-        both(hip=72, knee=-50, hock=25, shoulder=-52, elbow=25) | turn(spine=45, neck=-42, tail=-30)
-    ),
     "graze": Pose(_STAND | turn(neck=78, head=28, spine=8)),
-    "look_up": Pose(_STAND | turn(neck=-28, head=-38, tail=-70)),
-    "look_back": Pose(_STAND | turn(neck=(0, 70, 0), head=(0, 30, 0), spine=(0, 30, 0), tail=(0, 50, 0))),
-    "rear": Pose(
-        both(hip=-22, knee=-52, hock=36, shoulder=30, elbow=75, wrist=-50)
-        | turn(pelvis=-52, spine=-16, neck=25)
-    ),
-    "play_bow": Pose(
-        _HIND | both(shoulder=(52, 6, 0), elbow=28, wrist=-6) | turn(pelvis=22, spine=-18, neck=-22, tail=-95)
-    ),
-    "sit": Pose(_FOLDED_HIND | both(shoulder=-28, elbow=22, wrist=-8) | turn(pelvis=-46, neck=30, tail=-25)),
-    "lie": Pose(
-        _FOLDED_HIND | both(shoulder=(-42, 4, 0), elbow=100, wrist=-4) | turn(tail=(10, 25, 0)),
-        contacts=tuple(
-            Contact((f"{side}_shank",), ("loins", "ribs"), (f"{side}_hip",)) for side in ("left", "right")
-        ),
-    ),
-    "legs_together": Pose(
-        _STAND | turn(neck=20),
-        contacts=(
-            Contact(("left_hind_foot",), ("right_hind_foot",), ("left_hip", "right_hip")),
-            Contact(("left_fore_foot",), ("right_fore_foot",), ("left_shoulder", "right_shoulder")),
-        ),
-    ),
-    "wipe": Pose(
-        _STAND | left(shoulder=(35, -8, 0), elbow=75, wrist=-30) | turn(neck=50),
-        contacts=(Contact(("left_fore_foot",), ("head",), ("left_shoulder", "neck")),),
-    ),
-    "tail_on_thigh": Pose(
-        _STAND | turn(tail=(50, 40, 0), neck=(-10, -25, 0)),
-        contacts=(Contact(("tail_3",), ("left_thigh", "left_shank"), ("tail",)),),
-    ),
 }

@@ -29,7 +29,7 @@ LARGEST_DEVIATION = 2.0
 # Modules with the distributions of measures, the function that builds a skeleton, the cell, and poses.
 FAMILIES = {"person": people, "animal": animals, "hand": hands}
 
-POSES: Mapping[str, Mapping[str, Pose]] = {name: family.POSES for name, family in FAMILIES.items()}
+POSES: Mapping[str, dict[str, Pose]] = {name: family.POSES for name, family in FAMILIES.items()}
 """Poses by family and name. In poses with contacts (`Pose.contacts`) parts of the body touch each other."""
 
 

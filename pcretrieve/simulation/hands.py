@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pcretrieve.simulation.skeleton import Bone, Contact, Pose, RoundCone, Vector, limb, turn, vector
+from pcretrieve.simulation.skeleton import Bone, Pose, RoundCone, Vector, limb, turn, vector
 from pcretrieve.values import FloatArray
 
 # Mean in metres, and standard deviation relative to the mean: rounded figures of adults.
@@ -93,46 +93,13 @@ def _digit(
     return limb("palm" if name == "thumb" else "knuckles", start, along, front, pieces)
 
 
-def _curl(fingers: tuple[str, ...], bends: tuple[float, float, float]) -> dict[str, Vector]:
+def curl(fingers: tuple[str, ...], bends: tuple[float, float, float]) -> dict[str, Vector]:
+    """The same bends of the three joints of some fingers."""
     return turn(**{f"{finger}_{k + 1}": bend for finger in fingers for k, bend in enumerate(bends)})
 
 
-def _on_palm(*fingers: str) -> tuple[Contact, ...]:
-    return tuple(Contact((f"{finger}_3",), ("palm",), (f"{finger}_1", f"{finger}_2")) for finger in fingers)
-
-
-_CLOSED = (80.0, 95.0, 50.0)
-_THUMB_IN = turn(thumb_1=24, thumb_2=30, thumb_3=38)
-_SIDE_BY_SIDE = (("index", "middle"), ("ring", "middle"), ("little", "ring"))
-
 POSES: dict[str, Pose] = {
     "open": Pose({}),
-    "relaxed": Pose(_curl(FINGERS, (22, 28, 16)) | turn(thumb_2=12)),
-    "spread": Pose(turn(index_1=(-6, -8, 0), ring_1=(-6, 6, 0), little_1=(-8, 14, 0), thumb_1=(-16, 10, 0))),
-    "grasp": Pose(_curl(FINGERS, (42, 48, 28)) | turn(thumb_1=20, thumb_2=22)),
-    "claw": Pose(_curl(FINGERS, (-12, 75, 48)) | turn(thumb_2=30, thumb_3=35)),
-    "table": Pose(_curl(FINGERS, (78, 6, 4)) | turn(thumb_1=8)),
-    "wave": Pose(turn(wrist=(-38, 14, 0)) | _curl(FINGERS, (10, 12, 8))),
-    "flex": Pose(turn(wrist=52) | _curl(FINGERS, (18, 30, 18))),
-    "fan": Pose(turn(index_1=0, middle_1=25, ring_1=50, little_1=72, middle_2=15, ring_2=32, little_2=45)),
-    "thumb_out": Pose(_curl(FINGERS, (55, 72, 40)) | turn(thumb_1=-14, thumb_3=-10)),
-    "fist": Pose(_curl(FINGERS, _CLOSED) | _THUMB_IN, contacts=_on_palm(*FINGERS)),
-    "point": Pose(
-        _curl(FINGERS[1:], _CLOSED) | _THUMB_IN,
-        contacts=(*_on_palm(*FINGERS[1:]), Contact(("thumb_3",), ("middle_2", "middle_3"), ("thumb_1",))),
-    ),
-    "victory": Pose(
-        _curl(FINGERS[2:], _CLOSED) | _THUMB_IN,
-        contacts=(*_on_palm(*FINGERS[2:]), Contact(("thumb_3",), ("ring_2", "ring_3"), ("thumb_1",))),
-    ),
-    "together": Pose(
-        contacts=tuple(
-            Contact((f"{finger}_2", f"{finger}_3"), (f"{next_to}_2", f"{next_to}_3"), (f"{finger}_1",))
-            for finger, next_to in _SIDE_BY_SIDE
-        )
-    ),
-    "ring": Pose(
-        _curl(("index",), (48, 55, 35)) | _curl(FINGERS[2:], (10, 15, 8)) | _THUMB_IN,
-        contacts=(Contact(("thumb_3",), ("index_3",), ("thumb_1", "index_1")),),
-    ),
+    "relaxed": Pose(curl(FINGERS, (22, 28, 16)) | turn(thumb_2=12)),
+    "flex": Pose(turn(wrist=52) | curl(FINGERS, (18, 30, 18))),
 }

@@ -189,11 +189,9 @@ def _leg(m: Mapping[str, float]) -> tuple[Bone, ...]:
 
 
 _ARMS_DOWN = both(shoulder=(0, -32, 0), elbow=12)
-_TRUNK = ("pelvis", "loins", "ribs", "breast")
 
 POSES: dict[str, Pose] = {
     "stand": Pose(_ARMS_DOWN),
-    "cross": Pose(both(shoulder=(0, 36, 0))),
     "walk": Pose(
         left(shoulder=(28, -30, 0), elbow=14, hip=(-18, -4, 0), knee=-18)
         | right(shoulder=(-25, -30, 0), elbow=30, hip=(28, -4, 0), knee=-12)
@@ -205,55 +203,13 @@ POSES: dict[str, Pose] = {
         | turn(spine=(14, 0, 8), neck=-8)
     ),
     "sit": Pose(both(hip=(88, 4, 0), knee=-86, shoulder=(38, -36, 0), elbow=42) | turn(spine=8)),
-    "reach_up": Pose(both(clavicle=(0, 22, 0), shoulder=(10, 88, 0)) | turn(neck=-12)),
     "wave": Pose(_ARMS_DOWN | right(shoulder=(5, 30, 0), elbow=(8, 88, 0)) | turn(neck=(0, -10, 0))),
-    "bow": Pose(both(hip=38, knee=-6, shoulder=(45, -25, 0)) | turn(spine=52, neck=15)),
     "point": Pose(_ARMS_DOWN | right(clavicle=15, shoulder=(78, 5, 0)) | turn(neck=(0, 0, -20))),
-    "kick": Pose(
-        both(shoulder=(0, 15, 0), elbow=20) | left(hip=78, knee=-14) | right(knee=-10) | turn(spine=-8)
-    ),
     "lunge": Pose(both(shoulder=(5, 20, 0)) | left(hip=75, knee=-80) | right(hip=-32, knee=-28)),
     "hands_on_hips": Pose(
         both(shoulder=(-12, -8, 25), elbow=(82, -25, 0), hand=20),
         contacts=tuple(
             Contact((f"{side}_hand",), ("pelvis", "loins"), (f"{side}_shoulder", f"{side}_elbow"))
-            for side in ("left", "right")
-        ),
-    ),
-    "arms_crossed": Pose(
-        left(shoulder=(22, -30, 62), elbow=96) | right(shoulder=(36, -22, 62), elbow=96),
-        contacts=(
-            Contact(("left_forearm", "left_hand"), _TRUNK, ("left_shoulder",)),
-            Contact(("right_forearm", "right_hand"), ("left_forearm", "left_hand"), ("right_shoulder",)),
-        ),
-    ),
-    "hands_clasped": Pose(
-        left(shoulder=(34, -32, 58), elbow=66) | right(shoulder=(24, -32, 58), elbow=66),
-        contacts=(Contact(("left_fingers",), ("right_hand",), ("left_shoulder", "right_shoulder")),),
-    ),
-    "legs_crossed": Pose(
-        both(shoulder=(30, -30, 0), elbow=40)
-        | left(hip=(104, -26, 0), knee=-92)
-        | right(hip=(86, 2, 0), knee=-84)
-        | turn(spine=8),
-        contacts=(Contact(("left_thigh", "left_calf"), ("right_thigh",), ("left_hip",)),),
-    ),
-    "attention": Pose(
-        both(shoulder=(0, -42, 0), hip=(0, -6, 0)),
-        contacts=(
-            Contact(("left_hand", "left_fingers"), ("left_thigh",), ("left_shoulder",)),
-            Contact(("right_hand", "right_fingers"), ("right_thigh",), ("right_shoulder",)),
-            Contact(("left_calf",), ("right_calf",), ("left_hip", "right_hip")),
-        ),
-    ),
-    "think": Pose(
-        _ARMS_DOWN | right(shoulder=(36, -25, 35), elbow=98) | turn(neck=14),
-        contacts=(Contact(("right_fingers",), ("head",), ("right_shoulder", "right_elbow")),),
-    ),
-    "crouch": Pose(
-        both(hip=(96, 8, 0), knee=-98, foot=22, shoulder=(58, -30, 0), elbow=30) | turn(spine=28),
-        contacts=tuple(
-            Contact((f"{side}_hand",), (f"{side}_calf",), (f"{side}_shoulder", f"{side}_elbow"))
             for side in ("left", "right")
         ),
     ),

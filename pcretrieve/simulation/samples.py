@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.simulation.scanner import RigOptions, scan
+from pcretrieve.simulation.skeleton import Pose
 from pcretrieve.values import FloatArray, TriangleMesh
 from pcretrieve.values.files import write_file
 
@@ -44,9 +45,6 @@ SUBJECTS = (
     SampleSubject("hand-2", "hand", ("spread", "table", "fan", "wave", "together")),
 )
 
-SAMPLES = tuple(f"{subject.name}_{pose}" for subject in SUBJECTS for pose in subject.poses)
-"""Names of all sample scans: subject and pose."""
-
 DEMO_SAMPLES = (
     *("person-1_stand", "person-1_walk", "person-1_sit"),
     *("person-2_stand", "person-2_run", "person-2_wave"),
@@ -69,8 +67,9 @@ def write_whole(path: Path, surface: TriangleMesh, placed: FloatArray, rng: np.r
 
 def write_samples(
     folder: Path,
-    names: Collection[str] = SAMPLES,
+    names: Collection[str],
     *,
+    poses: Mapping[str, Mapping[str, Pose]] = POSES,
     seed: int = SEED,
     on_scan: Callable[[Path], object] = lambda path: None,
     write: Callable[[Path, TriangleMesh, FloatArray, np.random.Generator], Path] = write_whole,
@@ -91,7 +90,7 @@ def write_samples(
             # Each scan has a random generator of its own, so that it does not depend on other scans.
             individual = make_subject(subject.family, np.random.default_rng((seed, number)))
             rng = np.random.default_rng((seed, number, take))
-            surface = body(individual, POSES[subject.family][pose], rng)
+            surface = body(individual, poses[subject.family][pose], rng)
             path = write(folder / subject.name / name, surface, random_motion(rng), rng)
             labels[path.relative_to(folder).as_posix()] = subject.name
             on_scan(path)

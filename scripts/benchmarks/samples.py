@@ -13,8 +13,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.measuring import argument_parser
+from benchmarks.poses import POSES, SAMPLES
 from pcretrieve.simulation import RigOptions, camera_pose, scan_views
-from pcretrieve.simulation.samples import SAMPLES, SEED, moved, write_samples, write_whole
+from pcretrieve.simulation.samples import SEED, moved, write_samples, write_whole
 from pcretrieve.values import FloatArray, TriangleMesh
 from pcretrieve.values.files import write_file
 
@@ -44,9 +45,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="make this scan only; may be repeated",
     )
     given = parser.parse_args(arguments)
-    names = given.only or SAMPLES
     write_samples(
-        given.out, names, seed=given.seed, on_scan=lambda path: click.echo(path, err=True), write=write
+        given.out,
+        given.only or SAMPLES,
+        poses=POSES,
+        seed=given.seed,
+        on_scan=lambda path: click.echo(path, err=True),
+        write=write,
     )
 
 

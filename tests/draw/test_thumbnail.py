@@ -5,6 +5,7 @@ from io import BytesIO
 
 import numpy as np
 import pytest
+from benchmarks.poses import POSES
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 from scipy.spatial.transform import Rotation
@@ -13,7 +14,7 @@ from shapes import icosphere, joined
 from pcretrieve.draw import axes as draw_axes, thumbnail as drawing
 from pcretrieve.draw.pictures import MARGIN
 from pcretrieve.pages.thumbnails import _or_its_own, common_axis
-from pcretrieve.simulation import POSES, body, make_subject
+from pcretrieve.simulation import body, make_subject
 from pcretrieve.values import FloatArray, Step, TriangleMesh
 
 

@@ -7,8 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from benchmarks.poses import POSES
 
-from pcretrieve.simulation import POSES, body, make_subject
+from pcretrieve.simulation import body, make_subject
 from pcretrieve.simulation.bodies import close_contacts, skin
 from pcretrieve.simulation.skeleton import Bone, Pose, RoundCone, Subject, bone_distance, motions
 from pcretrieve.surface import defects

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapes
+from benchmarks.poses import POSES
 from benchmarks.samples import write, write_views
 from benchmarks.turning import TurningOptions, turning_frames, write_frames
 from benchmarks.uniform import UniformOptions, scan_uniformly
@@ -23,7 +24,7 @@ from pcretrieve.draw.open3d import RayScene
 from pcretrieve.formats.conf import read_poses
 from pcretrieve.formats.ply import read_ply
 from pcretrieve.points.register.alignment import moved
-from pcretrieve.simulation import POSES, RigOptions, body, camera_pose, make_subject, scan, scan_views
+from pcretrieve.simulation import RigOptions, body, camera_pose, make_subject, scan, scan_views
 from pcretrieve.simulation.samples import random_motion, write_samples
 from pcretrieve.simulation.skeleton import Bone, Pose, RoundCone, Subject
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
@@ -195,7 +196,7 @@ def test_the_same_seed_makes_the_same_bytes_and_the_points_of_the_set(tmp_path: 
         return write(path, surface, placed, rng)
 
     for run in ("one", "two"):
-        labels = write_samples(tmp_path / run, ["hand-2_fan", "hand-1_open"], write=kept)
+        labels = write_samples(tmp_path / run, ["hand-2_fan", "hand-1_open"], poses=POSES, write=kept)
         assert labels == {"hand-1/hand-1_open.ply": "hand-1", "hand-2/hand-2_fan.conf": "hand-2"}
         made = (tmp_path / run).rglob("*.*")
         files.append({file.relative_to(tmp_path / run): file.read_bytes() for file in made})
