@@ -45,6 +45,7 @@ OTHER: dict[str, dict[str, Any]] = {
         "n_modes": 70,
         "scale": "absolute",
         "size_weight": 2.5,
+        "atoms": ((1.0, *(0.0,) * 18),) * 32,
     },
     "retrieval": {
         "distance": "d1",
@@ -153,7 +154,7 @@ def test_every_option_that_moves_a_spectrum_has_a_digest_of_its_own() -> None:
     for stage, name in every_option():
         other = OTHER[stage][name]
         changed = options.changed(**{stage: {name: other}})
-        difference = f"{stage}.{name}: {options.model_dump()[stage][name]!r} there, {other!r} here"
+        difference = f"{stage}.{name}: {options.model_dump()[stage][name]!r} there, {other!r:.60} here"
         hidden = stage in ("retrieval", "merge")
         assert options_difference(options, changed) == ([] if hidden else [difference])
         digests.add(changed.digest)

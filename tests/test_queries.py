@@ -18,7 +18,7 @@ from commands import result, run
 import pcretrieve as pr
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.descriptors import describe
-from pcretrieve.errors import InputError, OptionError, ScanReadError
+from pcretrieve.errors import CatalogueError, InputError, OptionError, ScanReadError, ShapeError
 from pcretrieve.values import Neighbors, TriangleMesh
 
 N_KINDS, N_EACH = 3, 4
@@ -256,6 +256,7 @@ def test_a_metric_of_labelled_scans_is_used_in_another_catalogue(
     pr.ingest(folder / "new", other, workers=1)
     reason = result("lab", "calibrate", "-c", catalogue, "-o", metric)["reason"]
     learnt = pr.calibrate(catalogue, tmp_path / "again.npz")
+    assert isinstance(learnt, pr.Whitening)
     assert (learnt.reason, reason) == ("within-class: 3 classes of 12 shapes",) * 2
     assert (tmp_path / "again.npz").read_bytes() == metric.read_bytes()
     chosen = {"retrieval": {"calibration": str(metric)}}
@@ -277,6 +278,61 @@ def test_a_metric_of_labelled_scans_is_used_in_another_catalogue(
         metric.write_bytes(content)
         with pytest.raises(InputError, match="a whitening must be a name such as auto, or a file"):
             pr.search(catalogue, "00", options=chosen)
+
+
+def test_atoms_of_labelled_scans_are_used_in_another_catalogue(
+    catalogue: Path, folder: Path, tmp_path: Path
+) -> None:
+    """They travel within the settings: to worker processes, and in the catalogue, without the file."""
+    file, other, egg = tmp_path / "atoms.toml", tmp_path / "other.sqlite", folder / "stored" / "11.off"
+    shipped = {"signature": {"method": "dl-supervised"}}
+    assert result("lab", "calibrate", "-c", catalogue, "--method", "dl-supervised", "-o", file)["config"]
+    learnt = pr.calibrate(catalogue, tmp_path / "again.toml", options=shipped)
+    assert (tmp_path / "again.toml").read_bytes() == file.read_bytes()
+    assert pr.PipelineOptions.of(file) == learnt
+    pr.ingest(folder / "new", other, options=file, workers=2)
+    with pr.Catalogue(catalogue) as store:
+        stored = store.described("11", pr.PipelineOptions.of(file, store.options)).values
+        plain = store.described("11", pr.PipelineOptions.of(shipped, store.options)).values
+    assert result("lab", "signature", "--config", file, egg)[0]["values"] == pytest.approx(stored, abs=1e-9)
+    assert np.abs(stored - plain).max() > 1e-3
+    content = file.read_text()
+    file.unlink()
+    with pytest.raises(OptionError, match=r"cannot read the options file .*atoms.toml"):
+        pr.signature(egg, file)
+    assert len(result("query", egg, "-c", other)[0]["results"]) == 2
+    # Signatures of two dictionaries are not compared.
+    with pytest.raises(
+        CatalogueError, match=r"built with other options: .*signature.atoms: \(\(.* there, None"
+    ):
+        pr.ingest(folder / "stored", other, options=shipped)
+    with pytest.raises(InputError, match="must be made by the same method and options as the table"):
+        pr.search(other, pr.signature(egg, shipped))
+    for bad, message in (
+        (content.replace("atoms = [[", "atoms = [[nan, "), r"atoms.0.0: input should be a finite number"),
+        (content.replace("atoms = [[", "atoms = [[0.1, "), r"atoms.0: tuple should have at most 19 items"),
+        (content.replace("atoms = [[", "atoms = 1 #"), r"atoms: input should be a valid tuple, got 1"),
+    ):
+        file.write_text(bad)
+        with pytest.raises(OptionError, match=rf"atoms.toml: in \[signature\], {message}"):
+            pr.search(catalogue, "11", options=file)
+
+
+def test_what_atoms_cannot_be_learned_from(folder: Path, tmp_path: Path) -> None:
+    shipped, eggs = {"signature": {"method": "dl-supervised"}}, ["00", "01", "10", "11"]
+    bare, labels = tmp_path / "bare.sqlite", {name: f"kind{name[0]}" for name in eggs}
+    pr.ingest(
+        [folder / "stored" / f"{name}.off" for name in eggs],
+        bare,
+        options={"catalogue": {"keep": []}},
+        labels=labels,
+    )
+    with pytest.raises(ShapeError, match=r"^\[00 / signature\] gone: the shape must hold its mesh"):
+        pr.calibrate(bare, tmp_path / "atoms.toml", options=shipped)
+    with pr.Catalogue(bare) as store:
+        store.remove("00")
+        with pytest.raises(InputError, match="two classes of two shapes or more, got 1"):
+            pr.calibrate(store, tmp_path / "atoms.toml", options=shipped)
 
 
 def test_signatures_are_exported(catalogue: Path, tmp_path: Path) -> None:

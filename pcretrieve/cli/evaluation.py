@@ -263,15 +263,20 @@ def calibrate_command(store: pr.Catalogue, options: pr.PipelineOptions, output: 
 
     Scan some bodies several times, in the way you will scan later: three people in ten poses will do. Use the
     file as `--whitening FILE` of query, evaluate and report, in any catalogue built with the same settings.
+    With --method dl-supervised, that descriptor learns from the labels: use the file as `--config FILE`.
 
     \b
     pcretrieve ingest three_people/ --labels people.csv --catalogue three.sqlite
     pcretrieve lab calibrate --catalogue three.sqlite -o metric.npz
     pcretrieve query --catalogue bodies.sqlite new_scan.ply --whitening metric.npz
+    pcretrieve lab calibrate -c three.sqlite --method dl-supervised -o atoms.toml
     """
-    whitening = pr.calibrate(store, output, options=options)
-    say(f"{output}: {whitening.reason}")
-    return out.Result({"whitening": str(output), "reason": whitening.reason}, options)
+    learnt = pr.calibrate(store, output, options=options)
+    kind, reason = "config", "atoms of dl-supervised"
+    if isinstance(learnt, pr.Whitening):
+        kind, reason = "whitening", learnt.reason
+    say(f"{output}: {reason}; use it by --{kind}")
+    return out.Result({kind: str(output), "reason": reason}, options)
 
 
 @opt.command("report")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib import resources
 from operator import attrgetter
 from typing import get_args
@@ -77,6 +78,7 @@ def check_modes(n_modes: int, n_pairs: int, *, least: int = 1) -> None:
         )
 
 
+@cache
 def shipped(name: str) -> FloatArray:
     """An array that is stored beside this file, in double precision."""
     return np.asarray(np.load(str(resources.files(__package__).joinpath(name))), dtype=np.float64)

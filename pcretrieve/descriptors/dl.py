@@ -3,23 +3,30 @@
 Litman et al. learn the dictionary from the shapes of a set, without labels or with labels. Here both
 dictionaries are learned from simulated people, animals and hands, are stored beside this file, and are made
 by ``scripts/sample dictionary``: the signature of a shape depends on this shape alone, and signatures of
-different galleries are comparable.
+different galleries are comparable. `learned_atoms` are those of labelled shapes, for the option ``atoms``.
 """
 
 from __future__ import annotations
 
-from functools import cache
+import hashlib
+import logging
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcretrieve.descriptors.bags import scale_invariant_heat
 from pcretrieve.descriptors.descriptor import Descriptor, shipped
-from pcretrieve.values import Eigenpairs, FloatArray, Signature
+from pcretrieve.errors import InputError
+from pcretrieve.options.tables import Atoms
+from pcretrieve.spectral import unit_eigenpairs
+from pcretrieve.values import Eigenpairs, FloatArray, Signature, TriangleMesh
+
+logger = logging.getLogger(__name__)
 
 # Number of atoms, as published, and of frequencies of the point descriptor.
-N_ATOMS = 32
-N_FREQUENCIES = 19
+N_ATOMS, N_FREQUENCIES = 32, 19
 
 # λ of the lasso, for point descriptors and atoms of unit length.
 PENALTY = 0.1
@@ -27,6 +34,7 @@ PENALTY = 0.1
 # Steps of FISTA.
 N_ITERATIONS = 100
 
+# (2, 32, 19): the dictionary that was learned without labels, and the one with labels.
 ATOMS = "dl_atoms.npy"
 
 
@@ -37,7 +45,7 @@ class SurfacePoints(NamedTuple):
     shares: FloatArray
 
 
-def dl(pairs: Eigenpairs, *, supervised: bool = False) -> Signature:
+def dl(pairs: Eigenpairs, *, supervised: bool = False, atoms: Atoms | None = None) -> Signature:
     """The mean absolute sparse code of a surface [1]_.
 
     The open settings, and deviations from the article: scale-invariant heat kernel signatures of unit length,
@@ -47,15 +55,17 @@ def dl(pairs: Eigenpairs, *, supervised: bool = False) -> Signature:
     the Euclidean distance of the means, in the loss of the supervised dictionary too.
 
     pairs: of a connected surface on unit area, all of which are in the sum of the heat kernel.
+    atoms: (32, 19), a dictionary of one's own. The hash of the dictionary is in the digest.
 
     References
     ----------
     .. [1] R. Litman, A. Bronstein, M. Bronstein and U. Castellani, "Supervised learning of bag-of-features
        shape descriptors using sparse coding", Computer Graphics Forum 33 (2014).
     """
-    shares = atom_shares(surface_points(pairs), _atoms()[int(supervised)])
+    used = np.array(atoms) if supervised and atoms else shipped(ATOMS)[int(supervised)]
+    digest = f"m={len(pairs.eigenvalues) - 1}, atoms {hashlib.sha256(used.tobytes()).hexdigest()[:16]}"
     kind = "dl-supervised" if supervised else "dl"
-    return Signature(shares, kind=kind, digest=f"m={len(pairs.eigenvalues) - 1}", metric="histograms")
+    return Signature(atom_shares(surface_points(pairs), used), kind=kind, digest=digest, metric="histograms")
 
 
 def surface_points(pairs: Eigenpairs) -> SurfacePoints:
@@ -65,12 +75,6 @@ def surface_points(pairs: Eigenpairs) -> SurfacePoints:
     lengths = np.linalg.norm(features, axis=1, keepdims=True)
     unit = features / np.maximum(lengths, np.finfo(float).tiny)
     return SurfacePoints(unit, areas / areas.sum())
-
-
-@cache
-def _atoms() -> FloatArray:
-    """(2, 32, 19): the dictionary that was learned without labels, and the one with labels."""
-    return shipped(ATOMS)
 
 
 def atom_shares(points: SurfacePoints, atoms: FloatArray) -> FloatArray:
@@ -101,10 +105,140 @@ def sparse_codes(features: FloatArray, atoms: FloatArray, n_iterations: int = N_
     return codes
 
 
+# --- learning from labels ------------------------------------------------------------------------------
+
+# Classes in one step, surfaces of each class, and points of each surface, of which more are kept.
+N_CLASSES, PER_CLASS, N_POINTS, N_KEPT = 8, 3, 60, 1000
+
+# The largest step of Adam, which decreases to zero linearly, and the decay of its means of the gradient and
+# of its square (Kingma and Ba, 2015).
+N_STEPS, RATE, DECAY, SQUARED_DECAY = 200, 0.01, 0.9, 0.999
+
+# μ of the hinge, relative to the median squared distance of a surface to the nearest one of another class.
+MARGIN = 0.3
+
+# Of atoms that a few classes change: by larger steps, other classes are told apart less well than before.
+CHANGE = {"rate": 0.001, "margin": 1.0}
+
+# Added to the diagonal of the Gram matrix of active atoms, which may be almost parallel; and to shares under
+# the square root, whose derivative at zero is infinite.
+RIDGE = SMALLEST = 1e-4
+
+
+def learned_atoms(meshes: Iterable[TriangleMesh], labels: Sequence[str], n_modes: int) -> FloatArray:
+    """(32, 19): the shipped atoms of ``dl-supervised``, changed by the labels of meshes."""
+    rng = np.random.default_rng(0)
+
+    def surfaces() -> Iterator[SurfacePoints]:
+        for number, mesh in enumerate(meshes, start=1):
+            points = surface_points(unit_eigenpairs(mesh, n_modes + 1))
+            yield SurfacePoints(_drawn(points, rng, N_KEPT), np.full(N_KEPT, 1 / N_KEPT))
+            logger.info("%d of %d shapes", number, len(labels))
+
+    return supervised_dictionary(surfaces(), labels, shipped(ATOMS)[1], rng, **CHANGE)
+
+
+def supervised_dictionary(
+    surfaces: Iterable[SurfacePoints],
+    labels: Sequence[str],
+    atoms: FloatArray,
+    rng: np.random.Generator,
+    *,
+    rate: float = RATE,
+    margin: float = MARGIN,
+) -> FloatArray:
+    """The atoms by which surfaces of one class are nearer to each other than to those of other classes.
+
+    atoms: (L, d), the dictionary to begin with.
+    """
+    names = np.array(labels)
+    classes = [np.flatnonzero(names == name) for name in sorted(set(labels))]
+    classes = [members for members in classes if len(members) > 1]
+    if len(classes) < 2:
+        raise InputError(f"learning needs two classes of two shapes or more, got {len(classes)}: label more")
+    surfaces = list(surfaces)
+    apart = _squares_apart(np.sqrt([atom_shares(surface, atoms) for surface in surfaces]))
+    apart[names[:, np.newaxis] == names] = np.inf
+    margin *= float(np.median(apart.min(axis=1)))
+    mean, squares = np.zeros_like(atoms), np.zeros_like(atoms)
+    for step in range(1, N_STEPS + 1):
+        logger.info("step %d of %d", step, N_STEPS)
+        chosen = np.concatenate(
+            [
+                rng.choice(classes[number], min(PER_CLASS, len(classes[number])), replace=False)
+                for number in rng.choice(len(classes), min(N_CLASSES, len(classes)), replace=False)
+            ]
+        )
+        drawn = np.array([_drawn(surfaces[number], rng, N_POINTS) for number in chosen])
+        _, gradient = triplet_loss(drawn, names[chosen], atoms, margin)
+        gradient -= (gradient * atoms).sum(axis=1, keepdims=True) * atoms  # along the sphere
+        mean = DECAY * mean + (1 - DECAY) * gradient
+        squares = SQUARED_DECAY * squares + (1 - SQUARED_DECAY) * gradient**2
+        size = np.sqrt(squares / (1 - SQUARED_DECAY**step)) + np.finfo(float).tiny
+        atoms = atoms - rate * (1 - step / N_STEPS) * mean / (1 - DECAY**step) / size
+        atoms = atoms / np.linalg.norm(atoms, axis=1, keepdims=True)
+    return atoms
+
+
+def triplet_loss(
+    points: FloatArray,
+    labels: NDArray[np.str_],
+    atoms: FloatArray,
+    margin: float,
+    n_iterations: int = N_ITERATIONS,
+) -> tuple[float, FloatArray]:
+    """The hinge loss of all triplets of surfaces (S, p, d) of classes (S,), and its derivative (L, d).
+
+    The mean of max(0, μ + ‖h_q − h_p‖² − ‖h_q − h_n‖²) over all surfaces q, p of the class of q, and n of
+    another class, with h the square roots of the shares of the atoms. The derivative by the atoms D is that
+    of Mairal, Bach and Ponce, "Task-driven dictionary learning", IEEE PAMI 34 (2012), proposition 1: codes z
+    with the active set Λ change by β, with (D Dᵀ)_ΛΛ β_Λ = (∂ℓ/∂z)_Λ, and zero elsewhere.
+    """
+    n_surfaces, n_points, length = points.shape
+    features = points.reshape(-1, length)  # (n, d)
+    codes = sparse_codes(features, atoms, n_iterations)  # (n, L)
+    pooled = (np.abs(codes) * (1 / n_points)).reshape(n_surfaces, n_points, -1).sum(axis=1)  # (S, L)
+    totals = np.maximum(pooled.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+    roots = np.sqrt(pooled / totals + SMALLEST)  # (S, L): h
+
+    apart, alike = _squares_apart(roots), labels[:, np.newaxis] == labels  # (S, S)
+    hinges = margin + apart[:, :, np.newaxis] - apart[:, np.newaxis]  # (q, p, n)
+    counted = (alike & ~np.eye(n_surfaces, dtype=bool))[:, :, np.newaxis] & ~alike[:, np.newaxis]
+    active = (hinges > 0) & counted
+    weights = active.sum(axis=2) - active.sum(axis=1)  # (S, S): the derivative by the squared distances
+    weights = (weights + weights.T) / counted.sum()
+
+    by_roots = 2 * (weights.sum(axis=1, keepdims=True) * roots - weights @ roots)
+    by_shares = by_roots / (2 * roots)
+    by_pooled = (by_shares - (by_shares * pooled / totals).sum(axis=1, keepdims=True)) / totals
+    by_codes = np.sign(codes) / n_points * np.repeat(by_pooled, n_points, axis=0)  # (n, L)
+    # The k active atoms of each code come first, and those behind them are left out of the equations.
+    first = np.argsort(codes == 0, axis=1, kind="stable")[:, : (codes != 0).sum(axis=1).max()]  # (n, k)
+    used = np.take_along_axis(codes != 0, first, axis=1)
+    gram = (atoms @ atoms.T)[first[:, :, np.newaxis], first[:, np.newaxis]]  # (n, k, k)
+    gram *= used[:, :, np.newaxis] & used[:, np.newaxis]
+    gram += np.eye(first.shape[1]) * np.where(used, RIDGE, 1.0)[:, np.newaxis]
+    right, solved = np.take_along_axis(by_codes, first, axis=1), np.zeros_like(codes)
+    np.put_along_axis(solved, first, np.linalg.solve(gram, right[:, :, np.newaxis])[:, :, 0], axis=1)  # β
+    gradient = solved.T @ (features - codes @ atoms) - codes.T @ (solved @ atoms)
+    return float((hinges * active).sum() / counted.sum()), gradient
+
+
+def _squares_apart(rows: FloatArray) -> FloatArray:
+    """The squared distances of all pairs of rows."""
+    squares = (rows**2).sum(axis=1)
+    return np.asarray(squares[:, np.newaxis] + squares - 2 * rows @ rows.T)
+
+
+def _drawn(surface: SurfacePoints, rng: np.random.Generator, number: int) -> FloatArray:
+    """The descriptors of random points of a surface, in proportion to area."""
+    return surface.features[rng.choice(len(surface.shares), number, p=surface.shares)]
+
+
 def _record(name: str, spread: float, *, supervised: bool) -> Descriptor:
     return Descriptor(
         name=name,
-        make=lambda shape, _: dl(shape.eigenpairs, supervised=supervised),
+        make=lambda shape, options: dl(shape.eigenpairs, supervised=supervised, atoms=options.atoms),
         needs=("eigenvectors",),
         has_size=False,
         length=lambda _: N_ATOMS,

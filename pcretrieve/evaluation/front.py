@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from pcretrieve.catalogue import Catalogue, CatalogueLike
+from pcretrieve.descriptors.dl import learned_atoms
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation.catalogue import RankedShapes, rank_shapes
 from pcretrieve.evaluation.comparison import Comparison, compare_scores, result_scores, write_evaluation
@@ -29,10 +30,11 @@ from pcretrieve.evaluation.measures import (
 )
 from pcretrieve.ingestion.labels import LAYOUTS
 from pcretrieve.matching import DistanceMatrix, Matcher, known_matcher, match_all
-from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.options import OptionsLike, PipelineOptions, describe_options
 from pcretrieve.retrieval import Whitening, people
 from pcretrieve.retrieval.whitening import calibrated_whitening, write_whitening
 from pcretrieve.values import Failure, FloatArray, SignatureTable
+from pcretrieve.values.files import write_file
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,35 +183,50 @@ def compare(
     return replace(compare_scores(one, two), first_options=one_options, second_options=two_options)
 
 
-def calibrate(catalogue: CatalogueLike, path: str | Path, *, options: OptionsLike = None) -> Whitening:
-    """Learn from labelled scans what to ignore, for other catalogues.
+def calibrate(
+    catalogue: CatalogueLike, path: str | Path, *, options: OptionsLike = None
+) -> Whitening | PipelineOptions:
+    """Learn from labelled scans what to ignore, or which features tell them apart, for other catalogues.
 
-    With scans of people, the metric of people is adapted to the sensor and to the poses of these scans.
+    With scans of people, the metric of people is adapted to the sensor and to the poses of these scans. By
+    the method ``dl-supervised``, the atoms that describe a surface are learned: those of simulated bodies are
+    changed, so that the shapes of one class are nearer to each other than to those of other classes (the loss
+    of triplets of Litman et al., "Supervised learning of bag-of-features shape descriptors", 2014).
 
     Parameters
     ----------
     catalogue : Catalogue, str or Path
-        Labelled shapes, such as three people in ten poses.
+        Labelled shapes, such as three people in ten poses; for atoms, with meshes.
     path : str or Path
         The file of the whitening. ``{"retrieval": {"calibration": path}}`` are the options of a search in
-        another catalogue that uses it.
+        another catalogue that uses it. The file of atoms is itself the options, ``options=path``.
     options : OptionsLike, optional
-        Signature and shrinkage. By default the options of the catalogue.
+        Signature and shrinkage. By default the options of the catalogue. For the method ``dl-supervised``
+        that has `atoms` already, a whitening is learned.
 
     Returns
     -------
-    Whitening
-        What was learnt, which is in the file; its `reason` says from how many shapes.
+    Whitening or PipelineOptions
+        What was learnt, which is in the file: a whitening, whose `reason` says from how many shapes; or the
+        options with the atoms.
 
     Raises
     ------
     CatalogueError
         If the options require other spectra than the catalogue has.
     InputError
-        If no class has two distinct shapes, or the file cannot be written.
+        If no class has two distinct shapes, for atoms not two classes, or the file cannot be written.
+    ShapeError
+        If the mesh of a shape, which atoms need, was not stored.
     """
     with Catalogue.opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
+        if chosen.signature.method == "dl-supervised" and chosen.signature.atoms is None:
+            labels = {one.id: one.label for one in store.records(status="done") if one.label is not None}
+            atoms = learned_atoms(map(store.mesh, labels), [*labels.values()], chosen.signature.n_modes)
+            learned = chosen.changed(signature={"atoms": atoms.round(6).tolist()})
+            write_file(Path(path), describe_options(learned, "signature").encode())
+            return learned
         labelled = chosen.changed(retrieval={"whitening": "within-class", "calibration": None})
         known = people(labelled.signature)
         fitted = calibrated_whitening(store.signatures(labelled), labelled.retrieval, known)

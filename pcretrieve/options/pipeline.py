@@ -184,7 +184,8 @@ class PipelineOptions(Options):
         """Hash of everything that a signature depends on: signatures are comparable only if it is equal."""
         # Without the unit, which a signature that depends on it has itself (`Signature.unit`).
         unitless = self.model_copy(update={"scan": self.scan.model_copy(update={"unit": "none"})})
-        return hashlib.sha256((unitless.digest + self.signature.model_dump_json()).encode()).hexdigest()[:16]
+        signature = self.signature.model_dump_json(exclude_none=True)
+        return hashlib.sha256((unitless.digest + signature).encode()).hexdigest()[:16]
 
     @property
     def without_labels(self) -> PipelineOptions:
@@ -206,18 +207,17 @@ def options_difference(stored: PipelineOptions, given: PipelineOptions) -> list[
     """
     there, here = stored.model_dump(exclude={"retrieval", "merge"}), given.model_dump()
     return [
-        f"{table}.{name}: {value!r} there, {here[table][name]!r} here"
+        f"{table}.{name}: {value!r:.60} there, {here[table][name]!r:.60} here"
         for table, values in there.items()
         for name, value in values.items()
         if value != here[table][name]
     ]
 
 
-def describe_options(options: PipelineOptions) -> str:
-    """Options as TOML for `PipelineOptions.from_toml`, with the description of each as a comment."""
-    return "\n".join(
-        line for name in type(options).model_fields for line in _table(name, getattr(options, name))
-    )
+def describe_options(options: PipelineOptions, *tables: str) -> str:
+    """Options as TOML for `PipelineOptions.from_toml`, or some tables of them, each option explained."""
+    names = tables or type(options).model_fields
+    return "\n".join(line for name in names for line in _table(name, getattr(options, name)))
 
 
 def _table(name: str, options: Options) -> Iterator[str]:

@@ -58,7 +58,7 @@ def _explain(error: ValidationError) -> str:
             clauses.append(f"there is no option {name!r}; `pcretrieve lab options` lists them all")
         else:
             clauses.append(
-                f"{name}: {problem['msg'][0].lower()}{problem['msg'][1:]}, got {problem['input']!r}"
+                f"{name}: {problem['msg'][0].lower()}{problem['msg'][1:]}, got {problem['input']!r:.200}"
             )
     return "; ".join(clauses)
 
@@ -214,6 +214,9 @@ class SpectralOptions(Options):
 
 
 Scale = Literal["relative", "area", "absolute"]
+# A dictionary has as many atoms, of as many frequencies, as those of `pcretrieve.descriptors.dl`.
+Atom = Annotated[tuple[Annotated[float, Field(ge=-1, le=1)], ...], Field(min_length=19, max_length=19)]
+Atoms = Annotated[tuple[Atom, ...], Field(min_length=32, max_length=32)]
 
 
 def fused_names(method: str) -> tuple[str, ...]:
@@ -245,6 +248,8 @@ class SignatureOptions(Options):
     """Weight w of the size of a body relative to its form: area^w is appended to the values, if w > 0. In log
     distances, bodies whose areas differ by a factor of exp(1/w) are then 1 apart. For files in one unit or
     whose units are all known. Gives better rankings than the scale absolute."""
+    atoms: Atoms | None = None
+    """Atoms of dl-supervised that `lab calibrate` has learned; none for the shipped ones."""
 
     @property
     def compares_sizes(self) -> bool:
@@ -280,16 +285,13 @@ class RetrievalOptions(Options):
     within classes (within-class). auto: people if most shapes are like people; else within-class if labels
     suffice, else neighbours; none for few shapes. unsupervised: auto without labels, as in an evaluation."""
     calibration: str | None = None
-    """File of a whitening that `lab calibrate` has fitted to labelled scans, which replaces that of
-    the option whitening; none by default."""
+    """File that `lab calibrate` has written, in place of the option whitening; none by default."""
     shrinkage: Shrinkage = "auto"
-    """Regularisation of the covariance of a whitening: for pca relative to its largest
-    eigenvalue, for others the shrinkage intensity. auto: .01, and .2 for neighbours; for within-class the
-    likeliest on classes that are left out."""
+    """Regularisation of a covariance: for pca relative to its largest eigenvalue, for others the shrinkage
+    intensity. auto: .01, and .2 for neighbours; for within-class the likeliest on classes left out."""
     rerank: RerankKind = "none"
-    """Re-ranking of the first hundred results of a query, of which the first keeps its rank: by distances
-    relative to the distances of near shapes (local), or by the overlap of k-reciprocal neighbourhoods
-    (k-reciprocal)."""
+    """Re-ranking of the first hundred results of a query, of which the first keeps its rank, by the overlap
+    of their k-reciprocal neighbourhoods."""
     # Number of folds of classes with which a within-class whitening is evaluated.
     n_folds: ClassVar[int] = 5
     # Seed of the random assignment of classes to folds.

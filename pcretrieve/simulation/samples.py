@@ -9,7 +9,6 @@ import csv
 import io
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -25,25 +24,17 @@ SEED = 2016
 # Largest coordinates of the origin of the frame of the scanner; m.
 ORIGIN = 1.0
 
-
-class SampleSubject(NamedTuple):
-    """One individual of the sample set."""
-
-    name: str
-    family: str
-    poses: tuple[str, ...]
-
-
-SUBJECTS = (
-    SampleSubject("person-1", "person", ("stand", "walk", "sit", "reach_up", "hands_on_hips")),
-    SampleSubject("person-2", "person", ("stand", "run", "bow", "wave", "arms_crossed")),
-    SampleSubject("person-3", "person", ("walk", "lunge", "point", "kick", "attention")),
-    SampleSubject("person-4", "person", ("stand", "cross", "sit", "run", "crouch")),
-    SampleSubject("animal-1", "animal", ("stand", "walk", "graze", "play_bow", "wipe")),
-    SampleSubject("animal-2", "animal", ("stand", "gallop", "look_back", "rear", "lie")),
-    SampleSubject("hand-1", "hand", ("open", "relaxed", "grasp", "flex", "fist")),
-    SampleSubject("hand-2", "hand", ("spread", "table", "fan", "wave", "together")),
-)
+# The poses of each individual of the sample set; its name begins with its family.
+SUBJECTS = {
+    "person-1": ("stand", "walk", "sit", "reach_up", "hands_on_hips"),
+    "person-2": ("stand", "run", "bow", "wave", "arms_crossed"),
+    "person-3": ("walk", "lunge", "point", "kick", "attention"),
+    "person-4": ("stand", "cross", "sit", "run", "crouch"),
+    "animal-1": ("stand", "walk", "graze", "play_bow", "wipe"),
+    "animal-2": ("stand", "gallop", "look_back", "rear", "lie"),
+    "hand-1": ("open", "relaxed", "grasp", "flex", "fist"),
+    "hand-2": ("spread", "table", "fan", "wave", "together"),
+}
 
 DEMO_SAMPLES = (
     *("person-1_stand", "person-1_walk", "person-1_sit"),
@@ -81,18 +72,19 @@ def write_samples(
     """
     folder.mkdir(parents=True, exist_ok=True)
     labels = {}
-    for number, subject in enumerate(SUBJECTS, start=1):
-        for take, pose in enumerate(subject.poses, start=1):
-            name = f"{subject.name}_{pose}"
+    for number, (subject, names_of_poses) in enumerate(SUBJECTS.items(), start=1):
+        family = subject.partition("-")[0]
+        for take, pose in enumerate(names_of_poses, start=1):
+            name = f"{subject}_{pose}"
             if name not in names:
                 continue
-            (folder / subject.name).mkdir(exist_ok=True)
+            (folder / subject).mkdir(exist_ok=True)
             # Each scan has a random generator of its own, so that it does not depend on other scans.
-            individual = make_subject(subject.family, np.random.default_rng((seed, number)))
+            individual = make_subject(family, np.random.default_rng((seed, number)))
             rng = np.random.default_rng((seed, number, take))
-            surface = body(individual, poses[subject.family][pose], rng)
-            path = write(folder / subject.name / name, surface, random_motion(rng), rng)
-            labels[path.relative_to(folder).as_posix()] = subject.name
+            surface = body(individual, poses[family][pose], rng)
+            path = write(folder / subject / name, surface, random_motion(rng), rng)
+            labels[path.relative_to(folder).as_posix()] = subject
             on_scan(path)
     text = io.StringIO(newline="")
     csv.writer(text, lineterminator="\n").writerows([("file", "class"), *labels.items()])

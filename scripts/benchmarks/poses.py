@@ -211,5 +211,5 @@ POSES: Mapping[str, Mapping[str, Pose]] = {
 }
 """Poses by family and name. In poses with contacts (`Pose.contacts`) parts of the body touch each other."""
 
-SAMPLES = tuple(f"{subject.name}_{pose}" for subject in SUBJECTS for pose in subject.poses)
+SAMPLES = tuple(f"{subject}_{pose}" for subject, poses in SUBJECTS.items() for pose in poses)
 """Names of all sample scans: subject and pose."""

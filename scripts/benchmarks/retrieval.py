@@ -12,6 +12,9 @@ answer "no match" is, if a match must have a score of .9: precision is the share
 whose class is left out; recall the share of these queries with this answer; "matched" the share of the other
 queries that have a match, and "right" the share of these matches that are of the class.
 
+With --atoms, the atoms of dl-supervised are learned from half of the classes, or of the shapes of each
+class, and judged by the other half without whitening: means and extremes of five random halves.
+
 Whitenings by neighbours and PCA are fitted to all shapes of a set, without labels. Within-class whitening is
 fitted by grouped folds; if lists are re-ranked, the gallery of a query is its fold. "3-people" is fitted to
 three random classes, as by `lab calibrate`, which are neither queries nor in the gallery: the mean,
@@ -44,6 +47,8 @@ from benchmarks.measuring import (
     use_one_core,
 )
 from benchmarks.sets import SETS, ingested, left_out, pooled_vectors, written_set
+from pcretrieve.catalogue import Catalogue
+from pcretrieve.descriptors.dl import learned_atoms
 from pcretrieve.errors import BenchmarkError, OptionError
 from pcretrieve.evaluation import rank_table
 from pcretrieve.evaluation.measures import evaluate_rankings
@@ -97,6 +102,13 @@ NO_MATCH_TABLE = Table(
     *(Column(title, 9, ".3f") for title in ("sure", "given", "precision", "recall", "matched", "right")),
 )
 
+N_HALVES = 5
+ATOMS_TABLE = Table(
+    Column("set", 21, align="<"),
+    Column("half of", 10, align="<"),
+    *(Column(title, 9, ".4f") for title in ("shipped", "learned", "gain", "from", "to")),
+)
+
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
@@ -110,13 +122,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--no-match", action="store_true", help='print how good the answer "no match" is, on classes left out'
     )
+    parser.add_argument("--atoms", action="store_true", help="print what atoms learned from labels are worth")
     given = parser.parse_args(arguments)
     use_one_core()
     print_lines(_lines(given))
 
 
 def _lines(given: argparse.Namespace) -> Iterator[str]:
-    yield (NO_MATCH_TABLE if given.no_match else TABLE).head
+    yield (ATOMS_TABLE if given.atoms else NO_MATCH_TABLE if given.no_match else TABLE).head
     rows = _no_match_rows if given.no_match else _rows
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) if given.keep is None else given.keep
@@ -127,6 +140,8 @@ def _lines(given: argparse.Namespace) -> Iterator[str]:
                 yield missing
             elif name in VECTORS:
                 file, metric = VECTORS[name]
+                if given.atoms:
+                    continue  # vectors have no surfaces
                 yield from rows(name, pooled_vectors(needed / file, metric), None)
             else:
                 yield from _catalogue_rows(name, folder, given, rows)
@@ -151,6 +166,9 @@ def _catalogue_rows(
         options = options.changed(surface={"mode": "keep"})
     source, labels = _files(name, folder, given)
     with ingested(source, folder / f"{name}.sqlite", options, labels) as (catalogue, _):
+        if given.atoms:
+            yield from _atoms_rows(name, catalogue, options)
+            return
         failed = {record.id: record.label for record in catalogue.records(status="failed")}
         for method in given.methods:
             for n_values in given.n_values:
@@ -217,6 +235,31 @@ def _no_match_rows(
         yield NO_MATCH_TABLE.row(
             *facts, found.sure, found.given, found.precision, found.recall, found.matched, found.right
         )
+
+
+def _atoms_rows(name: str, catalogue: Catalogue, options: PipelineOptions) -> Iterator[str]:
+    """What learned atoms are worth for other classes, and for other shapes of the same classes."""
+    shipped = options.changed(signature={"method": "dl-supervised"})
+    before = catalogue.signatures(shipped)
+    labels = {key: label for key, label in zip(before.ids, before.labels, strict=True) if label is not None}
+    retrieval = RetrievalOptions(whitening="none")
+    for what in ("classes", "shapes"):
+        rng, rows = np.random.default_rng(SEED), []
+        for _ in range(N_HALVES):
+            kinds = rng.permutation(sorted(set(labels.values()))).tolist()
+            known = {key for key, label in labels.items() if label in kinds[: len(kinds) // 2]}
+            if what == "shapes":
+                members = [[key for key, label in labels.items() if label == kind] for kind in kinds]
+                known = {
+                    key for own in members for key in rng.permutation(own)[: (len(own) + 1) // 2].tolist()
+                }
+            own = {key: labels[key] for key in sorted(known)}
+            atoms = learned_atoms(map(catalogue.mesh, own), [*own.values()], shipped.signature.n_modes)
+            after = catalogue.signatures(shipped.changed(signature={"atoms": atoms.tolist()}))
+            others = [key for key in labels if key not in known]
+            rows.append([evaluate_table(one.select(others), retrieval).map for one in (before, after)])
+        gains = np.diff(rows, axis=1)
+        yield ATOMS_TABLE.row(name, what, *np.mean(rows, axis=0), gains.mean(), gains.min(), gains.max())
 
 
 # Random draws of the classes of the fit, and their seed.

@@ -95,14 +95,7 @@ def test_it_does_not_see_motion_or_numbering(method: str, change) -> None:  # ty
 
 
 # Powers of length of the values for the scale absolute.
-POWERS = {
-    "r-bihdm": 4,
-    "bihdm": 4,
-    "bihdm-sampled": 4,
-    "shape-dna": 2,
-    "sd-gdm": 3,
-    "sd-gdm-sampled": 3,
-}
+POWERS = {"r-bihdm": 4, "bihdm": 4, "bihdm-sampled": 4, "shape-dna": 2, "sd-gdm": 3, "sd-gdm-sampled": 3}
 
 
 def test_size_is_kept_where_it_is_asked_for_and_nowhere_else(method: str) -> None:
@@ -217,14 +210,3 @@ def test_fused_values_are_the_coordinates_of_the_parts_in_units_of_their_spread(
         assert alone.digest in found.digest
     np.testing.assert_array_equal(found.values, np.concatenate(parts))
     assert signature_length(options("hapt+r-bihdm+ispm")) == len(found.values)
-
-
-def test_squared_distances_of_fused_descriptors_add_up() -> None:
-    def squared(method: str) -> float:
-        one, two = (describe(shape, options(method)) for shape in (body(), longer()))
-        between = coordinates(one.values, one.metric) - coordinates(two.values, two.metric)
-        return float(between @ between)
-
-    spreads = {name: DESCRIPTORS[name].spread for name in ("csd", "shape-dna")}
-    expected = sum(squared(name) / spread**2 for name, spread in spreads.items())
-    assert squared("csd+shape-dna") == pytest.approx(expected)
