@@ -43,7 +43,7 @@ QUOTED = 5
 @opt.rare_option(
     "--no-meshes",
     "Leave meshes out of a new catalogue: a scan takes some 60 kB, not some 350 kB, but pages "
-    "have no pictures, nothing can be exported, and only descriptors of the spectrum work.",
+    "have no views in 3-D, nothing can be exported, and only descriptors of the spectrum work.",
 )
 @opt.workers_option
 @opt.limit_options

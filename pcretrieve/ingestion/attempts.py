@@ -81,7 +81,7 @@ def content_of(path: Path, options: PipelineOptions) -> Content:
     shape = process(path, options)
     signature = signature_of(shape, options, path).values
     picture = None
-    if "meshes" in options.catalogue.keep and shape.surfaces[0].mesh is not None:
+    if shape.surfaces[0].mesh is not None:
         picture = thumbnail(shape.mesh.vertices, shape.mesh.faces, up=shape.mesh.up)
     # Points and eigenvectors are not stored, and are not sent to the process that stores the content.
     surfaces = tuple(replace(surface, eigenpairs=None) for surface in shape.surfaces)

@@ -315,9 +315,9 @@ class CatalogueOptions(Options):
     """What is stored of a shape beside its spectra. No value of a signature depends on these options."""
 
     keep: Annotated[tuple[Kept, ...], AfterValidator(_in_order)] = ("meshes",)
-    """Parts of each surface that are stored beside the 28 kB of its spectrum. meshes: vertices and faces,
-    149 kB for 10,000 faces, for pages, exports and other descriptors, with a thumbnail, 7 kB. overlaps: the
-    integrals of products of squared eigenfunctions, 15 kB, for the descriptors wks and bihdm; they are
+    """Parts of each surface that are stored beside the 28 kB of its spectrum and a thumbnail of 5 kB. meshes:
+    vertices and faces, 149 kB for 10,000 faces, for views in 3-D, exports and other descriptors. overlaps:
+    the integrals of products of squared eigenfunctions, 15 kB, for the descriptors wks and bihdm; they are
     computed from the mesh where they are not stored."""
 
 

@@ -22,6 +22,7 @@ from pcretrieve.catalogue import find_defects
 from pcretrieve.draw.thumbnail import THUMBNAIL_PIXELS, thumbnail
 from pcretrieve.errors import OptionError
 from pcretrieve.formats import write_mesh
+from pcretrieve.ingestion.attempts import content_of
 from pcretrieve.pages import thumbnails
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.values import TriangleMesh
@@ -79,11 +80,12 @@ def test_a_catalogue_keeps_the_pictures_that_would_be_drawn_and_pages_use_them(
 ) -> None:
     pictures = Thumbnails(catalogue)
     for record in catalogue.records():
-        mesh = catalogue.mesh(record.id)
-        kept = catalogue.thumbnail(record.id)
+        mesh, kept = catalogue.mesh(record.id), catalogue.thumbnail(record.id)
         assert kept == thumbnail(mesh.vertices, mesh.faces) == pictures.of(catalogue, record)
         assert kept and size_of(kept) == (THUMBNAIL_PIXELS, THUMBNAIL_PIXELS)
     assert catalogue.stored_bytes("0")["thumbnails"] > 1000
+    bare = content_of(folder / "0.off", OPTIONS.changed(catalogue={"keep": ()}))  # no surface is stored
+    assert bare.thumbnail == catalogue.thumbnail("0")
     pages = (
         pr.report(catalogue, tmp_path / "report.html"),
         pr.draw_map(catalogue, tmp_path / "map.html"),
