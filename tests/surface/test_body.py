@@ -118,14 +118,14 @@ def test_a_limb_that_a_hole_cuts_in_two_is_bridged() -> None:
 
 
 def test_limbs_that_touch_are_cut_apart() -> None:
+    """Along the contacts alone: of eight samples of the body, 0.9 to 1.1 % of the voxels are taken out."""
     person = body(make_subject("person", np.random.default_rng(3)), POSES["person"]["hands_on_hips"])
     options = UniformOptions(n_points=15_000, n_holes=0, outlier_share=0)
-    cloud = oriented_normals(scan_uniformly(person, options, np.random.default_rng(7)), ScanOptions())
-    mesh, marks = surface(cloud)
-    assert mesh.euler_characteristic == 2
-    assert 0 < len(marks.cuts) < 0.01 * mesh.provenance[-1].sizes["cells"]
-    free, _ = surface(cloud, genus="free")
-    assert free.euler_characteristic < 0
+    cloud = oriented_normals(scan_uniformly(person, options, np.random.default_rng(0)), ScanOptions())
+    (parted, _), (free, _) = surface(cloud), surface(cloud, genus="free")
+    assert parted.euler_characteristic == 2 > 0 > free.euler_characteristic
+    n_parted, n_free = (mesh.provenance[-1].sizes["cells"] for mesh in (parted, free))
+    assert 0.005 < 1 - n_parted / n_free < 0.02
 
 
 def test_two_bodies_are_refused() -> None:
