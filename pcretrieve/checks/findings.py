@@ -45,19 +45,20 @@ FILLED, FILLED_OF_SPARSE = 4, 2
 BARE, BARE_OF_SPARSE = 1.75, 0.6
 
 # Of a face that closes a cut limb: the largest cosine of the angle between its normal and that of the nearest
-# point, since in a hole of a smooth surface these agree; the largest distance to an extremity of the body,
-# relative to the diagonal; and the number of extremities: limbs, head, tail, ears, half a limb that is left.
-TURNED, NEAR_END, N_ENDS = 0.3, 0.06, 13
+# point, since in a hole of a smooth surface these agree; the least distance to this point, in medians; the
+# largest distance to an extremity of the body, relative to the diagonal; and the number of extremities:
+# limbs, head, tail, ears, half a limb that is left.
+TURNED, CLOSING, NEAR_END, N_ENDS = 0.3, 2.5, 0.06, 13
 
-# Normals round a cut limb, unlike those round a gap between limbs, are perpendicular to that of the faces
-# that close it: areas are weighted by 1 − |cosine|, or BLUNT where more flat discs than POINTED are near the
-# extremity, which then is none.
-POINTED, BLUNT = 0.9, 0.3
+# Normals round a cut limb are perpendicular to its axis, those of thin parts along it: areas are weighted by
+# (1 − |cosine|)². The least weight is for large sheets, such as a floor, whose back was invented.
+SHEET = 0.05
 
 # Of a face in a hole that is not explained by occlusion: the least distance to the nearest point, relative to
 # the diagonal, and the least share of the hemisphere above it, weighted by the cosine as for ambient
-# occlusion, that the body leaves free. Sensors do not reach into folds.
-FAR_OFF, OPEN, N_RAYS = 0.01, 0.6, 64
+# occlusion, that the body leaves free; and this share of a face that closes a cut limb. Sensors do not reach
+# into folds, such as those of a lap, and between limbs that touch.
+FAR_OFF, OPEN, OPEN_END, N_RAYS = 0.01, 0.6, 0.4, 64
 
 # Height above a face from which rays are cast, relative to the diagonal: beyond single precision.
 ABOVE = 1e-3
@@ -141,19 +142,6 @@ def _fit(
         on_base[filled] = nearest(base, middles[filled], 1)[0][:, 0] < apart[filled]
         checks.append(base_check(float(areas[on_base].sum() / area), cloud.up is not None))
         apart, areas = np.where(on_base, 0, apart), np.where(on_base, 0, areas)
-    ends = 0.0
-    if cloud.normals is not None:
-        lean = np.einsum("ij,ij->i", vectors, cloud.normals[near])  # area times cosine
-        turned = bare & (areas > 0) & (lean < TURNED * areas)
-        disc = np.pi * (NEAR_END * cloud.diagonal) ** 2
-        for paths in islice(from_extremities(mesh), N_ENDS):
-            end = (paths < NEAR_END * cloud.diagonal)[mesh.faces].any(axis=1)
-            closing = np.flatnonzero(turned & end)
-            if len(closing):
-                axis = vectors[closing].sum(axis=0)
-                rim = cloud.normals[np.unique(near[closing])] @ axis / np.linalg.norm(axis)
-                weight = 1 - np.abs(rim).mean() if areas[end].sum() < POINTED * disc else BLUNT
-                ends = max(ends, float(weight * areas[closing].sum() / area))
     order = np.argsort(apart)
     covered = np.searchsorted(np.cumsum(areas[order]), COVERED * areas.sum())
     # Open3D computes these distances in single precision, so the points are moved near the origin.
@@ -161,10 +149,22 @@ def _fit(
     scene = RayScene(mesh.vertices - origin, mesh.faces)
     gap = scene.distance(some - origin)
     lost = gap > FILLED * spacing
-    seen = np.flatnonzero(bare & (apart > FAR_OFF * cloud.diagonal) & (areas > 0))
-    normals = vectors[seen] / areas[seen, np.newaxis]
-    is_open = _openness(scene, middles[seen] - origin + ABOVE * cloud.diagonal * normals, normals) > OPEN
-    hole = seen[is_open]
+    far = np.flatnonzero(bare & (areas > 0))
+    normals = vectors[far] / areas[far, np.newaxis]
+    light = _openness(scene, middles[far] - origin + ABOVE * cloud.diagonal * normals, normals)
+    ends = 0.0
+    if cloud.normals is not None:
+        turned = far[np.einsum("ij,ij->i", normals, cloud.normals[near[far]]) < TURNED]
+        is_closing = np.zeros(len(areas), dtype=np.bool_)
+        is_closing[far] = (light > OPEN_END) & (apart[far] > CLOSING * spacing)
+        for paths in islice(from_extremities(mesh), N_ENDS):
+            end = turned[(paths < NEAR_END * cloud.diagonal)[mesh.faces[turned]].any(axis=1)]
+            axis = vectors[end].sum(axis=0)
+            rim = cloud.normals[np.unique(near[end])] @ axis / np.linalg.norm(axis)
+            size = np.linalg.norm(vectors[end[is_closing[end]]].sum(axis=0)) / area
+            if size:
+                ends = max(ends, float(max((1 - np.abs(rim).mean()) ** 2, SHEET) * size))
+    hole = far[(light > OPEN) & (apart[far] > FAR_OFF * cloud.diagonal)]
     hole = hole[components(TriangleMesh(mesh.vertices, mesh.faces[hole])) == 0] if len(hole) else hole
     checks += fit_checks(
         filled=float(areas[filled].sum() / area),

@@ -17,8 +17,8 @@ from pcretrieve.values import FloatArray, PointCloud, Shape, Step, TriangleMesh
 ERROR_OF_FILLED = 2.0
 ERROR_OF_LOST = 5.0
 ERROR_OF_NOISE = 100.0
-ERROR_OF_ENDS = 100.0
-ENDS_OF_NOISE = 0.00125
+ERROR_OF_ENDS = 200.0
+ENDS_OF_NOISE = 0.000225
 ERROR_OF_GAPS = 2900.0
 
 # Log-signature error of a base if the ground was not seen: what was cut off there may be legs.
