@@ -202,6 +202,7 @@ def _shape(asked: _Asked) -> Response:
         asked=asked.similar,
         found=asked.found() if record.status == "done" else None,
         classes=asked.classes,
+        has_surface="meshes" in asked.catalogue.options.catalogue.keep,
         can_be_turned=asked.site.given_jobs is not None and asked.site.thumbnails.up is None,
     )
 
