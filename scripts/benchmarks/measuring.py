@@ -74,9 +74,9 @@ def _resident(pid: int) -> float:
     return 0.0
 
 
-def largest_process(pid: int) -> float:
-    """Resident memory of the largest of a process and its descendants at this moment."""
-    return max(_resident(member) for member in _tree(pid))
+def largest_descendant(pid: int) -> float:
+    """Resident memory of the largest of the descendants of a process at this moment, 0 without any."""
+    return max(map(_resident, _tree(pid)[1:]), default=0.0)
 
 
 def forget_peak() -> None:

@@ -7,7 +7,7 @@ A scan of a simulated person has 40,000 points. The textbook's chain is that of 
 and Poisson reconstruction by Open3D, fTetWild, and LaPy. What is compared runs by turns, on one thread; times
 are medians of wall-clock time. The shapes that are searched are drawn with the covariances within and between
 people, and have the default length and whitening; or they are isotropic, as PCA leaves signatures of R-BiHDM.
-Memory is that of the largest process of an ingest.
+Memory is that of the largest worker of an ingest.
 
 It takes about ten minutes on two idle cores.
 """
@@ -32,7 +32,7 @@ from benchmarks.measuring import (
     Column,
     Table,
     argument_parser,
-    largest_process,
+    largest_descendant,
     print_lines,
     run_command,
     timed,
@@ -162,7 +162,7 @@ def _batch(folder: Path) -> Iterator[str]:
 
     def watch() -> None:
         while not finished.wait(0.1):
-            peaks.append(largest_process(os.getpid()))
+            peaks.append(largest_descendant(os.getpid()))
 
     watcher = threading.Thread(target=watch)
     watcher.start()
@@ -172,7 +172,7 @@ def _batch(folder: Path) -> Iterator[str]:
     yield TABLE.row("scans/s by two workers; by one", f"{two:.3g} /s", f"{one:.3g} /s", two / one)
     middle = max(peaks[: len(peaks) // 2])
     yield TABLE.row(
-        "largest process, whole run; its first half", f"{max(peaks):.0f} MiB", f"{middle:.0f} MiB", 1.0
+        "largest worker, whole run; its first half", f"{max(peaks):.0f} MiB", f"{middle:.0f} MiB", 1.0
     )
 
 
