@@ -22,7 +22,14 @@ def image(node: nodes.Element, *, block: bool) -> str:
     source = " ".join(node.astext().split())
     drawing = io.BytesIO()
     size = LETTERS * (1.2 if block else 1)
-    with rc_context({"svg.fonttype": "path", "mathtext.fontset": "cm", "svg.hashsalt": "formula"}):
+    with rc_context(
+        {
+            "svg.fonttype": "path",
+            "mathtext.fontset": "cm",
+            "svg.hashsalt": "formula",
+            "savefig.facecolor": "none",
+        }
+    ):
         depth = math_to_image(f"${source}$", drawing, prop=FontProperties(size=size), format="svg")
     data = base64.b64encode(drawing.getvalue()).decode()
     alternative = (
