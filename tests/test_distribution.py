@@ -41,7 +41,8 @@ def built(kind: str, source: Path, target: Path) -> Path:
     target.mkdir()
     code = f"from setuptools.build_meta import build_{kind} as build; build({str(target)!r})"
     subprocess.run([sys.executable, "-c", code], cwd=source, check=True)
-    return next(target.iterdir())
+    (made,) = target.iterdir()
+    return made
 
 
 @pytest.fixture(scope="module")

@@ -28,10 +28,7 @@ nowhere = numbers_package:NOWHERE
 lost = package_that_is_nowhere:SEVEN
 ending = ending_package:SEVEN
 """
-MODULES = {
-    "numbers_package": "SEVEN = 7\nWORD = 'seven'\n",
-    "ending_package": "raise SystemExit(0)\n",
-}
+MODULES = {"numbers_package": "SEVEN = 7\nWORD = 'seven'\n", "ending_package": "raise SystemExit(0)\n"}
 
 
 def whole_number(name: str, added: object) -> int:

@@ -321,12 +321,8 @@ def test_atoms_of_labelled_scans_are_used_in_another_catalogue(
 def test_what_atoms_cannot_be_learned_from(folder: Path, tmp_path: Path) -> None:
     shipped, eggs = {"signature": {"method": "dl-supervised"}}, ["00", "01", "10", "11"]
     bare, labels = tmp_path / "bare.sqlite", {name: f"kind{name[0]}" for name in eggs}
-    pr.ingest(
-        [folder / "stored" / f"{name}.off" for name in eggs],
-        bare,
-        options={"catalogue": {"keep": []}},
-        labels=labels,
-    )
+    files = [folder / "stored" / f"{name}.off" for name in eggs]
+    pr.ingest(files, bare, options={"catalogue": {"keep": []}}, labels=labels)
     with pytest.raises(ShapeError, match=r"^\[00 / signature\] gone: the shape must hold its mesh"):
         pr.calibrate(bare, tmp_path / "atoms.toml", options=shipped)
     with pr.Catalogue(bare) as store:

@@ -237,11 +237,14 @@ def test_the_demonstration_finds_whose_the_new_scan_is(tmp_path: Path) -> None:
     assert head.split()[:4] == ["RANK", "DISTANCE", "SCORE", "CLASS"]
     assert first.split()[0] == "1"
     assert first.split()[3] == DEMO_QUERY.split("_")[0], "the nearest scan is one of the same person"
+    assert "NN" in done.stdout
     page = Path(unquote(urlparse(done.stderr.split()[-1]).path))
     assert page == tmp_path / "my demo" / "index.html"
     assert page.read_text(encoding="utf-8").count("data:image/png") > 10
     shown = [shlex.split(line[2:]) for line in done.stderr.splitlines() if line.startswith("$ ")]
-    assert [words[1] for words in shown] == ["ingest", "query", "evaluate", "report"]
+    assert [words[:2] for words in shown] == [
+        ["pcretrieve", command] for command in ("ingest", "query", "evaluate", "report")
+    ]
     for _, *words in shown:
         assert program(*words, cwd=tmp_path).stdout in done.stdout
 

@@ -157,10 +157,7 @@ def test_a_scan_stands_on_the_ground_that_was_removed() -> None:
 
 
 def test_a_surface_without_area_cannot_be_drawn() -> None:
-    for mesh in (
-        surface([], []),
-        surface([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]]),
-    ):
+    for mesh in (surface([], []), surface([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]])):
         assert drawing.thumbnail(mesh.vertices, mesh.faces) is None
 
 

@@ -114,6 +114,14 @@ def test_re_ranking_keeps_the_nearest_shape_and_gives_the_plain_rankings_too(whi
     assert again.nearest == plain.nearest
 
 
+def test_overlapping_classes_are_ranked_better() -> None:
+    table = round_classes(noise=0.45)
+    plain = evaluate_table(table, PLAIN)
+    again = evaluate_table(table, RetrievalOptions(whitening="none", rerank="k-reciprocal"))
+    assert plain.map < 0.9
+    assert again.map > plain.map + 0.03
+
+
 def test_ranks_are_those_of_the_re_ranked_lists_and_then_of_the_distances() -> None:
     """Over more shapes than are sorted again, with many equal distances, and some shapes without a class."""
     rng = np.random.default_rng(4)

@@ -33,9 +33,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 OPTIONS = PipelineOptions().changed(
-    signature={"method": "r-bihdm", "n_values": 10},
-    spectral={"n_pairs": 61},
-    retrieval={"whitening": "none"},
+    signature={"method": "r-bihdm", "n_values": 10}, spectral={"n_pairs": 61}, retrieval={"whitening": "none"}
 )
 
 # Heights of eggs by kind. Kinds 0 to 2 are apart; "mixed" has an egg among those of kind 0, "lone" is alone.

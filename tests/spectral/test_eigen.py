@@ -128,18 +128,19 @@ def edited(matrix: csc_array, value: float, *places: tuple[int, int]) -> csc_arr
 
 TWO = laplace_beltrami(shapes.joined(shapes.icosphere(2), shapes.icosphere(2)))
 STIFFNESS, MASS = BODY.stiffness, BODY.mass
-NEGATIVE = "must not be negative, got -|must be positive definite|residuals must fall"
+NEGATIVE = r"(must not be negative, got -|must be positive definite)"
 BROKEN = {
     "two parts": (TWO.stiffness, TWO.mass, "at least 1e-06 after 1 zero modes, got .*: the surface is not"),
     "massless": (STIFFNESS, edited(MASS, 0, (3, 3)), "must have mass, got 1 of 642 without"),
     "indefinite": (STIFFNESS, edited(MASS, 1, (3, 5), (5, 3)), "solver failed|must not be negative"),
-    "skewed": (edited(STIFFNESS, 1, (0, 5)), MASS, "must have the eigenvalue 0|residuals must|no room"),
+    "skewed": (edited(STIFFNESS, 1, (0, 5)), MASS, "must have the eigenvalue 0|residuals must stay"),
     "negative": (-STIFFNESS, MASS, NEGATIVE),
     # Above the shift, so that there is a Cholesky factor.
     "just negative": (-0.5 / dense_eigenvalues(BODY)[-1] / BODY.area * STIFFNESS, MASS, NEGATIVE),
 }
 
 
+@pytest.mark.parametrize("solver", ["krylov", "arpack"])
 @pytest.mark.parametrize("name", BROKEN)
 def test_an_operator_without_a_spectrum(name: str, n_pairs: int, solver: Any) -> None:
     stiffness, mass, message = BROKEN[name]
