@@ -148,8 +148,7 @@ def report(
         drawing = None
         if isinstance(ranking, SignatureIndex) and len(ranking) <= MOST_MAPPED:
             labels = [records[shape_id].label for shape_id in ranking.ids]
-            places = store.cache.places(ranking.points, store.revision())
-            drawing = map_drawing(ranking.ids, labels, places)
+            drawing = map_drawing(ranking.ids, labels, ranking.places())
         cards = [card for panel in panels for card in (panel.query, *panel.results)]
         shown = dict.fromkeys(card.picture for card in cards if card.picture is not None)
         return write_page(

@@ -68,12 +68,6 @@ def checked_shrinkage(kind: str, shrinkage: Shrinkage) -> float:
     return value
 
 
-def inverse_square_root(covariance: FloatArray) -> FloatArray:
-    """The symmetric inverse square root C^(−1/2) of a covariance (L, L), symmetric positive definite."""
-    variances, directions = np.linalg.eigh(covariance)
-    return np.asarray((directions / np.sqrt(variances)) @ directions.T)
-
-
 def scatter_matrix(logs: FloatArray, mean: FloatArray) -> FloatArray:
     """N − 1 times the covariance (L, L) of many shapes (N, L), of which no centred copy is made."""
     scatter = np.zeros((len(mean), len(mean)))

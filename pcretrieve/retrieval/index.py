@@ -104,10 +104,9 @@ class Names(Sequence[str]):
 
     def index(self, name: str, *_: Any) -> int:
         """The position of a string."""
-        row = bisect_left(self, name)
-        if self[row : row + 1] != [name]:
+        if name not in self:
             raise ValueError(f"{name!r} is not among the names")
-        return row
+        return bisect_left(self, name)
 
 
 class _MadeBy(NamedTuple):
@@ -273,6 +272,12 @@ class SignatureIndex:
         """Load the compiled code now, so that no later query waits for it."""
         self._n_answered = N_INTERPRETED
         self.nearest(self.ids[0], 1)
+
+    def places(self, rows: Positions | slice = slice(None)) -> FloatArray:
+        """The places (N, 2) of shapes on a map, as by `pcretrieve.retrieval.clusters.plane_map`."""
+        from pcretrieve.retrieval.clusters import plane_map
+
+        return plane_map(self.points[rows])
 
     def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:
         """Distances from shapes of the table, positions (Q,) in `ids` or all, to the whole table."""

@@ -133,8 +133,8 @@ def k_reciprocal(
 
     k1, k2, weight = parameters
     n, length = lists.order.shape
-    mutual = _mutual(nearest_matrix(lists.order, k1))
-    half = _mutual(nearest_matrix(lists.order, max(1, k1 // 2)))
+    graphs = (nearest_matrix(lists.order, k) for k in (k1, max(1, k1 // 2)))
+    mutual, half = (csr_array(graph.multiply(graph.T)) for graph in graphs)
     # A neighbour brings its own closest neighbours, if most of these are in the set already.
     shared = (mutual @ half.T).multiply(mutual).tocoo()  # (N, N), |R(i) ∩ R½(j)| for j in R(i)
     sizes = np.asarray(half.sum(axis=1))
@@ -174,9 +174,3 @@ def nearest_matrix(order: Positions, k: int) -> csr_array:
     near = order[:, : k + 1]
     ends = np.arange(0, near.size + 1, near.shape[1])
     return csr_array((np.ones(near.size), near.ravel(), ends), shape=(n, n))
-
-
-def _mutual(near: csr_array) -> csr_array:
-    from scipy.sparse import csr_array
-
-    return csr_array(near.multiply(near.T))

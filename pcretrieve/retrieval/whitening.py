@@ -42,7 +42,6 @@ from pcretrieve.retrieval.covariances import (
     check_distinct,
     checked_shrinkage,
     covariance_of,
-    inverse_square_root,
     neighbour_covariance,
     within_class_covariance,
 )
@@ -211,7 +210,8 @@ def fit_whitening(
         zero, identity = np.zeros(logs.shape[1]), np.eye(logs.shape[1])
         return Whitening("none", zero, identity, len(logs), 0.0, options_digest, fit.reason)
     total = covariance_of(fit.shapes)
-    root = inverse_square_root(fit.covariance)
+    variances, directions = np.linalg.eigh(fit.covariance)
+    root = (directions / np.sqrt(variances)) @ directions.T  # C^(−1/2)
     scale = np.sqrt(np.trace(total) / np.trace(root @ total @ root))
     mean = fit.shapes.mean(axis=0)
     return Whitening(used, mean, scale * root, len(fit.shapes), fit.shrinkage, options_digest, fit.reason)
