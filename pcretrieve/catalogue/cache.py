@@ -1,4 +1,4 @@
-"""Cache of the indexes of a catalogue, as arrays that are mapped into memory.
+"""Cache of the indexes and maps of a catalogue, as arrays that are mapped into memory.
 
 An index of a million shapes takes seconds to compute and milliseconds to open. It is stored in a folder
 beside the file of the catalogue, ``bodies.sqlite.gallery``, or in the cache folder of the user if that folder
@@ -26,7 +26,9 @@ from numpy.typing import NDArray
 from pcretrieve.options import PipelineOptions, fused_names
 from pcretrieve.plugins import METHODS
 from pcretrieve.retrieval import SignatureIndex
+from pcretrieve.retrieval.clusters import plane_map
 from pcretrieve.retrieval.whitening import read_whitening
+from pcretrieve.values import FloatArray
 
 logger = logging.getLogger(__name__)
 
@@ -95,6 +97,16 @@ class IndexCache:
                     index = self._opened(name, SignatureIndex.from_arrays) or index
             self._last = name, index
         return self._last[1]
+
+    def places(self, points: FloatArray, revision: str) -> FloatArray:
+        """The places of points of an index on a map, as by `plane_map`, stored as an index is."""
+        name = f"map-{FORMAT}-{zlib.crc32(points.tobytes())}-{_digest(revision)}"
+        places: FloatArray | None = self._opened(name, lambda arrays: arrays["places"])
+        if places is None:
+            places = plane_map(points)
+            if len(points) >= SMALLEST_KEPT:
+                self._keep(name, {"places": places})
+        return places
 
     def faults(self) -> Iterator[tuple[Path, str]]:
         """Yield the stored indexes whose bytes have changed since they were written, and how."""

@@ -69,7 +69,7 @@ def draw_map(
         labels = store.labels()
         classes = [labels[shape_id] for shape_id in index.ids]
         title = f"Map of {Path(store.location).name}"
-        places = index.places()
+        places = store.cache.places(index.points, store.revision())
         if target.suffix.lower() == ".png":
             from pcretrieve.draw.plot import draw_places
 

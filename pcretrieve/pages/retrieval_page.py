@@ -148,7 +148,8 @@ def report(
         drawing = None
         if isinstance(ranking, SignatureIndex) and len(ranking) <= MOST_MAPPED:
             labels = [records[shape_id].label for shape_id in ranking.ids]
-            drawing = map_drawing(ranking.ids, labels, ranking.places())
+            places = store.cache.places(ranking.points, store.revision())
+            drawing = map_drawing(ranking.ids, labels, places)
         cards = [card for panel in panels for card in (panel.query, *panel.results)]
         shown = dict.fromkeys(card.picture for card in cards if card.picture is not None)
         return write_page(

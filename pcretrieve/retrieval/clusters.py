@@ -11,13 +11,13 @@ from pcretrieve.errors import OptionError
 from pcretrieve.retrieval.index import SignatureIndex
 from pcretrieve.values import FloatArray
 
-# Least and largest number of points of t-SNE, and the seed of their choice; fewer are projected on their
-# principal components, and each of more is beside the nearest that was chosen.
-FEWEST, MOST, SEED = 5, 4_000, 0
+# Effective number of neighbours of a point of t-SNE: by more, islands mix when shapes are moved apart.
+PERPLEXITY = 12.0
 
-# The number of neighbours that attract a point, equally, by which islands stay apart when shapes are moved
-# apart (Gaussians of perplexity 30 mix them); of steps, and of the first ones with stronger attraction.
-N_NEIGHBORS, N_STEPS, N_EARLY, EXAGGERATION = 5, 400, 100, 12.0
+# Least number of points of t-SNE, which starts at the principal components; fewer are projected on these. The
+# divergence of 1,000 shapes is 4 % above that of 1,000 iterations at the angle 0.5, and looks the same.
+FEWEST, N_ITERATIONS, ANGLE = 5, 300, 0.8
+SEED = 0
 
 # Distance between the shapes on a map, so that none hides another: the width of a marker, or, of many shapes,
 # this share of the mean spacing; and how often they are moved apart.
@@ -90,46 +90,20 @@ def _apart(places: FloatArray, gap: float) -> FloatArray:
 
 def _embedding(points: FloatArray) -> FloatArray:
     """Places (N, 2) at which near points (N, d) are near, by t-SNE (van der Maaten and Hinton, 2008)."""
-    from scipy.spatial import cKDTree
-    from threadpoolctl import threadpool_limits
-
-    if len(points) > MOST:
-        chosen = points[np.random.default_rng(SEED).choice(len(points), MOST, replace=False)]
-        return _embedding(chosen)[cKDTree(chosen).query(points)[1]]
     directions, sizes, _ = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     principal = np.zeros((len(points), 2))
     principal[:, : min(2, len(sizes))] = (directions * sizes)[:, :2]
     if len(points) < FEWEST or not sizes[0]:
         return principal
-    near = cKDTree(points).query(points, 1 + min(N_NEIGHBORS, len(points) // 2))[1]
-    shares = np.zeros((len(points), len(points)), dtype=np.float32)
-    np.put_along_axis(shares, np.asarray(near), 1, axis=1)
-    np.fill_diagonal(shares, 0)
+    from sklearn.manifold import TSNE
+    from threadpoolctl import threadpool_limits
+
+    perplexity = min(PERPLEXITY, (len(points) - 1) / 3)
+    start = (1e-4 * principal / principal.std()).astype(np.float32)
+    method = TSNE(perplexity=perplexity, init=start, random_state=SEED, max_iter=N_ITERATIONS, angle=ANGLE)
     with threadpool_limits(limits=1):  # on busy cores two threads wait for each other, nine times as long
-        return _settled((1e-4 * principal / principal.std()).astype(np.float32), shares + shares.T)
-
-
-def _settled(places: NDArray[np.float32], attraction: NDArray[np.float32]) -> FloatArray:
-    """Places (N, 2) by gradient descent from others, with the gains of Jacobs; attraction: (N, N)."""
-    n, one = len(places), np.ones((len(places), 1), dtype=np.float32)
-    closeness, forces, step, gains = (np.zeros_like(x) for x in (attraction, attraction, places, places))
-    shares = attraction * np.float32(EXAGGERATION / attraction.sum())
-    for number in range(N_STEPS):
-        if number == N_EARLY:
-            shares /= EXAGGERATION
-        squares = (places**2).sum(axis=1, keepdims=True)
-        # w = 1 / (1 + |y_i - y_j|²); the slope is 4 Σ_j (p_ij - q_ij) w_ij (y_i - y_j), with q = w / Σ w.
-        np.matmul(np.hstack([squares + 1, one, -2 * places]), np.hstack([one, squares, places]).T, closeness)
-        np.reciprocal(closeness, closeness)
-        np.multiply(closeness, 1 / (n - closeness.sum()), forces)
-        forces += shares
-        forces *= closeness
-        sums = forces @ np.hstack([places, one])
-        slope = 4 * (sums[:, 2:] * places - sums[:, :2])
-        gains = np.where(slope * step < 0, gains + 0.2, np.maximum(0.8 * gains, 0.01)).astype(np.float32)
-        step = (0.5 if number < N_EARLY else 0.8) * step - np.float32(max(n / 48, 50)) * gains * slope
-        places = places + step
-    return np.asarray(places, dtype=np.float64)
+        places = method.fit_transform(points)
+    return np.asarray(places - places.mean(axis=0), dtype=np.float64)
 
 
 class NearPair(NamedTuple):

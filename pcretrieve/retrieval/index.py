@@ -273,12 +273,6 @@ class SignatureIndex:
         self._n_answered = N_INTERPRETED
         self.nearest(self.ids[0], 1)
 
-    def places(self, rows: Positions | slice = slice(None)) -> FloatArray:
-        """The places (N, 2) of shapes on a map, as by `pcretrieve.retrieval.clusters.plane_map`."""
-        from pcretrieve.retrieval.clusters import plane_map
-
-        return plane_map(self.points[rows])
-
     def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:
         """Distances from shapes of the table, positions (Q,) in `ids` or all, to the whole table."""
         rows = np.arange(len(self)) if queries is None else queries

@@ -22,7 +22,7 @@ from pcretrieve.web.requests import Refused
 # Largest number of faces that are sent to the viewer of a browser.
 MOST_FACES = 20_000
 
-# Largest number of shapes on a map: t-SNE takes about 4 s for so many, and more could not be told apart.
+# Largest number of shapes on a map: t-SNE takes about 15 s for so many, and more could not be told apart.
 MOST_SHAPES = 2_000
 SEED = 0
 
@@ -103,7 +103,7 @@ class Maps:
         rows = np.arange(len(index))
         if len(rows) > MOST_SHAPES:
             rows = np.sort(np.random.default_rng(SEED).choice(rows, MOST_SHAPES, replace=False))
-        places = self._of(index, rows)
+        places = self._of(catalogue, index, rows)
         drawing, ids = None, [index.ids[row] for row in rows.tolist()]
         if places is not None:
             labels = catalogue.labels()
@@ -119,13 +119,13 @@ class Maps:
         """End the thread."""
         self._thread.shutdown(cancel_futures=True)
 
-    def _of(self, index: SignatureIndex, rows: Any) -> FloatArray | None:
+    def _of(self, catalogue: Catalogue, index: SignatureIndex, rows: Any) -> FloatArray | None:
         """(n, 2) the places of rows of the index; None if they are not known yet."""
-        key = tuple(index.ids), index.whitening.mean.tobytes()
+        key, revision = (tuple(index.ids), index.whitening.mean.tobytes()), catalogue.revision()
         with self._lock:
             if self._places is None or key != self._key:
                 self._key = key
-                self._places = self._thread.submit(index.places, rows)
+                self._places = self._thread.submit(catalogue.cache.places, index.points[rows], revision)
             places = self._places
         try:
             return places.result(PATIENCE)
