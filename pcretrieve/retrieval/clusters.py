@@ -19,11 +19,9 @@ PERPLEXITY = 12.0
 FEWEST, N_ITERATIONS, ANGLE = 5, 300, 0.8
 SEED = 0
 
-# Distance between the shapes on a map, so that none hides another: the width of a marker, or, of many shapes,
-# this share of the mean spacing; and how often they are moved apart.
-GAP = 0.024
-SHARE = 0.5
-N_ROUNDS = 60
+# Distance between the shapes on a map, so that none hides another: nearly the width of a picture, or, of many
+# shapes, this share of the mean spacing; and how often they are moved apart.
+GAP, SHARE, N_ROUNDS = 0.03, 0.5, 60
 
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
