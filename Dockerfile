@@ -5,7 +5,6 @@ RUN apt-get update && apt-get install -y --no-install-recommends \
     libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1 && rm -rf /var/lib/apt/lists/*
 COPY pyproject.toml setup.py README.md LICENSE /source/
 COPY pcretrieve /source/pcretrieve
-# Every user may keep what numba compiles: docker run --user.
-RUN pip install --no-cache-dir /source && rm -r /source && chmod -R a+rwX /usr/local/lib/python3.11/site-packages/pcretrieve
+RUN pip install --no-cache-dir /source && rm -r /source
 WORKDIR /data
 ENTRYPOINT ["pcretrieve"]

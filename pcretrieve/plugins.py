@@ -50,26 +50,14 @@ class Names:
 
 #: The descriptors of pcretrieve by name, and whether their values have a size, without which the scale
 #: "absolute" is not defined. The records in `pcretrieve.descriptors` say more, but take long to import.
+SIZED = ("r-bihdm", "bihdm", "bihdm-sampled", "shape-dna", "sd-gdm", "sd-gdm-sampled")
 METHODS: dict[str, bool] = {
-    "r-bihdm": True,
-    "bihdm": True,
-    "bihdm-sampled": True,
-    "shape-dna": True,
-    "shape-dna-norm1": False,
-    "shape-dna-norm1-values": False,
-    "sd-gdm": True,
-    "sd-gdm-sampled": True,
-    "hks-bow": False,
-    "hks-bow-spatial": False,
-    "si-hks-bow": False,
-    "si-hks-bow-spatial": False,
-    "dl": False,
-    "dl-supervised": False,
-    "wks": False,
-    "csd": False,
-    "ispm": False,
-    "hapt": False,
-    "moments": False,
+    name: name in SIZED
+    for name in (
+        *("r-bihdm", "bihdm", "bihdm-sampled", "shape-dna", "shape-dna-norm1", "shape-dna-norm1-values"),
+        *("sd-gdm", "sd-gdm-sampled", "hks-bow", "hks-bow-spatial", "si-hks-bow", "si-hks-bow-spatial"),
+        *("dl", "dl-supervised", "wks", "csd", "ispm", "hapt", "moments"),
+    )
 }
 
 #: The names of the descriptors, of pcretrieve and of other packages.
