@@ -16,12 +16,12 @@ PERPLEXITY = 12.0
 
 # Least number of points of t-SNE, which starts at the principal components; fewer are projected on these. The
 # divergence of 1,000 shapes is 4 % above that of 1,000 iterations at the angle 0.5, and looks the same.
-FEWEST, N_ITERATIONS, ANGLE = 5, 300, 0.8
-SEED = 0
+FEWEST, N_ITERATIONS, ANGLE, SEED = 5, 300, 0.8, 0
 
 # Distance between the shapes on a map, so that none hides another: nearly the width of a picture, or, of many
-# shapes, this share of the mean spacing; and how often they are moved apart.
-GAP, SHARE, N_ROUNDS = 0.03, 0.5, 60
+# shapes, this share of the mean spacing; and how often they are moved apart. Largest gap between neighbours
+# along an axis, in mean gaps: islands that drift far apart would leave no room for what is in them.
+GAP, SHARE, N_ROUNDS, WIDEST = 0.036, 0.5, 60, 5.0
 
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
@@ -51,13 +51,14 @@ def cluster_numbers(index: SignatureIndex, *, min_size: int = 3) -> NDArray[np.i
 
 
 def plane_map(points: FloatArray) -> FloatArray:
-    """Places in the plane at which shapes with near whitened signatures (N, L) are near (t-SNE).
-
-    Returns (N, 2) float64: the places, within [0, 1]²; only which are near each other has a meaning.
-    """
+    """Places (N, 2), within [0, 1]², at which shapes of near whitened signatures (N, L) are near (t-SNE)."""
     places = _embedding(points)
     # The direction of the largest extent is across, as on screens.
     places = places @ np.linalg.svd(places - places.mean(axis=0), full_matrices=False)[2].T
+    for along in places.T:
+        order = np.argsort(along, kind="stable")
+        gaps = np.diff(along[order], prepend=along.min())
+        along[order] = np.cumsum(np.minimum(gaps, WIDEST * gaps.mean()))
     return _framed(_apart(_framed(places), min(GAP, SHARE / np.sqrt(len(places)))))
 
 
@@ -100,8 +101,7 @@ def _embedding(points: FloatArray) -> FloatArray:
     start = (1e-4 * principal / principal.std()).astype(np.float32)
     method = TSNE(perplexity=perplexity, init=start, random_state=SEED, max_iter=N_ITERATIONS, angle=ANGLE)
     with threadpool_limits(limits=1):  # on busy cores two threads wait for each other, nine times as long
-        places = method.fit_transform(points)
-    return np.asarray(places - places.mean(axis=0), dtype=np.float64)
+        return np.asarray(method.fit_transform(points), dtype=np.float64)
 
 
 class NearPair(NamedTuple):
