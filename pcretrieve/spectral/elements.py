@@ -95,19 +95,20 @@ class ReferenceElement(NamedTuple):
     side: Index
 
 
-# The (m, 3) edge numbers of the sides of each face, and the (e,) numbers of faces at each edge.
-Sides = tuple[Index, Index]
-
-
-def sides_of(mesh: TriangleMesh) -> Sides:
-    """The edges of a surface, in ascending order of the lower and then of the higher vertex number."""
+def edge_keys(mesh: TriangleMesh) -> NDArray[np.int64]:
+    """(m, 3) the edge at each side of a face: ascending with its lower, then its higher vertex number."""
     tail, head = mesh.faces.astype(np.int64), np.roll(mesh.faces, -1, axis=1)  # (m, 3) each
-    key = np.minimum(tail, head) * len(mesh.vertices) + np.maximum(tail, head)
-    _, edge, use = np.unique(key, return_inverse=True, return_counts=True)
-    return edge.reshape(-1, 3), use
+    return np.minimum(tail, head) * len(mesh.vertices) + np.maximum(tail, head)
 
 
-def assembled(mesh: TriangleMesh, nodes: Index, element: ReferenceElement, sides: Sides) -> Assembled:
+def lone_sides(mesh: TriangleMesh) -> NDArray[np.bool_]:
+    """(m, 3) the sides on the boundary, where no other face is."""
+    keys = edge_keys(mesh)
+    edges, use = np.unique(keys, return_counts=True)  # much faster than with the inverse
+    return np.isin(keys, edges[use == 1])
+
+
+def assembled(mesh: TriangleMesh, nodes: Index, element: ReferenceElement) -> Assembled:
     """The sums over all faces of ½ Σ_k cot γ_k C_k and of a J4, with the angle γ_k opposite to side k.
 
     nodes: (m, q) int, node numbers of each face. Every number from 0 to the largest occurs.
@@ -120,11 +121,10 @@ def assembled(mesh: TriangleMesh, nodes: Index, element: ReferenceElement, sides
     half_cotangents = -opposite / (4 * area[:, None])  # (m, 3)
 
     n = int(nodes.max()) + 1
-    edge, use = sides
-    boundary = np.zeros(n, dtype=bool)
+    boundary, lone = np.zeros(n, dtype=bool), lone_sides(mesh)
     along, side, back = [element.along], element.side, np.argsort(element.turn)
     for k in range(3):
-        boundary[nodes[use[edge[:, k]] == 1][:, side]] = True
+        boundary[nodes[lone[:, k]][:, side]] = True
         along.append(along[k][np.ix_(back, back)])
         side = element.turn[side]
     # Assembled as the real and the imaginary part of one matrix, so that its pattern is sorted once.
@@ -177,7 +177,7 @@ def linear(mesh: TriangleMesh) -> Assembled:
     With consistent mass on a flat surface they are upper bounds of the exact eigenvalues.
     """
     check_faces(mesh)
-    return assembled(mesh, mesh.faces, LINEAR_REFERENCE, sides_of(mesh))
+    return assembled(mesh, mesh.faces, LINEAR_REFERENCE)
 
 
 LINEAR = Element("linear", linear)
@@ -228,25 +228,25 @@ def cubic(mesh: TriangleMesh) -> Assembled:
     4. On a curved surface the flat faces limit the order to 2.
     """
     check_faces(mesh)
-    sides = sides_of(mesh)
-    return assembled(mesh, cubic_nodes(mesh, sides), CUBIC_REFERENCE, sides)
+    return assembled(mesh, cubic_nodes(mesh), CUBIC_REFERENCE)
 
 
 CUBIC = Element("cubic", cubic)
 
 
-def cubic_nodes(mesh: TriangleMesh, sides: Sides) -> Index:
+def cubic_nodes(mesh: TriangleMesh) -> Index:
     """(m, 10) numbers of the nodes of each face, in the order of `CUBIC_REFERENCE`.
 
     With n vertices and e edges, node i is vertex i; nodes n + 2 j and n + 2 j + 1 are on edge j, the first
     nearer to the vertex of lower number; node n + 2 e + f is the centre of face f.
     """
-    n, m, (edge, use) = len(mesh.vertices), len(mesh.faces), sides
-    first = n + 2 * edge  # (m, 3)
+    n, m = len(mesh.vertices), len(mesh.faces)
+    edges, edge = np.unique(edge_keys(mesh), return_inverse=True)
+    first = n + 2 * edge.reshape(m, 3)
     # The two faces at an edge traverse it in opposite directions, but must number its nodes equally.
     down = mesh.faces > np.roll(mesh.faces, -1, axis=1)  # (m, 3)
     on_sides = np.stack([first + down, first + ~down], axis=2).reshape(m, 6)
-    centre = n + 2 * len(use) + np.arange(m)
+    centre = n + 2 * len(edges) + np.arange(m)
     # int32 halves the memory of the indices of the matrices, which have 100 entries for each face.
     return np.column_stack([mesh.faces, on_sides, centre]).astype(np.int32)
 
@@ -277,10 +277,8 @@ def intrinsic_delaunay(mesh: TriangleMesh) -> Assembled:
         stiffness, mass = mesh_laplacian(mesh.vertices, mesh.faces)
     except RuntimeError as error:
         raise DegenerateMeshError(f"the surface has no intrinsic Delaunay triangulation: {error}") from error
-    edge, use = sides_of(mesh)
-    boundary = np.zeros(len(mesh.vertices), dtype=bool)
-    on_boundary = use[edge] == 1  # (m, 3)
-    boundary[mesh.faces[on_boundary]] = boundary[np.roll(mesh.faces, -1, axis=1)[on_boundary]] = True
+    boundary, lone = np.zeros(len(mesh.vertices), dtype=bool), lone_sides(mesh)
+    boundary[mesh.faces[lone]] = boundary[np.roll(mesh.faces, -1, axis=1)[lone]] = True
     return Assembled(csc_array(stiffness), csc_array(mass), boundary)
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array
 
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.spectral.elements import LINEAR_REFERENCE, Assembled, Element, assembled, sides_of
+from pcretrieve.spectral.elements import LINEAR_REFERENCE, Assembled, Element, assembled
 from pcretrieve.values import FloatArray, IntArray, PointCloud, TriangleMesh
 
 # Number of neighbours among which the triangles of a point are searched, and to which its tangent plane is
@@ -60,7 +60,7 @@ def points(cloud: PointCloud) -> Assembled:
             f"every point must form a triangle with its neighbours, got {lone} that do not: points on a line "
             "are no surface"
         )
-    stiffness, mass, _ = assembled(mesh, mesh.faces, LINEAR_REFERENCE, sides_of(mesh))
+    stiffness, mass, _ = assembled(mesh, mesh.faces, LINEAR_REFERENCE)
     return Assembled(csc_array(stiffness / 3), csc_array(mass / 3), np.zeros(n, dtype=bool))
 
 

@@ -16,7 +16,6 @@ from pcretrieve.spectral.elements import (
     LINEAR_REFERENCE,
     ReferenceElement,
     cubic_nodes,
-    sides_of,
 )
 from pcretrieve.values import FloatArray
 
@@ -100,7 +99,7 @@ def test_energy_and_norm_of_a_cubic_function_are_exact() -> None:
     for seed in range(3):
         mesh = shapes.renumbered(shapes.square(3), seed)
         operator = laplace_beltrami(mesh, "cubic")
-        nodes = cubic_nodes(mesh, sides_of(mesh))
+        nodes = cubic_nodes(mesh)
         places = np.empty((nodes.max() + 1, 3))
         places[nodes] = np.einsum("qk,mkx->mqx", np.array(CUBIC_NODES) / 3, mesh.vertices[mesh.faces])
         x, y, _ = places.T
