@@ -70,7 +70,9 @@ def flood(
     occupied[grid.index(points)] = True
     distance = distances(occupied, max(FARTHEST, wall + 1))
     labels, _ = components(distance > wall, corners=False)
-    reached = _regrown(labels == labels[0, 0, 0], distance, int(wall) + 1, CLEARANCE)
+    reached = labels == labels[0, 0, 0]
+    del labels  # before further large arrays are made
+    reached = _regrown(reached, distance, int(wall) + 1, CLEARANCE)
     return Outside(grid, reached, distances(reached, deepest), distance)
 
 

@@ -24,9 +24,9 @@ from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.density import interpolated
 from pcretrieve.points.grid import Grid, Mask, Voxels
 from pcretrieve.points.neighbors import PLANE_NEIGHBORS, Neighborhoods, neighborhoods, noise, spacing
-from pcretrieve.points.outside import Outside, flood
+from pcretrieve.points.outside import flood
 from pcretrieve.surface.caps import NO_CAP, Capped, base_of, points_on
-from pcretrieve.surface.coarse import coarse_surface, filled
+from pcretrieve.surface.coarse import coarse_surface, crossings, filled
 from pcretrieve.surface.field import distance_field, folded, hidden_below, normals_of
 from pcretrieve.surface.growth import with_topology
 from pcretrieve.surface.marching import Crossings, crossed, marched, smoothed
@@ -126,7 +126,7 @@ def _body_surface(
     walled = np.concatenate([cloud.points, points_on(coarse.surface, coarse.cap != NO_CAP, cell)])
     for gap in (options.gap, *(options.gap * wider for wider in WIDER)):
         outside = flood(walled, cell=cell, gap=gap * cloud.diagonal, shift=shift, deepest=deepest)
-        coarse_inside, coarse_crossings = filled(coarse.surface, outside.grid)
+        coarse_inside = filled(coarse.surface, outside.grid)
         distance = distance_field(cloud, outside)
         # Far from the points only: near them the coarse surface can be inaccurate by a voxel.
         core = coarse_inside & np.isnan(distance)
@@ -138,12 +138,14 @@ def _body_surface(
         notes.append("the flood fill of the outside leaked into the body and was not used")
     grid = outside.grid
     inside = np.where(np.isnan(distance), coarse_inside, distance < 0) & ~outside.reached
-    parted, crossed_links = np.zeros_like(inside), np.zeros((3, *grid.shape), dtype=bool)
-    if options.genus != "free":
-        folds = folded(cloud, outside, inside)
+    to_points, parted = outside.distance, np.zeros_like(inside)
+    folds = None if options.genus == "free" else folded(cloud, outside, inside)
+    del outside, coarse_inside, core  # most memory is needed next
+    crossed_links = np.zeros((3, 0, 0, 0), dtype=bool)
+    if folds is not None:
         crossed_links = _walls(cloud.select(~folds), grid)
-        continued = _continued(cloud, outside)
-        parted = contact_layer(inside, crossed_links, continued, outside.distance)
+        continued = _continued(cloud, grid, to_points)
+        parted = contact_layer(inside, crossed_links, continued, to_points)
         inside &= ~parted
         crossed_links |= continued
         if folds.any():
@@ -152,9 +154,9 @@ def _body_surface(
     inside, bridges = joined(inside, cloud.points, grid, options, notes)
     if not inside.any():
         raise ReconstructionError(f"{len(cloud.points)} points enclose nothing")
-    body, cuts = with_topology(inside, crossed_links, outside, options, notes)
-    del outside, coarse_inside, core, crossed_links  # most memory is needed next
-    mesh, is_invented = _surface(body, inside, parted, distance, coarse_crossings, grid)
+    body, cuts = with_topology(inside, crossed_links, to_points, options, notes)
+    del to_points, crossed_links
+    mesh, is_invented = _surface(body, inside, parted, distance, coarse.surface, grid)
     invented = _invented(mesh, is_invented)
     final = simplified(mesh, options.target_faces)
     step = Step(
@@ -188,17 +190,16 @@ def _walls(cloud: PointCloud, grid: Grid) -> Mask:
     return walls(grid.coordinates(cloud.points), normals_of(cloud), grid.shape)
 
 
-def _continued(cloud: PointCloud, outside: Outside) -> Mask:
+def _continued(cloud: PointCloud, grid: Grid, to_points: Voxels) -> Mask:
     """The links that cross a wall continued inwards from the rim of a contact, if sensors left it unseen."""
-    grid = outside.grid
     if cloud.viewpoints is None:
         return np.zeros((3, *grid.shape), dtype=bool)
-    middles, directions = rims(grid.coordinates(cloud.points), normals_of(cloud), outside.distance)
+    middles, directions = rims(grid.coordinates(cloud.points), normals_of(cloud), to_points)
     return walls(middles, directions, grid.shape, CONTINUED)
 
 
 def _surface(
-    body: Mask, inside: Mask, parted: Mask, distance: Voxels, coarse_crossings: Voxels, grid: Grid
+    body: Mask, inside: Mask, parted: Mask, distance: Voxels, coarse: TriangleMesh, grid: Grid
 ) -> tuple[TriangleMesh, Mask]:
     """The boundary surface of the voxels of the body, with vertices at the zeros of the signed distance.
 
@@ -209,11 +210,10 @@ def _surface(
     body, inside: the body after and before region growing.
     parted: the voxels removed by `contact_layer`.
     distance: signed distance to the points; in voxels, NaN far from the points.
-    coarse_crossings: where the coarse surface crosses the grid lines, from `filled`.
     Returns mesh, invented: the surface, and (n,) a mask of the vertices that no points support. Vertices
         beside removed contact voxels do not count, because there are points near them.
     """
-    crossings, invented, unseen = [], [], []
+    placed, invented, unseen = [], [], []
     for axis, here in enumerate(crossed(body)):
         low = tuple(here.T)
         high = tuple((here + np.eye(3, dtype=np.intp)[axis]).T)
@@ -222,12 +222,12 @@ def _surface(
         believed = changes & ((at_low < 0) == inside[low]) & ((at_high < 0) == inside[high])
         believed &= np.isfinite(at_low) & np.isfinite(at_high)
         share = np.divide(at_low, at_low - at_high, out=np.full(len(here), 0.5), where=believed)
-        coarse = coarse_crossings[axis][low]
-        share = np.where(believed, share, np.where(changes & np.isfinite(coarse), coarse, 0.5))
-        crossings.append(Crossings(here, np.clip(share, MARGIN, 1 - MARGIN)))
+        crossing = crossings(coarse, grid, axis)[low]
+        share = np.where(believed, share, np.where(changes & np.isfinite(crossing), crossing, 0.5))
+        placed.append(Crossings(here, np.clip(share, MARGIN, 1 - MARGIN)))
         invented.append(~believed)
         unseen.append(~believed & ~parted[low] & ~parted[high])
-    vertices, faces = marched(body, crossings)
+    vertices, faces = marched(body, placed)
     moved = smoothed(vertices, faces, np.flatnonzero(np.concatenate(invented)), SMOOTHING)
     counted = np.concatenate(unseen)
     # The vertices after those on grid lines, inside cubes of the grid, are few.

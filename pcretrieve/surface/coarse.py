@@ -80,25 +80,26 @@ def _splatted(at: FloatArray, vectors: FloatArray, shape: tuple[int, int, int]) 
 BESIDE = (1e-4, 1.7e-4)
 
 
-def filled(mesh: TriangleMesh, grid: Grid) -> tuple[Mask, Voxels]:
-    """Voxels inside a mesh, and the crossings of the mesh with the lines through their centres.
+def filled(mesh: TriangleMesh, grid: Grid) -> Mask:
+    """(a, b, c) mask of the voxels whose centre is inside a mesh.
 
     A voxel is inside if the line to it along the last axis crosses the mesh an odd number of times (parity
     rule). The side of an edge on which a line passes is computed identically for both faces at the edge, so
     that the line crosses exactly one of them. Rays cast in single precision do not guarantee this.
-
-    Returns inside, crossings: (a, b, c) mask of voxels whose centre is inside; and (3, a, b, c), for each
-        axis and voxel, where the mesh crosses the line from the centre of the voxel to the next centre: a
-        fraction in [0, 1), NaN if it does not.
     """
-    at = grid.coordinates(mesh.vertices)
-    crossings = np.full((3, *grid.shape), np.nan, dtype=np.float32)
-    odd = np.zeros(grid.shape, dtype=np.bool_)
-    _cross(at, mesh.faces, crossings, odd)
+    odd, _ = _crossed(grid.coordinates(mesh.vertices), mesh.faces, grid.shape, 2)
     _accumulate(odd)
     for side in (0, -1):
         odd[side] = odd[:, side] = odd[:, :, side] = False
-    return odd, crossings
+    return odd
+
+
+def crossings(mesh: TriangleMesh, grid: Grid, axis: int) -> Voxels:
+    """(a, b, c) where a mesh crosses the line from the centre of each voxel to the next along an axis.
+
+    It is a fraction in [0, 1), NaN if the mesh does not cross the line.
+    """
+    return _crossed(grid.coordinates(mesh.vertices), mesh.faces, grid.shape, axis)[1]
 
 
 @njit(cache=True)
@@ -113,42 +114,47 @@ def _accumulate(odd: Mask) -> None:
 
 
 @njit(cache=True)
-def _cross(at: FloatArray, faces: NDArray[np.int32], crossings: Voxels, odd: Mask) -> None:
-    """Write the crossings along each axis, and flip `odd` in the voxel after each along the last axis."""
-    shape = odd.shape
+def _crossed(
+    at: FloatArray, faces: NDArray[np.int32], shape: tuple[int, int, int], axis: int
+) -> tuple[Mask, Voxels]:
+    """The voxels after an odd number of crossings with their line along an axis, and `crossings`."""
+    odd, crossings = np.zeros(shape, dtype=np.bool_), np.full(shape, np.float32(np.nan), dtype=np.float32)
     place = np.zeros(3, dtype=np.int64)
+    i, j = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
     for f in range(len(faces)):
         a, b, c = at[faces[f, 0]], at[faces[f, 1]], at[faces[f, 2]]
-        for axis in range(3):
-            i, j = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
-            first = max(0, int(np.ceil(min(a[i], b[i], c[i]) - BESIDE[0])))
-            last = min(shape[i] - 1, int(np.floor(max(a[i], b[i], c[i]) - BESIDE[0])))
-            lowest = max(0, int(np.ceil(min(a[j], b[j], c[j]) - BESIDE[1])))
-            highest = min(shape[j] - 1, int(np.floor(max(a[j], b[j], c[j]) - BESIDE[1])))
-            for u in range(first, last + 1):
-                for v in range(lowest, highest + 1):
-                    x, y = u + BESIDE[0], v + BESIDE[1]
-                    left = _left(at, faces[f, 0], faces[f, 1], i, j, x, y)
-                    if left != _left(at, faces[f, 1], faces[f, 2], i, j, x, y):
-                        continue
-                    if left != _left(at, faces[f, 2], faces[f, 0], i, j, x, y):
-                        continue
-                    # The intersection of the line with the plane a + s (b - a) + t (c - a).
-                    e, g = b[i] - a[i], c[i] - a[i]
-                    h, k = b[j] - a[j], c[j] - a[j]
-                    area = e * k - g * h
-                    if area == 0:
-                        continue
-                    s = ((x - a[i]) * k - g * (y - a[j])) / area
-                    t = (e * (y - a[j]) - (x - a[i]) * h) / area
-                    along = a[axis] + s * (b[axis] - a[axis]) + t * (c[axis] - a[axis])
-                    below = int(np.floor(along))
-                    if axis == 2 and below < shape[2] - 1:
-                        # A crossing before the first voxel changes the parity of all voxels of the line.
-                        odd[u, v, max(0, below + 1)] ^= True
-                    if 0 <= below < shape[axis] - 1:
-                        place[axis], place[i], place[j] = below, u, v
-                        crossings[axis, place[0], place[1], place[2]] = along - below
+        first = max(0, int(np.ceil(min(a[i], b[i], c[i]) - BESIDE[0])))
+        last = min(shape[i] - 1, int(np.floor(max(a[i], b[i], c[i]) - BESIDE[0])))
+        lowest = max(0, int(np.ceil(min(a[j], b[j], c[j]) - BESIDE[1])))
+        highest = min(shape[j] - 1, int(np.floor(max(a[j], b[j], c[j]) - BESIDE[1])))
+        for u in range(first, last + 1):
+            for v in range(lowest, highest + 1):
+                x, y = u + BESIDE[0], v + BESIDE[1]
+                left = _left(at, faces[f, 0], faces[f, 1], i, j, x, y)
+                if left != _left(at, faces[f, 1], faces[f, 2], i, j, x, y):
+                    continue
+                if left != _left(at, faces[f, 2], faces[f, 0], i, j, x, y):
+                    continue
+                # The intersection of the line with the plane a + s (b - a) + t (c - a).
+                e, g = b[i] - a[i], c[i] - a[i]
+                h, k = b[j] - a[j], c[j] - a[j]
+                area = e * k - g * h
+                if area == 0:
+                    continue
+                s = ((x - a[i]) * k - g * (y - a[j])) / area
+                t = (e * (y - a[j]) - (x - a[i]) * h) / area
+                along = a[axis] + s * (b[axis] - a[axis]) + t * (c[axis] - a[axis])
+                below = int(np.floor(along))
+                if below >= shape[axis] - 1:
+                    continue
+                place[i], place[j] = u, v
+                # A crossing before the first voxel changes the parity of all voxels of the line.
+                place[axis] = max(0, below + 1)
+                odd[place[0], place[1], place[2]] ^= True
+                if below >= 0:
+                    place[axis] = below
+                    crossings[place[0], place[1], place[2]] = along - below
+    return odd, crossings
 
 
 @njit(cache=True)

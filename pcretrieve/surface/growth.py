@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.grid import Mask, Voxels, distances, touching
-from pcretrieve.points.outside import FARTHEST, Outside
+from pcretrieve.points.outside import FARTHEST
 from pcretrieve.surface.marching import marched
 from pcretrieve.values import TriangleMesh
 
@@ -200,17 +200,18 @@ HANDLE = 0.6
 
 
 def with_topology(
-    inside: Mask, walls: Mask, outside: Outside, options: SurfaceOptions, notes: list[str]
+    inside: Mask, walls: Mask, to_points: Voxels, options: SurfaceOptions, notes: list[str]
 ) -> tuple[Mask, NDArray[np.intp]]:
     """The voxels of the body with the requested genus, and the (k, 3) voxels that were removed.
 
     inside: voxels that may belong to the body; False on the border of the grid.
     walls: (3, a, b, c) bool, from `parts.walls`.
+    to_points: distance of each voxel to the nearest point; in voxels.
     """
     if options.genus == "free":
         return inside, np.zeros((0, 3), dtype=np.intp)
     depth = distances(~inside, np.inf)
-    body = grown(inside, _priority(depth, outside.distance), walls)
+    body = grown(inside, _priority(depth, to_points), walls)
     if options.genus not in ("sphere", 0):
         body = _with_handles(inside, body, depth, options.genus, notes)
     return body, _voxels(inside & ~body)

@@ -20,7 +20,7 @@ from pcretrieve.points.outside import sampled
 from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.surface import SurfaceMarks, body_surfaces, defects
 from pcretrieve.surface.caps import NO_CAP, capped
-from pcretrieve.surface.coarse import BESIDE, coarse_surface, filled, indicator
+from pcretrieve.surface.coarse import BESIDE, coarse_surface, crossings, filled, indicator
 from pcretrieve.surface.reconstruct import uniform_points
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
@@ -235,17 +235,18 @@ def test_voxels_inside_are_those_of_the_solid_but_for_the_border_of_the_grid() -
     ):
         mesh, solid = octahedron(np.array(centre))
         solid = np.pad(solid[1:-1, 1:-1, 1:-1], 1)
-        np.testing.assert_array_equal(filled(mesh, GRID)[0], solid)
+        np.testing.assert_array_equal(filled(mesh, GRID), solid)
 
 
 def test_crossings_lie_on_the_surface() -> None:
     centre = np.array([12.31, 11.62, 12.27])
-    inside, crossings = filled(octahedron(centre)[0], GRID)
+    mesh, inside = octahedron(centre)
     for axis in range(3):
-        here = np.argwhere(np.isfinite(crossings[axis]))
+        shares = crossings(mesh, GRID, axis)
+        here = np.argwhere(np.isfinite(shares))
         turns = np.argwhere(np.diff(inside.astype(int), axis=axis))
         # A line near an edge may cross the mesh twice between two voxels.
         assert set(map(tuple, turns)) <= set(map(tuple, here))
         places = here.astype(float)
-        places[:, axis] += crossings[axis][tuple(here.T)]
+        places[:, axis] += shares[tuple(here.T)]
         np.testing.assert_allclose(np.abs(places - centre).sum(axis=1), RADIUS, atol=1e-3)
