@@ -24,6 +24,11 @@ from pcretrieve.values import TriangleMesh
 
 Links = NDArray[np.int32]
 
+# Largest amount by which the depth of a voxel, as the priority of region growing, may exceed its distance to
+# the nearest point; in voxels. It is small, so that a contact, with points of both surfaces in it, has a
+# lower priority than the interior of a thin limb.
+SKIN_DEPTH = 0.3
+
 # Number of integer priorities for each voxel edge of depth, and of all.
 STEPS = 8
 MOST_STEPS = 30_000
@@ -46,33 +51,36 @@ Z_LOW, Z_HIGH = (sum(1 << k for k in range(27) if _AROUND[k][2] != side) for sid
 INSIDE, ADDED, ADJACENT, LINKED, WAITING = 1, 2, 4, 8, 16
 
 
-def grown(inside: Mask, priority: Voxels, walls: Mask) -> Mask:
-    """Grow a region of genus 0, 6-connected and its complement 26-connected, in order of descending priority.
+def grown(inside: Mask, depth: Voxels, to_points: Voxels, walls: Mask) -> Mask:
+    """Grow a region of genus 0, 6-connected and its complement 26-connected, in order of descending depth.
 
     inside: voxels that may be added; False on the border of the grid.
+    to_points: distance to the nearest point, of which depth counts for little more: at a contact there are
+        points between the limbs.
     walls: (3, a, b, c) bool, from `parts.walls`. The region grows along links that cross a surfel only after
         all voxels that are reached by other links.
     """
-    steps, seed = _steps(inside, priority)
-    return _grown(steps, walls, seed)
+    return _grown(*_steps(inside, depth, to_points), walls)
 
 
 @njit(cache=True)
-def _steps(inside: Mask, priority: Voxels) -> tuple[NDArray[np.int16], int]:
+def _steps(inside: Mask, depth: Voxels, to_points: Voxels) -> tuple[NDArray[np.int16], int]:
     """The integer priority of each voxel from 1, 0 outside; and the first voxel of the highest."""
     steps = np.zeros(inside.size, dtype=np.int16)
-    is_inside, values = inside.ravel(), priority.ravel()
+    is_inside, depths, apart = inside.ravel(), depth.ravel(), to_points.ravel()
     seed = 0
     for cell in range(inside.size):
         if is_inside[cell]:
-            steps[cell] = np.int16(min(max(values[cell] * np.float32(STEPS), 0), MOST_STEPS)) + 1
+            most = apart[cell] + np.float32(SKIN_DEPTH) if apart[cell] < FARTHEST else depths[cell]
+            value = min(depths[cell], most)
+            steps[cell] = np.int16(min(max(value * np.float32(STEPS), 0), MOST_STEPS)) + 1
             if steps[cell] > steps[seed]:
                 seed = cell
     return steps.reshape(inside.shape), seed
 
 
 @njit(cache=True)
-def _grown(steps: NDArray[np.int16], walls: Mask, seed: int) -> Mask:
+def _grown(steps: NDArray[np.int16], seed: int, walls: Mask) -> Mask:
     _, n_y, n_z = steps.shape
     n = steps.size
     step = steps.ravel()
@@ -190,11 +198,6 @@ def _is_joined_by_corners(voxels: int) -> bool:
     return True
 
 
-# Largest amount by which the depth of a voxel, as the priority of region growing, may exceed its distance to
-# the nearest point; in voxels. It is small, so that a contact, with points of both surfaces in it, has a
-# lower priority than the interior of a thin limb.
-SKIN_DEPTH = 0.3
-
 # Smallest thickness of a cut, relative to the greatest depth of the body, for its handle to be a true one.
 HANDLE = 0.6
 
@@ -211,22 +214,10 @@ def with_topology(
     if options.genus == "free":
         return inside, np.zeros((0, 3), dtype=np.intp)
     depth = distances(~inside, np.inf)
-    body = grown(inside, _priority(depth, to_points), walls)
+    body = grown(inside, depth, to_points, walls)
     if options.genus not in ("sphere", 0):
         body = _with_handles(inside, body, depth, options.genus, notes)
     return body, _voxels(inside & ~body)
-
-
-@njit(cache=True)
-def _priority(depth: Voxels, to_points: Voxels) -> Voxels:
-    """The depth of each voxel, but little more than its distance to the points."""
-    # At a contact there are points between the limbs: the priority is low there.
-    priority: Voxels = depth.copy()
-    values, distance = priority.ravel(), to_points.ravel()
-    for cell in range(len(values)):
-        if distance[cell] < FARTHEST:
-            values[cell] = min(values[cell], distance[cell] + np.float32(SKIN_DEPTH))
-    return priority
 
 
 def _voxels(mask: Mask) -> NDArray[np.intp]:

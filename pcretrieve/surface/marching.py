@@ -74,25 +74,20 @@ def marched(body: Mask, crossings: Sequence[Crossings] = ()) -> tuple[FloatArray
     .. [1] Lorensen and Cline, "Marching cubes", SIGGRAPH 1987, with the ambiguous faces decided as in
        Kong and Rosenfeld, "Digital topology: introduction and survey", 1989, for (6, 26)-adjacency.
     """
-    number = np.empty((3, *body.shape), dtype=np.int32)  # of the vertex on each crossed link
-    placed = []
-    n = 0
+    links, placed = [], []
     for axis, (at, share) in enumerate(crossings or [Crossings(at, 0.5) for at in crossed(body)]):
-        number[axis][tuple(at.T)] = np.arange(n, n + len(at))
-        n += len(at)
-        position = at.astype(np.float64)
-        position[:, axis] += share
-        placed.append(position)
+        links.append(at)
+        placed.append(at.astype(np.float64))
+        placed[axis][:, axis] += share
     vertices = np.concatenate(placed)
-    triangles, n_triangles, loops = _table()
-    faces, middles = _triangulated(body, number, vertices, triangles, n_triangles, loops)
+    faces, middles = _triangulated(body, tuple(links), vertices, *_table())
     return np.concatenate([vertices, middles]), faces
 
 
 @njit(cache=True)
 def _triangulated(
     body: Mask,
-    number: IntArray,
+    links: tuple[NDArray[np.intp], ...],
     vertices: FloatArray,
     triangles: IntArray,
     n_triangles: IntArray,
@@ -120,7 +115,19 @@ def _triangulated(
     faces, middles = np.empty((n_faces, 3), dtype=np.int32), np.zeros((n_middles, 3))
     done = np.zeros(256, dtype=np.int64)
     corner = np.empty(MIDDLE + 1, dtype=np.int32)  # vertices of the cube
-    for x in range(a):
+    # The numbers of the vertices on the links from the voxels of the layers x and x + 1.
+    number = np.empty((3, 2, b + 1, c + 1), dtype=np.int32)
+    begin = np.zeros(3, dtype=np.int64)
+    before = (0, len(links[0]), len(links[0]) + len(links[1]))
+    for x in range(-1, a):
+        for axis in range(3):
+            at, i = links[axis], begin[axis]
+            while i < len(at) and at[i, 0] == x + 1:
+                number[axis, (x + 1) % 2, at[i, 1], at[i, 2]] = before[axis] + i
+                i += 1
+            begin[axis] = i
+        if x < 0:
+            continue
         for y in range(b):
             for z in range(c):
                 case = cases[x, y, z]
@@ -131,7 +138,7 @@ def _triangulated(
                         edge = triangles[case, t, side]
                         if edge < MIDDLE:
                             low = LOWER[edge]
-                            corner[edge] = number[AXIS[edge], x + low[0], y + low[1], z + low[2]]
+                            corner[edge] = number[AXIS[edge], (x + low[0]) % 2, y + low[1], z + low[2]]
                 if loops[case, 0] >= 0:
                     middle = middles[first_middle[case] + done[case]]
                     length = 0

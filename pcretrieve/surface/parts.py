@@ -261,6 +261,7 @@ def joined(
         body |= pieces == piece
         body[tuple(tube.T)] = True
         notes.append(f"joined a piece with {support[piece]:.1%} of the points across a gap of {gap:.3g}")
+    del pieces, near  # before another large array is made
     hollow, _ = components(~body, corners=True)
     return hollow != hollow[0, 0, 0], np.concatenate([nowhere, *bridges])
 

@@ -242,8 +242,7 @@ def test_crossings_lie_on_the_surface() -> None:
     centre = np.array([12.31, 11.62, 12.27])
     mesh, inside = octahedron(centre)
     for axis in range(3):
-        shares = crossings(mesh, GRID, axis)
-        here = np.argwhere(np.isfinite(shares))
+        here = np.argwhere(np.isfinite(shares := crossings(mesh, GRID, axis)))
         turns = np.argwhere(np.diff(inside.astype(int), axis=axis))
         # A line near an edge may cross the mesh twice between two voxels.
         assert set(map(tuple, turns)) <= set(map(tuple, here))

@@ -39,7 +39,7 @@ def no_walls(inside: Mask) -> Mask:
 
 def lost(inside: Mask, walls: Mask) -> Mask:
     depth: NDArray[np.float32] = distance_transform_edt(inside).astype(np.float32)
-    body = grown(inside, depth, walls)
+    body = grown(inside, depth, np.full_like(depth, np.inf), walls)
     assert not (body & ~inside).any()
     return inside & ~body
 
