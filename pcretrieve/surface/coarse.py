@@ -95,10 +95,7 @@ def filled(mesh: TriangleMesh, grid: Grid) -> Mask:
 
 
 def crossings(mesh: TriangleMesh, grid: Grid, axis: int) -> Voxels:
-    """(a, b, c) where a mesh crosses the line from the centre of each voxel to the next along an axis.
-
-    It is a fraction in [0, 1), NaN if the mesh does not cross the line.
-    """
+    """(a, b, c) where a mesh crosses the line from each centre to the next: in [0, 1), NaN if nowhere."""
     return _crossed(grid.coordinates(mesh.vertices), mesh.faces, grid.shape, axis)[1]
 
 

@@ -159,11 +159,13 @@ def _summed(at: FloatArray, normals: FloatArray, number: IntArray, n: int) -> tu
     side = int(2 * REACH) + 2
     of_y, of_z = np.empty(side), np.empty(side)
     narrow = 1 / (2 * SPREAD * SPREAD)
+    one = np.empty(8)
     for i in range(len(at)):
         x, y, z = at[i, 0], at[i, 1], at[i, 2]
-        a, b, c = normals[i, 0], normals[i, 1], normals[i, 2]
-        square = x * x + y * y + z * z
-        along = x * a + y * b + z * c
+        for axis in range(3):
+            one[axis], one[3 + axis] = at[i, axis], normals[i, axis]
+        one[6] = x * x + y * y + z * z
+        one[7] = x * one[3] + y * one[4] + z * one[5]
         v_low, v_high = max(0, int(np.ceil(y - REACH))), min(n_y, int(y + REACH) + 1)
         w_low, w_high = max(0, int(np.ceil(z - REACH))), min(n_z, int(z + REACH) + 1)
         for v in range(v_low, v_high):
@@ -183,13 +185,7 @@ def _summed(at: FloatArray, normals: FloatArray, number: IntArray, n: int) -> tu
                 for w in range(first, last):
                     weight = of_line * of_z[w - w_low]
                     weights[k] += weight
-                    sums[k, 0] += weight * x
-                    sums[k, 1] += weight * y
-                    sums[k, 2] += weight * z
-                    sums[k, 3] += weight * a
-                    sums[k, 4] += weight * b
-                    sums[k, 5] += weight * c
-                    sums[k, 6] += weight * square
-                    sums[k, 7] += weight * along
+                    for j in range(8):
+                        sums[k, j] += weight * one[j]
                     k += 1
     return weights, sums

@@ -126,9 +126,7 @@ def _triangulated(
                 number[axis, (x + 1) % 2, at[i, 1], at[i, 2]] = before[axis] + i
                 i += 1
             begin[axis] = i
-        if x < 0:
-            continue
-        for y in range(b):
+        for y in range(b if x >= 0 else 0):
             for z in range(c):
                 case = cases[x, y, z]
                 if n_triangles[case] == 0:
