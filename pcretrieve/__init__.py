@@ -40,9 +40,9 @@ if not os.access(Path(__file__).parent, os.W_OK):
         home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         _lend_compiled(os.environ.get("NUMBA_CACHE_DIR") or Path(home, "numba"))
     except (OSError, RuntimeError):  # a home that cannot be written, or none
-        from shutil import rmtree
-        from tempfile import mkdtemp
+        from tempfile import TemporaryDirectory
 
-        os.environ["NUMBA_CACHE_DIR"] = mkdtemp(prefix="pcretrieve-")
-        atexit.register(rmtree, os.environ["NUMBA_CACHE_DIR"], ignore_errors=True)
-        _lend_compiled(os.environ["NUMBA_CACHE_DIR"])
+        folder = TemporaryDirectory(prefix="pcretrieve-", ignore_cleanup_errors=True)
+        atexit.register(folder.cleanup)
+        os.environ["NUMBA_CACHE_DIR"] = folder.name
+        _lend_compiled(folder.name)

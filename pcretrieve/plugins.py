@@ -48,9 +48,10 @@ class Names:
         )
 
 
-#: The descriptors of pcretrieve by name, and whether their values have a size, without which the scale
-#: "absolute" is not defined. The records in `pcretrieve.descriptors` say more, but take long to import.
+# Those whose values have a size, without which the scale "absolute" is not defined.
 SIZED = ("r-bihdm", "bihdm", "bihdm-sampled", "shape-dna", "sd-gdm", "sd-gdm-sampled")
+#: The descriptors of pcretrieve by name, and whether their values have a size. The records in
+#: `pcretrieve.descriptors` say more, but take long to import.
 METHODS: dict[str, bool] = {
     name: name in SIZED
     for name in (

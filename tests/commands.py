@@ -37,10 +37,10 @@ def result(*words: object, code: int = 0) -> Any:
 
 
 def program(
-    *words: object, cwd: Path | None = None, code: int = 0, **environment: str
+    *words: object, cwd: Path | None = None, code: int = 0, by: tuple[str, ...] = (), **environment: str
 ) -> subprocess.CompletedProcess[str]:
-    """Run a command in a process of its own."""
-    command, known = [sys.executable, "-m", "pcretrieve", *map(str, words)], os.environ | environment
+    """Run a command in a process of its own, which another program may start."""
+    command, known = [*by, sys.executable, "-m", "pcretrieve", *map(str, words)], os.environ | environment
     done = subprocess.run(
         command, cwd=cwd, env=known, capture_output=True, text=True, timeout=300, check=False
     )

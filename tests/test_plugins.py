@@ -47,7 +47,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_names_are_those_of_the_records() -> None:
     """Options know the names by tables of their own, since records take long to import."""
-    assert tuple(DESCRIPTORS.own) == tuple(METHODS)
+    assert [record.name for record in DESCRIPTORS.own.values()] == [*DESCRIPTORS.own] == [*METHODS]
     assert {name: record.has_size for name, record in DESCRIPTORS.own.items()} == METHODS
     assert get_args(SpectralOptions.model_fields["element"].annotation) == tuple(ELEMENTS)
     assert get_args(RetrievalOptions.model_fields["distance"].annotation) == tuple(DISTANCES)

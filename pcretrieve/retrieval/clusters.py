@@ -51,7 +51,7 @@ def cluster_numbers(index: SignatureIndex, *, min_size: int = 3) -> NDArray[np.i
 
 
 def plane_map(points: FloatArray) -> FloatArray:
-    """Places (N, 2), within [0, 1]², at which shapes of near whitened signatures (N, L) are near (t-SNE)."""
+    """Places (N, 2) in [0, 1]², near each other where whitened signatures (N, L) are near, by t-SNE."""
     places = _embedding(points)
     # The direction of the largest extent is across, as on screens.
     places = places @ np.linalg.svd(places - places.mean(axis=0), full_matrices=False)[2].T

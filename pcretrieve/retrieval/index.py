@@ -104,9 +104,10 @@ class Names(Sequence[str]):
 
     def index(self, name: str, *_: Any) -> int:
         """The position of a string."""
-        if name not in self:
+        row = bisect_left(self, name)
+        if self[row : row + 1] != [name]:
             raise ValueError(f"{name!r} is not among the names")
-        return bisect_left(self, name)
+        return row
 
 
 class _MadeBy(NamedTuple):

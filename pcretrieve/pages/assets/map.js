@@ -57,7 +57,10 @@ if (map) {
   svg.addEventListener("pointerdown", (event) => { [before, places, moves] = [event, [at(event)], false]; });
   svg.addEventListener("pointermove", (event) => {
     const over = event.target.closest("a");
-    if (over && !before && told.textContent !== (told.textContent = over.ariaLabel)) line.before(over);
+    if (over && !before && told.textContent !== over.ariaLabel) {
+      told.textContent = over.ariaLabel;
+      line.before(over);  // in front of the other pictures
+    }
     if (!before || !moves && Math.hypot(event.clientX - before.clientX, event.clientY - before.clientY) < 6) return;
     if (!moves) svg.setPointerCapture(event.pointerId);
     moves = true;
