@@ -25,9 +25,6 @@ GAP, SHARE, N_ROUNDS, WIDEST = 0.036, 0.5, 60, 5.0
 
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
-# Number of neighbours that are searched first for near pairs; it is doubled until one is no longer near.
-FIRST = 4
-
 
 def cluster_numbers(index: SignatureIndex, *, min_size: int = 3) -> NDArray[np.intp]:
     """(N,) numbers of the clusters of an index by density (HDBSCAN), from 1 for the largest; 0 for none.
@@ -117,7 +114,7 @@ def near_pairs(index: SignatureIndex, limit: float) -> list[NearPair]:
     """Find all pairs of shapes that are at most so far apart, nearest first."""
     found = []
     for shape_id in index.ids:
-        k = FIRST
+        k = 4  # doubled until one is no longer near
         while (near := index.nearest(shape_id, k)).distances[-1] <= limit and k < len(index):
             k *= 2
         for other, distance in zip(near.ids, near.distances.tolist(), strict=True):

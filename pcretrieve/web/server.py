@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import secrets
 import socket
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -92,6 +93,8 @@ def serve(
     from pcretrieve.web.jobs import Jobs
     from pcretrieve.web.keeping import Collection
 
+    # The first map needs it, and its import takes .8 s.
+    threading.Thread(target=__import__, args=("sklearn.manifold",), daemon=True).start()
     with Catalogue(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
         store.index(chosen)  # so that it is made, and what it lacks is said, before the first request
