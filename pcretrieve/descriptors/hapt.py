@@ -19,7 +19,7 @@ from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.descriptors.moments import in_principal_frame
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.points.grid import Grid, interior
-from pcretrieve.values import FloatArray, Signature, TriangleMesh
+from pcretrieve.values import FloatArray, IntArray, Signature, TriangleMesh
 
 # R, in units of √A with the area A of the surface, each 1.38 times the one before, and the ratio c = σ / R. A
 # person of 1.7 m² has arms of .03, thighs of .06 and a head of .07. See docs/decisions.md, HAPT.
@@ -69,37 +69,28 @@ def projected_areas(mesh: TriangleMesh, radii: FloatArray, spread: float) -> Flo
             f"hapt needs a body with an interior, got a surface that encloses no voxel of {CELL:g} √area: "
             "close its holes, or choose a descriptor of surfaces"
         )
-    samples = _samples(framed)
+    samples = _samples(framed, grid)
     steps = np.array([grid.shape[1] * grid.shape[2], grid.shape[2], 1])
     transform = np.empty((len(radii), len(inside)))
     for row, radius in zip(transform, radii, strict=True):
-        arrived = _arrived(*samples, radius, grid.origin, grid.cell, grid.shape)
+        arrived = _arrived(samples, radius / CELL, grid.shape)
         offsets, shares = _ball(spread * radius / CELL)
         row[:] = _gathered(arrived, inside, offsets @ steps, shares) / (4 * np.pi * radius**2)
     return transform
 
 
 @njit(cache=True)
-def _arrived(
-    points: FloatArray,
-    normals: FloatArray,
-    areas: FloatArray,
-    radius: float,
-    origin: FloatArray,
-    cell: float,
-    shape: tuple[int, int, int],
-) -> FloatArray:
+def _arrived(samples: FloatArray, radius: float, shape: tuple[int, int, int]) -> FloatArray:
     """The area that arrives in each voxel of a grid, in C order, from a surface that moves inwards."""
     arrived = np.zeros(shape[0] * shape[1] * shape[2])
-    for point in range(len(points)):
-        place, is_held = 0, True
+    for sample in samples:
+        voxel, is_held = 0, True
         for axis in range(3):
-            moved = points[point, axis] - radius * normals[point, axis]
-            voxel = int(np.rint((moved - origin[axis]) / cell))
-            is_held &= 0 <= voxel < shape[axis]
-            place = place * shape[axis] + voxel
+            moved = int(np.rint(sample[axis] - radius * sample[3 + axis]))
+            is_held &= 0 <= moved < shape[axis]
+            voxel = voxel * shape[axis] + moved
         if is_held:
-            arrived[place] += areas[point]
+            arrived[voxel] += sample[6]
     return arrived
 
 
@@ -108,10 +99,18 @@ def _gathered(
     arrived: FloatArray, inside: NDArray[np.intp], offsets: NDArray[np.intp], shares: FloatArray
 ) -> FloatArray:
     """(k,) sums of the areas round each of k voxels, each area with the share of its voxel in the ball."""
-    gathered = np.zeros(len(inside))
-    for row in range(len(inside)):
+    gathered, first = np.zeros(len(inside)), 0
+    while first < len(inside):
+        # Voxels that follow each other are summed together.
+        last = first + 1
+        while last < len(inside) and inside[last] == inside[last - 1] + 1:
+            last += 1
+        sums = gathered[first:last]
         for number in range(len(offsets)):
-            gathered[row] += shares[number] * arrived[inside[row] + offsets[number]]
+            areas, share = arrived[inside[first] + offsets[number] :], shares[number]
+            for row in range(len(sums)):
+                sums[row] += share * areas[row]
+        first = last
     return gathered
 
 
@@ -127,56 +126,64 @@ def _grid(mesh: TriangleMesh, margin: int) -> Grid:
     return Grid(-reach * CELL, CELL, (n_x, n_y, n_z))
 
 
-def _samples(mesh: TriangleMesh) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Points (p, 3) of a surface, their unit normals (p, 3), and the areas (p,) that they represent.
+def _samples(mesh: TriangleMesh, grid: Grid) -> FloatArray:
+    """(p, 7) points of a surface, in voxels, their unit normals, and the areas that they represent.
 
     These are the centres of the triangles into which each triangle is divided, at most `SPACING` wide.
     """
-    corners = mesh.vertices[mesh.faces]  # (m, 3, 3)
-    widest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)  # (m,)
+    corners = mesh.vertices.T[:, mesh.faces.T]  # (3, 3, m): coordinate, corner, face
+    widest = np.sqrt(((corners - corners[:, [2, 0, 1]]) ** 2).sum(axis=0).max(axis=0))  # (m,)
     n_parts = np.maximum(1, np.ceil(widest / SPACING))  # (m,) of each edge
     if (n_points := (n_parts**2).sum()) > MOST_POINTS:
         raise DegenerateMeshError(
             f"hapt needs a surface of at most {MOST_POINTS:,} sample points, got {n_points:,.0f}: some "
             "triangles are too long; remesh it"
         )
-    normals = _vertex_normals(mesh)[mesh.faces]  # (m, 3, 3)
-    areas = mesh.face_areas
-    parts = []
-    for n in np.unique(n_parts):
-        chosen = n_parts == n
-        weights = _centres(int(n))  # (n², 3)
-        points, directions = (
-            np.einsum("sk,mkd->msd", weights, values[chosen]).reshape(-1, 3) for values in (corners, normals)
-        )
-        parts.append((points, directions, np.repeat(areas[chosen] / n**2, int(n**2))))
-    points, directions, shares = (np.concatenate(column) for column in zip(*parts, strict=True))
-    lengths = np.linalg.norm(directions, axis=1, keepdims=True)
-    return points, np.divide(directions, lengths, where=lengths > 0, out=directions), shares
+    values = np.column_stack([grid.coordinates(mesh.vertices), _vertex_normals(mesh.vertices, mesh.faces)])
+    return _centres(values, mesh.faces, mesh.face_areas, n_parts.astype(np.intp))
 
 
-def _vertex_normals(mesh: TriangleMesh) -> FloatArray:
+@njit(cache=True)
+def _centres(values: FloatArray, faces: IntArray, areas: FloatArray, parts: NDArray[np.intp]) -> FloatArray:
+    """The samples, of which all but the area are interpolated from those of the vertices."""
+    samples = np.empty(((parts**2).sum(), 7))
+    point = 0
+    for f in range(len(faces)):
+        a, b, c, n = faces[f, 0], faces[f, 1], faces[f, 2], parts[f]
+        for part in range(n * n):
+            row, column, share = part // n, part % n, 1 / 3
+            if row + column >= n:  # a triangle between those with the orientation of the face
+                row, column, share = n - 1 - row, n - 1 - column, 2 / 3
+            u, v = (row + share) / n, (column + share) / n
+            sample = samples[point]
+            for k in range(6):
+                sample[k] = u * values[a, k] + v * values[b, k] + (1 - (u + v)) * values[c, k]
+            length = np.sqrt(sample[3] ** 2 + sample[4] ** 2 + sample[5] ** 2)
+            for k in range(3, 6):
+                sample[k] /= length if length > 0 else 1.0
+            sample[6] = areas[f] / n**2
+            point += 1
+    return samples
+
+
+@njit(cache=True)
+def _vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """(n, 3) means of the normals of the faces at each vertex by their angles, not of unit length."""
     # Such normals do not depend on how the surface is triangulated: G. Thürmer and C. Wüthrich, "Computing
     # vertex normals from polygonal facets", Journal of Graphics Tools 3 (1998).
-    corners = mesh.vertices[mesh.faces]  # (m, 3, 3)
-    after, before = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
-    height = np.linalg.norm(np.cross(after, before), axis=2)
-    angles = np.arctan2(height, (after * before).sum(axis=2))  # (m, 3)
-    unit = mesh.area_vectors / np.maximum(mesh.face_areas, np.finfo(float).tiny)[:, np.newaxis]
-    weighted = angles[:, :, np.newaxis] * unit[:, np.newaxis]  # (m, 3, 3)
-    vertices = mesh.faces.ravel()
-    return np.column_stack(
-        [np.bincount(vertices, weighted[:, :, axis].ravel(), len(mesh.vertices)) for axis in range(3)]
-    )
-
-
-def _centres(n: int) -> FloatArray:
-    """(n², 3) barycentric coordinates of the centres of the triangles that n parts of each edge make."""
-    corner = np.column_stack(np.divmod(np.arange(n * n), n))  # (n², 2)
-    total = corner.sum(axis=1)
-    two = np.concatenate([corner[total < n] + 1 / 3, corner[total < n - 1] + 2 / 3]) / n
-    return np.column_stack([two, 1 - two.sum(axis=1)])
+    normals = np.zeros_like(vertices)
+    for f in range(len(faces)):
+        for k in range(3):
+            here, after, before = faces[f, k], faces[f, k - 2], faces[f, k - 1]
+            a, b, c = vertices[here, 0], vertices[here, 1], vertices[here, 2]
+            u, v, w = vertices[after, 0] - a, vertices[after, 1] - b, vertices[after, 2] - c
+            x, y, z = vertices[before, 0] - a, vertices[before, 1] - b, vertices[before, 2] - c
+            across = (v * z - w * y, w * x - u * z, u * y - v * x)
+            double = np.sqrt(across[0] ** 2 + across[1] ** 2 + across[2] ** 2)  # twice the area
+            angle = np.arctan2(double, u * x + v * y + w * z)
+            for axis in range(3):
+                normals[here, axis] += angle * across[axis] / max(double, np.finfo(np.float64).tiny)
+    return normals
 
 
 def _ball(radius: float) -> tuple[NDArray[np.intp], FloatArray]:

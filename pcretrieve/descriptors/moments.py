@@ -28,14 +28,14 @@ def moments(mesh: TriangleMesh) -> Signature:
 
 def in_principal_frame(mesh: TriangleMesh) -> TriangleMesh:
     """The surface of unit area, oriented outwards, with its centre and principal axes as the frame."""
-    areas, total = mesh.face_areas, mesh.area
-    if not 0 < total < np.inf:
+    areas = mesh.face_areas
+    if not 0 < (total := float(areas.sum())) < np.inf:
         raise DegenerateMeshError(f"a surface must have a positive area, got an area of {total:g}")
-    corners = mesh.vertices[mesh.faces]  # (m, 3, 3)
-    centre = areas @ corners.mean(axis=1) / total
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))  # (m, 3) each
+    centre = areas @ (a + b + c) / (3 * total)
     # The midpoints of the edges integrate quadratics over a triangle exactly.
-    middles = (corners + np.roll(corners, 1, axis=1)) / 2 - centre
-    axes = np.linalg.eigh(np.einsum("m,mki,mkj->ij", areas, middles, middles))[1]
+    middles = np.concatenate([a + b, b + c, c + a]) / 2 - centre
+    axes = np.linalg.eigh(middles.T @ (np.tile(areas, 3)[:, np.newaxis] * middles))[1]
     turned = TriangleMesh((mesh.vertices - centre) @ axes / np.sqrt(total), mesh.faces)
     return turned if turned.volume >= 0 else TriangleMesh(turned.vertices, turned.faces[:, ::-1])
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from pcretrieve.values import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, IntArray, TriangleMesh
 
 #: A set of voxels, or of other elements.
 Mask: TypeAlias = NDArray[np.bool_]
@@ -176,17 +176,12 @@ def _root(parent: NDArray[np.int64], run: int) -> int:
     return run
 
 
-# The squared distance of a voxel that no source has reached yet; in voxels².
-FAR = np.float32(1e18)
-
-
 @njit(cache=True)
 def distances(sources: Mask, limit: float) -> Voxels:
     """The Euclidean distance of each voxel to the nearest source voxel, at most `limit`, axis by axis [1]_.
 
-    Distances along the second axis are exact squares, and each further axis takes the minimum over the
-    neighbours on its lines. All loops are over lines of the last axis, which are contiguous, so that they
-    compute eight voxels at once; lines that are beyond the limit are skipped.
+    Distances along the last axis are exact, and each further axis takes the minimum over the neighbours on
+    its lines. This is done for whole planes, which are contiguous, so that it computes many voxels at once.
 
     References
     ----------
@@ -194,64 +189,47 @@ def distances(sources: Mask, limit: float) -> Voxels:
        n-dimensional digitized picture with applications", Pattern Recognition 27 (1994).
     """
     n_x, n_y, n_z = sources.shape
+    size = n_y * n_z
     reach = int(min(limit, max(n_x, n_y, n_z))) + 1
-    squares, largest, is_near = _squares_along_y(sources, min(limit * limit, FAR))
-    result = np.full(sources.shape, limit, dtype=np.float32)
+    squares = _squares_along_z(sources).reshape(n_x, size)
     for x in range(n_x):
-        for y in range(n_y):
-            line = squares[x, y].copy()  # numba compiles an assignment of an array for seconds
-            is_reached = is_near[x, y]
-            k = 1
-            # A square that is less than k² cannot become smaller by a neighbour k voxels away.
-            while k <= reach and k * k < largest[x, y]:
-                if x >= k and is_near[x - k, y]:
-                    _lower(line, squares[x - k, y], k)
-                    is_reached = True
-                if x + k < n_x and is_near[x + k, y]:
-                    _lower(line, squares[x + k, y], k)
-                    is_reached = True
-                k += 1
-            if not is_reached:
-                continue
-            best, deepest = result[x, y], np.float32(0)
-            for z in range(n_z):
-                best[z] = line[z]
-                deepest = max(deepest, line[z])
-            k = 1
-            while k <= reach and k < n_z and k * k < deepest:
-                _lower(best[: n_z - k], line[k:], k)
-                _lower(best[k:], line[: n_z - k], k)
-                k += 1
-            for z in range(n_z):
-                best[z] = min(np.sqrt(best[z]), np.float32(limit))
-    return result
+        best, before = squares[x], squares[x].copy()
+        # A square that is less than k² cannot become smaller by a neighbour k voxels away.
+        largest, k = before.max(), 1
+        while k <= reach and k < n_y and k * k < largest:
+            _lower(best[k * n_z :], before[: size - k * n_z], k)
+            _lower(best[: size - k * n_z], before[k * n_z :], k)
+            k += 1
+    result = squares.copy()
+    for x in range(n_x):
+        best = result[x]
+        largest, k = best.max(), 1
+        while k <= reach and k * k < largest:
+            if x >= k:
+                _lower(best, squares[x - k], k)
+            if x + k < n_x:
+                _lower(best, squares[x + k], k)
+            k += 1
+        for i in range(size):
+            best[i] = min(np.sqrt(best[i]), np.float32(limit))
+    return result.reshape(sources.shape)
 
 
 @njit(cache=True)
-def _squares_along_y(sources: Mask, most: float) -> tuple[Voxels, Voxels, Mask]:
-    """Squared distances along the second axis; of each line, the largest, and whether any is below `most`."""
+def _squares_along_z(sources: Mask) -> Voxels:
+    """Squared distances along the last axis."""
     n_x, n_y, n_z = sources.shape
     squares = np.empty(sources.shape, dtype=np.float32)
-    largest = np.empty((n_x, n_y), dtype=np.float32)
-    is_near = np.empty((n_x, n_y), dtype=np.bool_)
     for x in range(n_x):
         for y in range(n_y):
-            line, here = squares[x, y], sources[x, y]
-            before = squares[x, max(0, y - 1)]
+            line, here, away = squares[x, y], sources[x, y], np.float32(np.inf)
             for z in range(n_z):
-                step = before[z] + np.float32(1) if y else FAR
-                line[z] = np.float32(0) if here[z] else step
-        for y in range(n_y - 2, -1, -1):
-            line, after = squares[x, y], squares[x, y + 1]
-            for z in range(n_z):
-                line[z] = min(line[z], after[z] + np.float32(1))
-        for y in range(n_y):
-            line, highest, lowest = squares[x, y], np.float32(0), FAR
-            for z in range(n_z):
-                line[z] = min(line[z] * line[z], FAR)
-                highest, lowest = max(highest, line[z]), min(lowest, line[z])
-            largest[x, y], is_near[x, y] = highest, lowest < most
-    return squares, largest, is_near
+                away = np.float32(0) if here[z] else away + np.float32(1)
+                line[z] = away
+            for z in range(n_z - 1, -1, -1):
+                away = min(line[z], away + np.float32(1))
+                line[z] = away * away
+    return squares
 
 
 @njit(cache=True)
@@ -281,33 +259,34 @@ def interior(mesh: TriangleMesh, grid: Grid) -> Mask:
        techniques", IEEE Transactions on Visualization and Computer Graphics 9 (2003).
     """
     at = grid.coordinates(mesh.vertices) + DISPLACEMENT
-    triangles = at[mesh.faces]  # (m, 3, 3)
     votes = np.zeros(grid.shape, dtype=np.int8)
     for axis in range(3):
-        order = [*(other for other in range(3) if other != axis), axis]
-        turned = _winding(triangles[:, :, order], tuple(grid.shape[other] for other in order))
-        votes += np.transpose(turned != 0, np.argsort(order))
+        _vote(votes, at, mesh.faces, axis)
     return votes >= 2
 
 
-def _winding(triangles: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.int32]:
-    """Winding numbers of triangles (m, 3, 3) round the voxels of a grid, along the last axis."""
-    plane = triangles[:, :, :2]  # (m, 3, 2)
-    first = np.ceil(plane.min(axis=1)).astype(np.intp)  # (m, 2): the grid lines in the bounding rectangle
-    count = np.maximum(np.floor(plane.max(axis=1)).astype(np.intp) - first + 1, 0)
-    n_lines = count.prod(axis=1)
-    face = np.repeat(np.arange(len(triangles)), n_lines)  # (c,): one row for each pair of face and line
-    number = np.arange(len(face)) - np.repeat(np.cumsum(n_lines) - n_lines, n_lines)
-    rows, columns = np.divmod(number, count[face, 1])
-    line = first[face] + np.column_stack([rows, columns])  # (c, 2)
-    corners = plane[face] - line[:, np.newaxis]  # (c, 3, 2)
-    after, last = corners[:, [1, 2, 0]], corners[:, [2, 0, 1]]
-    # Twice the signed areas of the triangles of the line and one edge, the edge opposite each corner.
-    parts = after[:, :, 0] * last[:, :, 1] - after[:, :, 1] * last[:, :, 0]  # (c, 3)
-    crossed = (parts > 0).all(axis=1) | (parts < 0).all(axis=1)
-    face, line, parts = face[crossed], line[crossed], parts[crossed]
-    total = parts.sum(axis=1)
-    height = (parts * triangles[face, :, 2]).sum(axis=1) / total
-    crossings = np.zeros((shape[0], shape[1], shape[2] + 1), dtype=np.int32)
-    np.add.at(crossings, (*line.T, np.ceil(height).astype(np.intp)), np.sign(total).astype(np.int32))
-    return np.asarray(np.cumsum(crossings, axis=2, dtype=np.int32)[:, :, :-1])
+@njit(cache=True)
+def _vote(votes: NDArray[np.int8], at: FloatArray, faces: IntArray, axis: int) -> None:
+    """Add one for each voxel round which the winding number of a surface, along an axis, is not zero."""
+    turns = np.zeros(votes.shape, dtype=np.int32)  # by the crossings between a voxel and the one before
+    place = np.zeros(3, dtype=np.int64)
+    i, j = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
+    for f in range(len(faces)):
+        a, b, c = at[faces[f, 0]], at[faces[f, 1]], at[faces[f, 2]]
+        for u in range(int(np.ceil(min(a[i], b[i], c[i]))), int(np.floor(max(a[i], b[i], c[i]))) + 1):
+            for v in range(int(np.ceil(min(a[j], b[j], c[j]))), int(np.floor(max(a[j], b[j], c[j]))) + 1):
+                # Twice the signed areas of the triangles of the line and one edge, opposite each corner.
+                p = (b[i] - u) * (c[j] - v) - (b[j] - v) * (c[i] - u)
+                q = (c[i] - u) * (a[j] - v) - (c[j] - v) * (a[i] - u)
+                r = (a[i] - u) * (b[j] - v) - (a[j] - v) * (b[i] - u)
+                if not ((p > 0 and q > 0 and r > 0) or (p < 0 and q < 0 and r < 0)):
+                    continue
+                height = (p * a[axis] + q * b[axis] + r * c[axis]) / (p + q + r)
+                place[i], place[j], place[axis] = u, v, int(np.ceil(height))
+                turns[place[0], place[1], place[2]] += 1 if p > 0 else -1
+    before = (axis == 0, axis == 1, axis == 2)
+    for x in range(before[0], votes.shape[0]):
+        for y in range(before[1], votes.shape[1]):
+            for z in range(before[2], votes.shape[2]):
+                turns[x, y, z] += turns[x - before[0], y - before[1], z - before[2]]
+                votes[x, y, z] += turns[x, y, z] != 0
