@@ -200,7 +200,7 @@ def distances(sources: Mask, limit: float) -> Voxels:
             _lower(best[k * n_z :], before[: size - k * n_z], k)
             _lower(best[: size - k * n_z], before[k * n_z :], k)
             k += 1
-    result = squares.copy()
+    result: Voxels = squares.copy()
     for x in range(n_x):
         best = result[x]
         largest, k = best.max(), 1
