@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import re
 import shlex
+import subprocess
+from functools import partial
 from pathlib import Path
 
+import pytest
 from commands import NAMES, run
 
 import pcretrieve
@@ -59,7 +62,7 @@ def test_the_reference_has_the_public_names_and_no_others() -> None:
 
 
 def test_the_dockerfile_says_what_the_project_says() -> None:
-    """Where no Docker builds it, too: what it names is what the project has."""
+    """Where no Docker builds it: what it names is what the project has."""
     text, project = DOCKERFILE.replace("\\\n", ""), (ROOT / "pyproject.toml").read_text("utf-8")
     (python,) = re.findall(r"^FROM python:([\d.]+)-slim", text, re.M)
     assert f'"Programming Language :: Python :: {python}"' in project
@@ -71,6 +74,20 @@ def test_the_dockerfile_says_what_the_project_says() -> None:
     assert all((ROOT / name).exists() for name in copied)
     (command,) = re.findall(r'^ENTRYPOINT \["(.+?)"', text, re.M)
     assert f"\n{command} = " in project
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_the_image_is_built_and_makes_signatures() -> None:
+    docker = partial(subprocess.run, cwd=ROOT, check=True, capture_output=True, text=True)
+    try:
+        docker(["docker", "info"])
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("no Docker runs here")
+    docker(["docker", "build", "--network", "host", "-t", "pcretrieve", "."])
+    scan = "scans/person-1/person-1_walk.ply"
+    made = docker(["docker", "run", "--rm", "-v", f"{ROOT}:/data:ro", "pcretrieve", "lab", "signature", scan])
+    assert "person-1_walk" in made.stdout
 
 
 def test_commands_of_the_documents_exist() -> None:

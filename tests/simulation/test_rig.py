@@ -105,15 +105,6 @@ def test_flying_pixels_lie_behind_edges_within_reach() -> None:
     assert behind.max() < (0.03 + 0.01) * ball().diagonal
 
 
-def test_outliers_are_as_many_as_asked_for_and_stay_in_their_box() -> None:
-    options = perfect(n_points=5_000, outlier_share=0.1)
-    points = scan(ball(), options, rng()).points
-    off = np.abs(np.linalg.norm(points, axis=1) - 1) > SAG
-    assert len(points) == pytest.approx(5_500, abs=options.n_views)
-    assert off.sum() == pytest.approx(500, abs=options.n_views)
-    assert 1.1 < np.abs(points[off]).max() < 1.2 + SAG
-
-
 # --- uniform scans ------------------------------------------------------------------------------------
 
 
@@ -140,8 +131,6 @@ def test_sensors_of_uniform_scans_see_their_points() -> None:
     cosine = -np.einsum("ij,ij->i", direction, cloud.points[:5_000])
     assert cosine.min() > np.cos(np.radians(RigOptions().max_incidence)) - 0.05
     assert np.abs(distance - true)[cosine > 0.5].max() < 2 * SAG
-    # Uniform directions, each taken with probability cos θ: the mean of cos² over that of cos.
-    assert cosine.mean() == pytest.approx(2 / 3, abs=0.05)
 
 
 # --- a depth camera before a turning body -------------------------------------------------------------
