@@ -93,8 +93,7 @@ def serve(
     from pcretrieve.web.jobs import Jobs
     from pcretrieve.web.keeping import Collection
 
-    # The first map needs it, and its import takes .8 s.
-    threading.Thread(target=__import__, args=("sklearn.manifold",), daemon=True).start()
+    threading.Thread(target=__import__, args=("sklearn.manifold",), daemon=True).start()  # for maps, .8 s
     with Catalogue(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
         store.index(chosen)  # so that it is made, and what it lacks is said, before the first request
