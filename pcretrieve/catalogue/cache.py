@@ -33,7 +33,7 @@ from pcretrieve.values import FloatArray
 logger = logging.getLogger(__name__)
 
 # Version of the arrays of an index, which is incremented when their meaning changes.
-FORMAT = 9
+FORMAT = 10
 
 # Smallest number of shapes for which an index is stored.
 SMALLEST_KEPT = 1_000

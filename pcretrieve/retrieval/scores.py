@@ -304,7 +304,9 @@ def _certainty(trials: _Trials) -> FloatArray:
         value = float(trials.weights @ np.logaddexp(0, wrong) + ridge @ slopes**2)
         return value, (trials.weights / (1 + np.exp(-wrong))) @ signed + 2 * ridge * slopes
 
-    return np.asarray(minimize(loss, np.zeros(3), jac=True).x)
+    # A nearer shape and a farther next class never make an answer less sure.
+    bounds = [(None, None), (None, 0.0), (0.0, None)]
+    return np.asarray(minimize(loss, np.zeros(3), jac=True, bounds=bounds).x)
 
 
 def _mutual_pairs(logs: FloatArray, whitening: Whitening, distance: str) -> _Pairs:
