@@ -40,6 +40,7 @@ from pcretrieve.formats.identity import content_hash
 from pcretrieve.options import OptionsLike, PipelineOptions, SurfaceOptions
 from pcretrieve.pipeline import log_steps
 from pcretrieve.points import clean, crop, oriented_normals
+from pcretrieve.points.neighbors import Neighborhoods
 from pcretrieve.spectral import ELEMENTS, eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
 from pcretrieve.surface import SurfaceMarks, defects, reduced, remesh, sampled, sound_mesh, surfaces
 from pcretrieve.values import (
@@ -259,15 +260,15 @@ def _of_scan(value: PointCloud, options: PipelineOptions) -> Iterator[Seen]:
         bare = replace(cloud, normals=None)
     yield (seen := replace(seen, cropped=bare, cloud=bare))
     with in_stage(Stage.CLEAN):
-        cloud = clean(cloud, options.scan)
+        cloud, neighbors = clean(cloud, options.scan)
         bare = replace(cloud, normals=None)
     yield (seen := replace(seen, cleaned=bare, cloud=bare))
     with in_stage(Stage.ORIENT):
         origin = cloud.points.mean(axis=0)
-        cloud = oriented_normals(moved(cloud, -origin), options.scan)
+        cloud = oriented_normals(moved(cloud, -origin), options.scan, neighbors)
     yield (seen := replace(seen, cloud=moved(cloud, origin)))
     if ELEMENTS[options.spectral.element].needs != "points":
-        yield from _of_surfaces(seen, cloud, origin, options)
+        yield from _of_surfaces(seen, cloud, neighbors, origin, options)
 
 
 @cache
@@ -290,14 +291,14 @@ def compile_stages() -> None:
 
 
 def _of_surfaces(
-    seen: Seen, cloud: PointCloud, origin: FloatArray, options: PipelineOptions
+    seen: Seen, cloud: PointCloud, neighbors: Neighborhoods, origin: FloatArray, options: PipelineOptions
 ) -> Iterator[Seen]:
     """Yield the surfaces of points near the origin; the first before and after it is remeshed.
 
     origin: (3,) float64, that of the points in the frame of the scan.
     """
     with in_stage(Stage.SURFACE):
-        made = surfaces(cloud, options.surface)
+        made = surfaces(cloud, options.surface, neighbors)
         mesh, marks = next(made)
     if unused := options.surface.unused:
         ignored = f"surface.method = {options.surface.method!r} does not use {', '.join(unused)}"

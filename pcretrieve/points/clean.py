@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
 from pcretrieve.points.density import FARTHER, is_of_surface
-from pcretrieve.points.neighbors import neighborhoods, voxel_numbers
+from pcretrieve.points.neighbors import PLANE_NEIGHBORS, Neighborhoods, among, neighborhoods, voxel_numbers
 from pcretrieve.values import FloatArray, PointCloud, Step
 
 # Smallest number of points of a scan. With fewer points, limbs cannot be resolved.
@@ -38,13 +38,18 @@ LEAST_OUTLYING = 1.8
 MOST_SPARSE = 12
 
 
-def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
-    """Filter a cloud: average the points in each voxel, and remove statistical outliers."""
+def clean(cloud: PointCloud, options: ScanOptions) -> tuple[PointCloud, Neighborhoods]:
+    """Filter a cloud: average the points in each voxel, and remove statistical outliers.
+
+    Returns the points that remain, and their neighbours among them, which later stages use.
+    """
     started = time.perf_counter()
     check_extent(cloud.points, Stage.CLEAN)
     thinned, voxel = _thinned(cloud, options.voxel)
     check_extent(thinned.points, Stage.CLEAN)
-    is_inlier = _inliers(thinned, options)
+    k = max(options.normal_neighbors, PLANE_NEIGHBORS + 1)
+    neighbors = neighborhoods(thinned.points, max(options.outlier_neighbors, FARTHER + 1, k))
+    is_inlier = _inliers(thinned, neighbors, options)
     kept = thinned.select(np.flatnonzero(is_inlier))
     check_extent(kept.points, Stage.CLEAN)
     n_outliers = len(voxel) - int(is_inlier[voxel].sum())
@@ -55,20 +60,20 @@ def clean(cloud: PointCloud, options: ScanOptions) -> PointCloud:
         "points": len(kept.points),
         "outliers": n_outliers,
     }
-    return kept.after(Step("clean", time.perf_counter() - started, sizes, notes))
+    neighbors = among(kept.points, is_inlier, neighbors, k)
+    return kept.after(Step("clean", time.perf_counter() - started, sizes, notes)), neighbors
 
 
 def outliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.bool_]:
     """(n,) mask of the points that `clean` removes: those in voxels that are outliers."""
     thinned, voxel = _thinned(cloud, options.voxel)
-    return np.asarray(~_inliers(thinned, options)[voxel])
+    neighbors = neighborhoods(thinned.points, max(options.outlier_neighbors, FARTHER + 1))
+    return np.asarray(~_inliers(thinned, neighbors, options)[voxel])
 
 
-def _inliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.bool_]:
+def _inliers(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions) -> NDArray[np.bool_]:
     """Whether the mean distance of each point to its neighbours is not exceptional, (n,)."""
-    k = options.outlier_neighbors
-    neighbors = neighborhoods(cloud.points, max(k, FARTHER + 1))
-    distance = neighbors.distance[:, :k].mean(axis=1)  # (n,)
+    distance = neighbors.distance[:, : options.outlier_neighbors].mean(axis=1)  # (n,)
     apart = distance[distance > 0]  # not of points that coincide with all their neighbours
     if len(apart) < 2:
         return np.ones(len(distance), dtype=np.bool_)

@@ -337,6 +337,16 @@ def neighborhoods(points: FloatArray, k: int, *, of_some: bool = False) -> Neigh
     return Neighborhoods(*nearest(points, places, min(k, len(points))))
 
 
+def among(points: FloatArray, is_kept: NDArray[np.bool_], neighbors: Neighborhoods, k: int) -> Neighborhoods:
+    """The k nearest neighbours of the kept points, (m, 3), among themselves, from those of all points."""
+    k = min(k, len(points))
+    distance, near = neighbors.distance[is_kept, :k], neighbors.near[is_kept, :k]
+    short = np.flatnonzero(~is_kept[near].all(axis=1))
+    near = (np.cumsum(is_kept) - 1)[near]
+    distance[short], near[short] = nearest(points, points[short], k)
+    return Neighborhoods(distance, near)
+
+
 def spacing(neighbors: Neighborhoods) -> float:
     """The spacing of points: the square root of the area of surface for each point, in the median.
 

@@ -14,7 +14,7 @@ from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
 from pcretrieve.points.density import SAME_SIDE, disks, local_spacings, sparse_points
 from pcretrieve.points.neighbors import (
-    SPACING_NEIGHBORS,
+    PLANE_NEIGHBORS,
     Neighborhoods,
     guided_planes,
     neighborhoods,
@@ -51,8 +51,13 @@ N_COMPARED = 8
 Oriented = tuple[FloatArray, tuple[str, ...]]  # normals and notes
 
 
-def oriented_normals(cloud: PointCloud, options: ScanOptions) -> PointCloud:
-    """The points with unit normals that point out of the body, and a step ``orient`` in the provenance."""
+def oriented_normals(
+    cloud: PointCloud, options: ScanOptions, neighbors: Neighborhoods | None = None
+) -> PointCloud:
+    """The points with unit normals that point out of the body, and a step ``orient`` in the provenance.
+
+    neighbors: those of the points, at least as many as `options.normal_neighbors`, if they are known.
+    """
     started = time.perf_counter()
     method = options.orientation
     if method == "auto":
@@ -68,12 +73,14 @@ def oriented_normals(cloud: PointCloud, options: ScanOptions) -> PointCloud:
             Step("orient", time.perf_counter() - started, {}, ("used the file's own normals",))
         )
     orientations = {"viewpoint": _by_viewpoint, "flood": _by_flood, "tangent-plane": _by_tangent_planes}
-    oriented, notes = orientations[method](cloud, options)
+    if neighbors is None:
+        neighbors = neighborhoods(cloud.points, max(options.normal_neighbors, PLANE_NEIGHBORS + 1))
+    oriented, notes = orientations[method](cloud, neighbors, options)
     step = Step("orient", time.perf_counter() - started, {"points": len(oriented)}, notes)
     return replace(cloud, normals=oriented).after(step)
 
 
-def _by_viewpoint(cloud: PointCloud, options: ScanOptions) -> Oriented:
+def _by_viewpoint(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions) -> Oriented:
     """Normals towards the sensors; at grazing incidence the flood fill decides."""
     if cloud.viewpoints is None:
         raise ReconstructionError(
@@ -81,7 +88,6 @@ def _by_viewpoint(cloud: PointCloud, options: ScanOptions) -> Oriented:
             stage=Stage.ORIENT,
         )
     towards = _unit(cloud.viewpoints - cloud.points)
-    neighbors = _neighbors(cloud.points, options)
     outside, _, notes = _tight_flood(cloud, neighbors, options)
     if outside is not None:
         direction = outside.direction_at(cloud.points)
@@ -93,7 +99,7 @@ def _by_viewpoint(cloud: PointCloud, options: ScanOptions) -> Oriented:
     return _guided_normals(cloud.points, towards, neighbors, options), notes
 
 
-def _by_tangent_planes(cloud: PointCloud, options: ScanOptions) -> Oriented:
+def _by_tangent_planes(cloud: PointCloud, _: Neighborhoods, options: ScanOptions) -> Oriented:
     normals = estimate_normals(cloud.points, n_neighbors=options.normal_neighbors)
     oriented = orient_by_tangent_planes(cloud.points, normals, n_neighbors=options.normal_neighbors)
     # The outward normal of the highest point points upwards.
@@ -127,12 +133,11 @@ def orient_by_tangent_planes(points: FloatArray, normals: FloatArray, *, n_neigh
     return np.array(cloud.normals)
 
 
-def _by_flood(cloud: PointCloud, options: ScanOptions) -> Oriented:
+def _by_flood(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions) -> Oriented:
     """Normals towards the nearest outside; by tangent planes, if every flood fill leaks."""
-    neighbors = _neighbors(cloud.points, options)
     _, oriented, notes = _tight_flood(cloud, neighbors, options)
     if oriented is None:
-        oriented, _ = _by_tangent_planes(cloud, options)
+        oriented, _ = _by_tangent_planes(cloud, neighbors, options)
         notes = (*notes, "tangent planes decided which side is outside")
     return oriented, notes
 
@@ -202,8 +207,3 @@ def _agreement(oriented: FloatArray, neighbors: Neighborhoods, shallow: NDArray[
     cosines = np.einsum("ij,ikj->ik", oriented[shallow], oriented[near])
     pairs = shallow[near] & (abs(cosines) > PARALLEL)
     return float((pairs & (cosines > 0)).sum() / max(1, pairs.sum()))
-
-
-def _neighbors(points: FloatArray, options: ScanOptions) -> Neighborhoods:
-    """The neighbours that serve the normals, their agreement and the spacing."""
-    return neighborhoods(points, max(options.normal_neighbors, N_COMPARED + 1, SPACING_NEIGHBORS + 1))

@@ -21,7 +21,7 @@ import numpy as np
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.points.density import interpolated
+from pcretrieve.points.density import interpolated, local_spacings
 from pcretrieve.points.grid import Grid, Mask, Voxels
 from pcretrieve.points.neighbors import PLANE_NEIGHBORS, Neighborhoods, neighborhoods, noise, spacing
 from pcretrieve.points.outside import flood
@@ -87,7 +87,9 @@ class SurfaceMarks:
         return SurfaceMarks(self.cuts + by, self.bridges + by, self.base + by)
 
 
-def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[TriangleMesh, SurfaceMarks]]:
+def body_surfaces(
+    cloud: PointCloud, options: SurfaceOptions, neighbors: Neighborhoods | None = None
+) -> Iterator[tuple[TriangleMesh, SurfaceMarks]]:
     """Reconstruct the surface of the body that oriented points enclose, on several grids.
 
     Where the points are sparse beside the voxels, points are interpolated first. Near the points a voxel is
@@ -97,14 +99,21 @@ def body_surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[tuple[
 
     Each surface, closed, connected and manifold, is made on a grid of another voxel edge and another origin.
     The surfaces differ where the points do not determine the surface: where parts touch, and in thin parts.
+
+    neighbors: the `PLANE_NEIGHBORS` nearest of all points, or more, if they are known.
     """
     started = time.perf_counter()
-    neighbors = neighborhoods(cloud.points, PLANE_NEIGHBORS + 1, of_some=True)
-    least = spacing(neighbors)
-    size = _cell(cloud, neighbors, options)
+    if neighbors is None:
+        neighbors = neighborhoods(cloud.points, PLANE_NEIGHBORS + 1)
+    some = neighbors.some()
+    least = spacing(some)
+    size = _cell(cloud, some, options)
     n_measured = len(cloud.points)
-    cloud = interpolated(cloud, neighbors, cell=max(size, least))
-    coarse = coarse_surface(cloud, options, spacing=least)
+    cloud = interpolated(cloud, some, cell=max(size, least))
+    if len(cloud.points) > n_measured:
+        neighbors = neighborhoods(cloud.points, PLANE_NEIGHBORS + 1)
+    coarse = coarse_surface(cloud, options, local_spacings(neighbors), spacing=least)
+    del neighbors
     for number in range(options.reconstructions):
         cell = max(CELLS[number % len(CELLS)] * size, least)
         mesh, marks, step = _body_surface(cloud, coarse, cell, number * SHIFT % 1, options)

@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.points.density import local_spacings
 from pcretrieve.points.grid import Grid, Mask, Voxels
-from pcretrieve.points.neighbors import SPACING_NEIGHBORS, nearest, neighborhoods
+from pcretrieve.points.neighbors import nearest
 from pcretrieve.points.outside import sampled
 from pcretrieve.surface.caps import NO_CAP, Capped, capped
 from pcretrieve.surface.field import normals_of
@@ -187,26 +186,27 @@ FILL_SCALE = 1.5
 BASE_SCALE = 2.0
 
 
-def coarse_surface(cloud: PointCloud, options: SurfaceOptions, *, spacing: float) -> Capped:
+def coarse_surface(
+    cloud: PointCloud, options: SurfaceOptions, spacings: FloatArray, *, spacing: float
+) -> Capped:
     """Reconstruct a coarse surface, which decides far from the points.
 
     It is a level set of the indicator function of the body. If the points have large holes, or sensors from
     which parts of the body were hidden, it is a screened Poisson surface instead, which bulges out of large
     holes and is replaced by flat caps there. Its largest component is closed.
 
-    spacing: of the points.
+    spacings, spacing: (n,) `local_spacings` of the points, and `spacing` of all.
     """
     # See docs/decisions.md, LEVEL, for scans with sensor positions.
-    surface = _level_set(cloud, 2**options.fill_depth) if cloud.viewpoints is None else None
+    surface = _level_set(cloud, spacings, 2**options.fill_depth) if cloud.viewpoints is None else None
     if surface is None:
         return capped(_poisson_surface(cloud, options.fill_depth), cloud, spacing=spacing)
     return Capped(surface, np.full(len(surface.faces), NO_CAP))
 
 
-def _level_set(cloud: PointCloud, n: int) -> TriangleMesh | None:
+def _level_set(cloud: PointCloud, spacings: FloatArray, n: int) -> TriangleMesh | None:
     """The level set of the indicator function on a grid; None if it is empty, open, or has large holes."""
     grid = _grid(cloud.points, n)
-    spacings = local_spacings(neighborhoods(cloud.points, SPACING_NEIGHBORS + 1))
     values = indicator(cloud.points, normals_of(cloud), spacings, grid)
     at_points = float(sampled(values, grid.coordinates(cloud.points)).mean())
     level = np.float32(LEVEL * at_points)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import DegenerateMeshError, Stage
 from pcretrieve.options import SurfaceOptions
+from pcretrieve.points.neighbors import Neighborhoods
 from pcretrieve.surface.body import SurfaceMarks, body_surfaces
 from pcretrieve.surface.poisson import poisson_surface
 from pcretrieve.surface.repair import ONE_SIDED, denoised, outward, repaired, used_vertices
@@ -87,9 +88,11 @@ def _n_non_manifold(found: Defects) -> int:
 Reconstructed = tuple[TriangleMesh, SurfaceMarks | None]
 
 
-def surfaces(cloud: PointCloud, options: SurfaceOptions) -> Iterator[Reconstructed]:
-    """Reconstruct the surfaces of a cloud by the method of the options."""
+def surfaces(
+    cloud: PointCloud, options: SurfaceOptions, neighbors: Neighborhoods | None = None
+) -> Iterator[Reconstructed]:
+    """Reconstruct the surfaces of a cloud by the method of the options; `neighbors` as in `body_surfaces`."""
     if options.method == "poisson":
         yield poisson_surface(cloud, options), None
     else:
-        yield from body_surfaces(cloud, options)
+        yield from body_surfaces(cloud, options, neighbors)

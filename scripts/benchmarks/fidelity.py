@@ -500,7 +500,7 @@ def _right_normals(
     cloud = read_scan(path)
     if not isinstance(cloud, PointCloud):
         return None
-    oriented = oriented_normals(clean(cloud, options.scan), options.scan)
+    oriented = oriented_normals(clean(cloud, options.scan)[0], options.scan)
     _, nearest = cKDTree(places).query(oriented.points)
     agreement = np.einsum("ij,ij->i", np.asarray(oriented.normals), normals[nearest])
     return float((agreement > 0).mean())

@@ -27,7 +27,7 @@ def gaps(gallery: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def test_one_point_is_left_of_each_voxel_and_none_moves_beyond_it() -> None:
-    thinned = clean(BODY, COARSE)
+    thinned = clean(BODY, COARSE)[0]
     cell = VOXEL * BODY.diagonal
     assert gaps(BODY.points, thinned.points).max() <= np.sqrt(3) * cell
     assert thinned.provenance[-1].sizes["points_thinned"] < 0.5 * len(BODY.points)
@@ -38,11 +38,11 @@ def test_outliers_go_and_the_body_stays() -> None:
     rng = np.random.default_rng(0)
     outliers = 3 * BODY.diagonal * (rng.random((20, 3)) - 0.5)
     far_from_body = gaps(BODY.points, outliers) > 0.1 * BODY.diagonal
-    cleaned = clean(PointCloud(np.concatenate([BODY.points, outliers[far_from_body]])), OPTIONS)
+    cleaned = clean(PointCloud(np.concatenate([BODY.points, outliers[far_from_body]])), OPTIONS)[0]
     assert gaps(BODY.points, cleaned.points).max() < 0.02 * BODY.diagonal
     assert gaps(cleaned.points, BODY.points).max() < 0.02 * BODY.diagonal
     assert any("as outliers" in note for note in cleaned.provenance[-1].notes)
-    assert clean(BODY, OPTIONS).provenance[-1].sizes["outliers"] == 0  # of an exact surface, none
+    assert clean(BODY, OPTIONS)[0].provenance[-1].sizes["outliers"] == 0  # of an exact surface, none
 
 
 def test_strays_beside_a_sparse_side_go_and_its_points_stay() -> None:
@@ -51,7 +51,7 @@ def test_strays_beside_a_sparse_side_go_and_its_points_stay() -> None:
     body = dense[(dense[:, 0] < 0) | (rng.random(len(dense)) < 0.05)]
     strays = (rng.random((80, 3)) - 0.5) * 1.2 * np.ptp(dense, axis=0) + dense.mean(axis=0)
     strays = strays[gaps(dense, strays) > 0.03 * BODY.diagonal]
-    cleaned = clean(PointCloud(np.concatenate([body, strays])), ScanOptions(voxel=0)).points
+    cleaned = clean(PointCloud(np.concatenate([body, strays])), ScanOptions(voxel=0))[0].points
     assert gaps(cleaned, strays).min() > 0
     assert gaps(cleaned, body).max() == 0
 
@@ -59,7 +59,7 @@ def test_strays_beside_a_sparse_side_go_and_its_points_stay() -> None:
 def test_each_point_keeps_a_sensor_that_saw_its_voxel() -> None:
     left = BODY.points[:, 0] < 0
     sensors = np.where(left[:, None], [-9.0, 0, 0], [9.0, 0, 0])
-    cleaned = clean(replace(BODY, viewpoints=sensors), COARSE)
+    cleaned = clean(replace(BODY, viewpoints=sensors), COARSE)[0]
     cell = VOXEL * BODY.diagonal
     clear = np.abs(cleaned.points[:, 0]) > cell
     assert cleaned.viewpoints is not None

@@ -191,7 +191,8 @@ def test_the_indicator_function_is_one_inside_and_zero_outside(unit: float) -> N
 def test_small_holes_are_closed_and_large_ones_are_capped() -> None:
     for height, expected, error in ((2.0, 1.0, 0.07), (0.996, 1.0, 0.07), (0.7, 0.7, 0.04)):
         cloud = ON_EGG.select(ON_EGG.points[:, 2] < height)
-        found = coarse_surface(cloud, SurfaceOptions(), spacing=spacing(neighborhoods(cloud.points, 9)))
+        around = neighborhoods(cloud.points, 9)
+        found = coarse_surface(cloud, SurfaceOptions(), local_spacings(around), spacing=spacing(around))
         assert defects(found.surface).boundary_edges == 0
         assert found.surface.volume == pytest.approx(volume_below(expected), rel=error)
         assert (found.cap != NO_CAP).any() == (height == 0.7)
