@@ -32,6 +32,7 @@ LEAST_QUALITY = 0.5
 
 Keys = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+Point = tuple[float, float, float]
 
 
 def simplified(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
@@ -99,7 +100,8 @@ def _twins(corners: IntArray, n_vertices: int) -> tuple[IntArray, int]:
     for h in range(len(corners)):
         tail, head = corners[h], corners[_next(h)]
         n_back = 0
-        for g in leaving[starts[head] : starts[head + 1]]:
+        for i in range(starts[head], starts[head + 1]):
+            g = leaving[i]
             if corners[_next(g)] == tail:
                 twin[h] = g
                 n_back += 1
@@ -126,23 +128,29 @@ def _quadrics(vertices: FloatArray, corners: IntArray) -> tuple[FloatArray, floa
     quadrics = np.zeros((len(vertices), 6))
     area = 0.0
     for f in range(0, len(corners), 3):
-        x, y, z, double = _normal(vertices[corners[f]], vertices[corners[f + 1]], vertices[corners[f + 2]])
+        a, b, c = _at(vertices, corners[f]), _at(vertices, corners[f + 1]), _at(vertices, corners[f + 2])
+        x, y, z, double = _normal(a, b, c)
         area += double / 2
         even = EVENNESS * double / 6
         steep = 1 / (6 * double) if double > 0 else 0.0  # (x, y, z) has the length `double`
         for v in corners[f : f + 3]:
-            q = quadrics[v]
-            q[0] += steep * x * x + even
-            q[1] += steep * y * y + even
-            q[2] += steep * z * z + even
-            q[3] += steep * x * y
-            q[4] += steep * x * z
-            q[5] += steep * y * z
+            quadrics[v, 0] += steep * x * x + even
+            quadrics[v, 1] += steep * y * y + even
+            quadrics[v, 2] += steep * z * z + even
+            quadrics[v, 3] += steep * x * y
+            quadrics[v, 4] += steep * x * z
+            quadrics[v, 5] += steep * y * z
     return quadrics, area
 
 
 @njit(cache=True)
-def _normal(a: FloatArray, b: FloatArray, c: FloatArray) -> tuple[float, float, float, float]:
+def _at(vertices: FloatArray, v: int) -> Point:
+    # Numbers, because counting the references to a row of an array takes longer than the arithmetic.
+    return vertices[v, 0], vertices[v, 1], vertices[v, 2]
+
+
+@njit(cache=True)
+def _normal(a: Point, b: Point, c: Point) -> tuple[float, float, float, float]:
     """The normal of a triangle with twice its area as the length, and this length."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -151,26 +159,25 @@ def _normal(a: FloatArray, b: FloatArray, c: FloatArray) -> tuple[float, float, 
 
 
 @njit(cache=True)
-def _times(q: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
+def _times(q: FloatArray, u: int, x: float, y: float, z: float) -> Point:
     return (
-        q[0] * x + q[3] * y + q[4] * z,
-        q[3] * x + q[1] * y + q[5] * z,
-        q[4] * x + q[5] * y + q[2] * z,
+        q[u, 0] * x + q[u, 3] * y + q[u, 4] * z,
+        q[u, 3] * x + q[u, 1] * y + q[u, 5] * z,
+        q[u, 4] * x + q[u, 5] * y + q[u, 2] * z,
     )
 
 
 @njit(cache=True)
-def _meeting(vertices: FloatArray, quadrics: FloatArray, u: int, v: int, place: FloatArray) -> float:
-    """Write the minimum of the quadrics of two vertices to `place`; return its additional cost."""
+def _meeting(vertices: FloatArray, q: FloatArray, u: int, v: int) -> tuple[float, Point]:
+    """The additional cost of the minimum of the quadrics of two vertices, and its place."""
     # Each vertex is at the minimum of its own quadric, so that a displacement y costs yᵀ Q y more. The
     # minimum x of the sum solves Q_u (x − u) + Q_v (x − v) = 0.
-    p, q = quadrics[u], quadrics[v]
     dx = vertices[v, 0] - vertices[u, 0]
     dy = vertices[v, 1] - vertices[u, 1]
     dz = vertices[v, 2] - vertices[u, 2]
-    bx, by, bz = _times(q, dx, dy, dz)
-    xx, yy, zz = p[0] + q[0], p[1] + q[1], p[2] + q[2]
-    xy, xz, yz = p[3] + q[3], p[4] + q[4], p[5] + q[5]
+    bx, by, bz = _times(q, v, dx, dy, dz)
+    xx, yy, zz = q[u, 0] + q[v, 0], q[u, 1] + q[v, 1], q[u, 2] + q[v, 2]
+    xy, xz, yz = q[u, 3] + q[v, 3], q[u, 4] + q[v, 4], q[u, 5] + q[v, 5]
     # The inverse of a symmetric 3 × 3 matrix by its cofactors.
     cxx, cxy, cxz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     cyy, cyz, czz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
@@ -178,10 +185,10 @@ def _meeting(vertices: FloatArray, quadrics: FloatArray, u: int, v: int, place: 
     x = (cxx * bx + cxy * by + cxz * bz) / determinant
     y = (cxy * bx + cyy * by + cyz * bz) / determinant
     z = (cxz * bx + cyz * by + czz * bz) / determinant
-    place[0], place[1], place[2] = vertices[u, 0] + x, vertices[u, 1] + y, vertices[u, 2] + z
-    px, py, pz = _times(p, x, y, z)
-    qx, qy, qz = _times(q, dx - x, dy - y, dz - z)
-    return float(x * px + y * py + z * pz + (dx - x) * qx + (dy - y) * qy + (dz - z) * qz)
+    px, py, pz = _times(q, u, x, y, z)
+    qx, qy, qz = _times(q, v, dx - x, dy - y, dz - z)
+    cost = float(x * px + y * py + z * pz + (dx - x) * qx + (dy - y) * qy + (dz - z) * qz)
+    return cost, (vertices[u, 0] + x, vertices[u, 1] + y, vertices[u, 2] + z)
 
 
 @njit(cache=True)
@@ -218,14 +225,14 @@ def _rise(heap: Keys, at: int) -> None:
 
 
 @njit(cache=True)
-def _keeps_shape(vertices: FloatArray, corners: IntArray, twin: IntArray, h: int, place: FloatArray) -> bool:
+def _keeps_shape(vertices: FloatArray, corners: IntArray, twin: IntArray, h: int, place: Point) -> bool:
     """Whether no face turns over, or becomes a sliver, if both ends of a half-edge move to `place`."""
     poorest_before, poorest = np.inf, np.inf
     for start in (h, twin[h]):
-        old = vertices[corners[start]]
+        old = _at(vertices, corners[start])
         g = start
         while True:
-            b, c = vertices[corners[_next(g)]], vertices[corners[_previous(g)]]
+            b, c = _at(vertices, corners[_next(g)]), _at(vertices, corners[_previous(g)])
             ox, oy, oz, before = _normal(old, b, c)
             poorest_before = min(poorest_before, _quality(old, b, c, before))
             following = twin[_previous(g)]
@@ -241,7 +248,7 @@ def _keeps_shape(vertices: FloatArray, corners: IntArray, twin: IntArray, h: int
 
 
 @njit(cache=True)
-def _quality(a: FloatArray, b: FloatArray, c: FloatArray, double: float) -> float:
+def _quality(a: Point, b: Point, c: Point, double: float) -> float:
     """4√3 area / Σ sides² of a triangle, where `double` is twice its area."""
     squares = 0.0
     for k in range(3):
@@ -293,13 +300,12 @@ def _queue(
     edge = np.empty(len(corners), dtype=np.int32)
     half = np.empty(len(corners) // 2, dtype=np.int32)
     heap = np.empty(len(half), dtype=np.int64)
-    place = np.empty(3)
     size = 0
     for h in range(len(corners)):
         if h < twin[h]:
             edge[h] = edge[twin[h]] = size
             half[size] = h
-            cost = _meeting(vertices, quadrics, corners[h], corners[twin[h]], place)
+            cost, _ = _meeting(vertices, quadrics, corners[h], corners[twin[h]])
             heap[size] = _key(cost / area, size)
             size += 1
     for at in range(size // 2 - 1, -1, -1):
@@ -352,7 +358,6 @@ def _collapsed(
     spent = np.zeros(len(vertices))  # the value of the quadric of each vertex at its position
     moved = np.zeros(len(vertices), dtype=np.int32)  # the step in which it was moved to its position
     mark = np.zeros(len(vertices), dtype=np.int32)
-    place = np.empty(3)
     edge, half, heap = _queue(vertices, corners, twin, quadrics, area)
     size = len(heap)
     known = np.zeros(len(half), dtype=np.int32)  # the step in which the cost of the edge was computed
@@ -364,7 +369,8 @@ def _collapsed(
         h = half[e]
         if h >= 0:
             u, v = corners[h], corners[twin[h]]
-            cost = _meeting(vertices, quadrics, u, v, place) + spent[u] + spent[v]
+            added, place = _meeting(vertices, quadrics, u, v)
+            cost = added + spent[u] + spent[v]
             if max(moved[u], moved[v]) > known[e]:
                 # Lazy update: costs never decrease, so that the first edge whose cost is up to date is the
                 # minimum.
