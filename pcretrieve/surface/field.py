@@ -106,25 +106,33 @@ def hidden_below(diagonal: float, cell: float) -> float:
 def _fitted(at: FloatArray, normals: FloatArray, to_points: Voxels) -> Voxels:
     """Distances to the sphere u₀ + u·p + q p·p = 0 that is fitted near each voxel."""
     distance = np.full(to_points.shape, np.nan, dtype=np.float32)
-    number, n = _numbers(to_points)
-    weights, sums = _summed(at, normals, number, n)
+    # The number, in order, of each voxel that may have a point within `REACH`: a point is at most half a
+    # diagonal of a voxel away from the centre of its own voxel.
+    numbers, n = np.full(to_points.size, -1, dtype=np.int32), 0
+    for i, away in enumerate(to_points.ravel()):
+        if away <= REACH + np.sqrt(3) / 2:
+            numbers[i] = n
+            n += 1
+    number = numbers.reshape(to_points.shape)
+    sums = _summed(at, normals, number, n)
     n_x, n_y, n_z = to_points.shape
     for x in range(n_x):
         for y in range(n_y):
             for z in range(n_z):
                 k = number[x, y, z]
-                if k < 0 or np.float32(weights[k]) <= np.float32(LEAST_WEIGHT):
+                if k < 0 or np.float32(sums[k, 0]) <= np.float32(LEAST_WEIGHT):
                     continue
-                s, w = sums[k], weights[k]
+                w, p, r, s = sums[k, 0], sums[k, 1], sums[k, 2], sums[k, 3]
+                d, e, f = sums[k, 4], sums[k, 5], sums[k, 6]
                 # The sums relative to the centre of the voxel.
-                a, b, c = s[0] - x * w, s[1] - y * w, s[2] - z * w
-                squares = s[6] - x * (s[0] + a) - y * (s[1] + b) - z * (s[2] + c)
-                along = s[7] - x * s[3] - y * s[4] - z * s[5]
+                a, b, c = p - x * w, r - y * w, s - z * w
+                squares = sums[k, 7] - x * (p + a) - y * (r + b) - z * (s + c)
+                along = sums[k, 8] - x * d - y * e - z * f
                 extent = squares - (a * a + b * b + c * c) / w
                 q = 0.0
                 if extent > LEAST_EXTENT * w:
-                    q = CURVATURE * (along - (a * s[3] + b * s[4] + c * s[5]) / w) / (2 * extent)
-                u, v, t = (s[3] - 2 * q * a) / w, (s[4] - 2 * q * b) / w, (s[5] - 2 * q * c) / w
+                    q = CURVATURE * (along - (a * d + b * e + c * f) / w) / (2 * extent)
+                u, v, t = (d - 2 * q * a) / w, (e - 2 * q * b) / w, (f - 2 * q * c) / w
                 u_0 = -(u * a + v * b + t * c + q * squares) / w
                 # Minus the root d of u₀ + |u| d + q d² that stays finite as q → 0; if it is not real, the
                 # distance to the centre of the sphere.
@@ -134,44 +142,29 @@ def _fitted(at: FloatArray, normals: FloatArray, to_points: Voxels) -> Voxels:
     return distance
 
 
-@njit(cache=True)
-def _numbers(to_points: Voxels) -> tuple[IntArray, int]:
-    """Number, in order, of each voxel that may have a point within `REACH`, −1 elsewhere; and how many."""
-    number = np.empty(to_points.shape, dtype=np.int32)
-    n = 0
-    # A point is at most half a diagonal of a voxel away from the centre of its own voxel.
-    farthest = REACH + np.sqrt(3) / 2
-    for x in range(to_points.shape[0]):
-        for y in range(to_points.shape[1]):
-            for z in range(to_points.shape[2]):
-                is_near = to_points[x, y, z] <= farthest
-                number[x, y, z] = n if is_near else -1
-                n += is_near
-    return number, n
-
-
 @njit(cache=True, error_model="numpy")
-def _summed(at: FloatArray, normals: FloatArray, number: IntArray, n: int) -> tuple[FloatArray, FloatArray]:
-    """(n,) sums of the weights w, and (n, 8) of w p, w n, w p·p, w p·n over the points p near each voxel."""
+def _summed(at: FloatArray, normals: FloatArray, number: IntArray, n: int) -> FloatArray:
+    """(n, 9) sums of the weights w, and of w p, w n, w p·p, w p·n over the points p near each voxel."""
     n_x, n_y, n_z = number.shape
-    weights, sums = np.zeros(n), np.zeros((n, 8))
-    # The Gaussian weight is a product of factors for the axes.
+    sums = np.zeros(9 * n)
+    # The Gaussian weight is a product of factors for the axes. The terms of one line of voxels, up to the
+    # factors of the two other axes, are contiguous, as the sums are, so that several are added at once.
     side = int(2 * REACH) + 2
-    of_y, of_z = np.empty(side), np.empty(side)
+    of_y, terms = np.empty(side), np.empty(9 * side)
     narrow = 1 / (2 * SPREAD * SPREAD)
-    one = np.empty(8)
     for i in range(len(at)):
         x, y, z = at[i, 0], at[i, 1], at[i, 2]
-        for axis in range(3):
-            one[axis], one[3 + axis] = at[i, axis], normals[i, axis]
-        one[6] = x * x + y * y + z * z
-        one[7] = x * one[3] + y * one[4] + z * one[5]
+        a, b, c = normals[i, 0], normals[i, 1], normals[i, 2]
+        square, along = x * x + y * y + z * z, x * a + y * b + z * c
         v_low, v_high = max(0, int(np.ceil(y - REACH))), min(n_y, int(y + REACH) + 1)
         w_low, w_high = max(0, int(np.ceil(z - REACH))), min(n_z, int(z + REACH) + 1)
         for v in range(v_low, v_high):
             of_y[v - v_low] = np.exp(-narrow * (y - v) ** 2)
         for w in range(w_low, w_high):
-            of_z[w - w_low] = np.exp(-narrow * (z - w) ** 2)
+            of_z, t = np.exp(-narrow * (z - w) ** 2), 9 * (w - w_low)
+            terms[t], terms[t + 1], terms[t + 2], terms[t + 3] = of_z, of_z * x, of_z * y, of_z * z
+            terms[t + 4], terms[t + 5], terms[t + 6] = of_z * a, of_z * b, of_z * c
+            terms[t + 7], terms[t + 8] = of_z * square, of_z * along
         for u in range(max(0, int(np.ceil(x - REACH))), min(n_x, int(x + REACH) + 1)):
             of_x = np.exp(-narrow * (x - u) ** 2)
             for v in range(v_low, v_high):
@@ -181,11 +174,14 @@ def _summed(at: FloatArray, normals: FloatArray, number: IntArray, n: int) -> tu
                 half = np.sqrt(rest)
                 first, last = max(0, int(np.ceil(z - half))), min(n_z, int(z + half) + 1)
                 of_line = of_x * of_y[v - v_low]
-                k = number[u, v, first]  # the numbers of the voxels on this line are consecutive
-                for w in range(first, last):
-                    weight = of_line * of_z[w - w_low]
-                    weights[k] += weight
-                    for j in range(8):
-                        sums[k, j] += weight * one[j]
-                    k += 1
-    return weights, sums
+                if first < last:  # the numbers of the voxels on this line are consecutive
+                    begin, end = 9 * (first - w_low), 9 * (last - w_low)
+                    _add(sums, 9 * number[u, v, first], terms, begin, end, of_line)
+    return sums.reshape(n, 9)
+
+
+@njit(cache=True)
+def _add(sums: FloatArray, at: int, terms: FloatArray, begin: int, end: int, factor: float) -> None:
+    here, more = sums[at : at + end - begin], terms[begin:end]
+    for j in range(len(here)):
+        here[j] += factor * more[j]
