@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.grid import Mask, Voxels, distances, touching
 from pcretrieve.points.outside import FARTHEST
-from pcretrieve.surface.marching import marched
+from pcretrieve.surface.marching import marched, voxels_of
 from pcretrieve.values import TriangleMesh
 
 Links = NDArray[np.int32]
@@ -217,19 +217,14 @@ def with_topology(
     body = grown(inside, depth, to_points, walls)
     if options.genus not in ("sphere", 0):
         body = _with_handles(inside, body, depth, options.genus, notes)
-    return body, _voxels(inside & ~body)
-
-
-def _voxels(mask: Mask) -> NDArray[np.intp]:
-    """(k, 3) voxels of a set."""
-    return np.stack(np.unravel_index(np.flatnonzero(mask), mask.shape), axis=1)
+    return body, voxels_of(inside & ~body)
 
 
 def _with_handles(inside: Mask, body: Mask, depth: Voxels, genus: str | int, notes: list[str]) -> Mask:
     """The body after restoring the handles with the thickest cuts, as many as the genus requires."""
     # A contact is thin compared with the limbs, a true handle is not: ``auto`` restores the handles whose
     # cuts are at least `HANDLE` as deep as the body. Each component of the removed voxels is a cut.
-    left_out = _voxels(inside & ~body)  # (k, 3)
+    left_out = voxels_of(inside & ~body)  # (k, 3)
     cut_of = touching(left_out)
     n_cuts = int(cut_of.max(initial=-1)) + 1
     thickness = np.zeros(n_cuts)

@@ -155,35 +155,13 @@ def _triangulated(
 
 def crossed(body: Mask) -> list[NDArray[np.intp]]:
     """For each axis, the (k, 3) voxels of which the next is not in the set if they are, or the reverse."""
-    return [_crossed(body, int(x), int(y), int(z)) for x, y, z in np.eye(3)]
+    pairs = (body[1:], body[:-1]), (body[:, 1:], body[:, :-1]), (body[:, :, 1:], body[:, :, :-1])
+    return [voxels_of(after != here) for after, here in pairs]
 
 
-@njit(cache=True)
-def _crossed(body: Mask, along_x: int, along_y: int, along_z: int) -> NDArray[np.intp]:
-    """The voxels of which the next one along an axis differs."""
-    a, b, c = body.shape[0] - along_x, body.shape[1] - along_y, body.shape[2] - along_z
-    on_line = np.zeros((a, b), dtype=np.int64)
-    n_found = 0
-    for x in range(a):
-        for y in range(b):
-            here, after = body[x, y], body[x + along_x, y + along_y]
-            n = 0
-            for z in range(c):
-                n += here[z] != after[z + along_z]
-            on_line[x, y] = n
-            n_found += n
-    found = np.empty((n_found, 3), dtype=np.intp)
-    n = 0
-    for x in range(a):
-        for y in range(b):
-            if on_line[x, y] == 0:
-                continue
-            here, after = body[x, y], body[x + along_x, y + along_y]
-            for z in range(c):
-                if here[z] != after[z + along_z]:
-                    found[n, 0], found[n, 1], found[n, 2] = x, y, z
-                    n += 1
-    return found
+def voxels_of(mask: Mask) -> NDArray[np.intp]:
+    """(k, 3) voxels of a set."""
+    return np.stack(np.unravel_index(np.flatnonzero(mask), mask.shape), axis=1)
 
 
 @cache
@@ -251,12 +229,9 @@ def _cube_faces() -> list[list[int]]:
     """The corners of each face of a cube, counter-clockwise seen from outside the cube."""
     faces = []
     for axis in range(3):
+        along, across, up = (4 >> (axis + k) % 3 for k in range(3))
         for side in (0, 1):
-            ring = []
-            for u, v in ((0, 0), (1, 0), (1, 1), (0, 1)):
-                corner = [0, 0, 0]
-                corner[axis], corner[(axis + 1) % 3], corner[(axis + 2) % 3] = side, u, v
-                ring.append(corner[0] * 4 + corner[1] * 2 + corner[2])
+            ring = [side * along + u * across + v * up for u, v in ((0, 0), (1, 0), (1, 1), (0, 1))]
             faces.append(ring if side else ring[::-1])
     return faces
 
@@ -266,24 +241,37 @@ SHRINK, SWELL = 0.5, -0.53
 
 
 def smoothed(vertices: FloatArray, faces: IntArray, moving: NDArray[np.intp], n_rounds: int) -> FloatArray:
-    """(n, 3) vertices of a surface, of which those with the numbers `moving` are smoothed [1]_.
+    """(n, 3) vertices of a closed manifold, of which those with the numbers `moving` are smoothed [1]_.
 
     References
     ----------
     .. [1] Taubin, "A signal processing approach to fair surface design", SIGGRAPH 1995.
     """
-    from scipy.sparse import csr_array
+    result: FloatArray = vertices.copy()
+    _smooth(result, faces, moving, np.array(n_rounds * [SHRINK, SWELL]))
+    return result
 
-    if not len(moving):
-        return vertices
-    n = len(vertices)
-    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])  # (3m, 2)
-    near = csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n))
-    near = (near + near.T)[moving]  # (k, n)
-    near.data[:] = 1
-    weights = 1 / near.sum(axis=1)[:, None]
-    result = vertices.copy()
-    for _ in range(n_rounds):
-        for factor in (SHRINK, SWELL):
-            result[moving] += factor * (weights * (near @ result) - result[moving])
-    return np.asarray(result)
+
+@njit(cache=True)
+def _smooth(vertices: FloatArray, faces: IntArray, moving: NDArray[np.intp], factors: FloatArray) -> None:
+    number = np.full(len(vertices), -1, dtype=np.int32)
+    number[moving] = np.arange(len(moving))
+    counts = np.bincount(number[faces.ravel()] + 1, minlength=len(moving) + 1)
+    counts[0] = 0
+    starts = np.cumsum(counts)
+    fill, near = starts.copy(), np.empty(starts[-1], dtype=np.int32)  # the neighbours of each moving vertex
+    for f in range(len(faces)):
+        for k in range(3):
+            i = number[faces[f, k]]
+            if i >= 0:
+                near[fill[i]] = faces[f, (k + 1) % 3]
+                fill[i] += 1
+    after = np.empty((len(moving), 3))
+    for factor in factors:
+        for i in range(len(moving)):
+            for axis in range(3):
+                total, here = 0.0, vertices[moving[i], axis]
+                for j in range(starts[i], starts[i + 1]):
+                    total += vertices[near[j], axis]
+                after[i, axis] = here + factor * (total / (starts[i + 1] - starts[i]) - here)
+        vertices[moving] = after

@@ -128,12 +128,13 @@ def contact_layer(inside: Mask, walls: Mask, continued: Mask, to_points: Voxels)
     Returns (a, b, c) bool: the voxels of the layer. All False if there are so many that noise is the cause.
     """
     middle = int(np.where(inside, to_points, -1).argmax())
-    found = _contacts(inside, _from_limb(inside, walls, middle), DETOUR)
-    most = MOST_CONTACTS * _n_boundary_voxels(inside)
+    found, n_boundary = _contacts(inside, _from_limb(inside, walls, middle), DETOUR)
+    most = MOST_CONTACTS * n_boundary
     if found.sum() > most:
         return np.zeros_like(found)
     if continued.any():
-        further = found | _contacts(inside, _from_limb(inside, walls | continued, middle), LONG_DETOUR)
+        further, _ = _contacts(inside, _from_limb(inside, walls | continued, middle), LONG_DETOUR)
+        further |= found
         found = further if further.sum() <= most else found
     return found
 
@@ -171,39 +172,24 @@ def _away(inside: Mask, walls: Mask, source: int) -> NDArray[np.int32]:
 
 
 @njit(cache=True)
-def _n_boundary_voxels(inside: Mask) -> int:
-    """Number of boundary voxels: inside, and 18-adjacent to a voxel outside."""
-    n_x, n_y, n_z = inside.shape
-    size = 0
-    for x in range(1, n_x - 1):
-        for y in range(1, n_y - 1):
-            for z in range(1, n_z - 1):
-                if not inside[x, y, z]:
-                    continue
-                bare = False
-                for u in range(-1, 2):
-                    for v in range(-1, 2):
-                        for w in range(-1, 2):
-                            bare |= abs(u) + abs(v) + abs(w) < 3 and not inside[x + u, y + v, z + w]
-                size += bare
-    return size
+def _contacts(inside: Mask, away: NDArray[np.int32], detour: int) -> tuple[Mask, int]:
+    """Voxels at which the distance jumps: to a 6-neighbour or, if not reached, around the voxel.
 
-
-@njit(cache=True)
-def _contacts(inside: Mask, away: NDArray[np.int32], detour: int) -> Mask:
-    """Voxels at which the distance jumps: to a 6-neighbour or, if not reached, around the voxel."""
+    And the number of boundary voxels: inside, and 18-adjacent to a voxel outside.
+    """
     n_x, n_y, n_z = inside.shape
-    found = np.zeros(inside.shape, dtype=np.bool_)
+    found, n_boundary = np.zeros(inside.shape, dtype=np.bool_), 0
     for x in range(1, n_x - 1):
         for y in range(1, n_y - 1):
             for z in range(1, n_z - 1):
                 if not inside[x, y, z]:
                     continue
                 here = away[x, y, z]
-                near, far = 1 << 30, here
+                near, far, bare = 1 << 30, here, False
                 for u in range(-1, 2):
                     for v in range(-1, 2):
                         for w in range(-1, 2):
+                            bare |= abs(u) + abs(v) + abs(w) < 3 and not inside[x + u, y + v, z + w]
                             there = away[x + u, y + v, z + w]
                             if there < 0 or (here >= 0 and abs(u) + abs(v) + abs(w) > 1):
                                 continue
@@ -211,7 +197,8 @@ def _contacts(inside: Mask, away: NDArray[np.int32], detour: int) -> Mask:
                             if here < 0:
                                 far = max(far, there)
                 found[x, y, z] = far - near >= detour
-    return found
+                n_boundary += bare
+    return found, n_boundary
 
 
 # Smallest fraction of the points in a component for it to be connected to the body.
@@ -235,8 +222,7 @@ def joined(
         return inside, nowhere
     from scipy.ndimage import distance_transform_edt
 
-    near = _pieces_at(pieces, grid.coordinates(points))  # (n,)
-    support = np.bincount(near, minlength=len(sizes)) / len(points)
+    support = _counted(pieces, grid.coordinates(points), len(sizes)) / len(points)
     sizes[0] = 0
     body = pieces == sizes.argmax()
     support[0] = support[sizes.argmax()] = 0
@@ -261,17 +247,21 @@ def joined(
         body |= pieces == piece
         body[tuple(tube.T)] = True
         notes.append(f"joined a piece with {support[piece]:.1%} of the points across a gap of {gap:.3g}")
-    del pieces, near  # before another large array is made
-    hollow, _ = components(~body, corners=True)
-    return hollow != hollow[0, 0, 0], np.concatenate([nowhere, *bridges])
+    del pieces  # before another large array is made
+    hollow, sizes = components(~body, corners=True)
+    solid = body if len(sizes) == 2 else hollow != hollow[0, 0, 0]
+    return solid, np.concatenate([nowhere, *bridges])
 
 
-def _pieces_at(pieces: NDArray[np.int32], at: FloatArray) -> NDArray[np.int32]:
-    """The component of each point, which is in its voxel or in one adjacent to it; 0 for none."""
-    voxel = np.rint(at).astype(np.intp)
-    around = np.max([pieces[tuple((voxel + step).T)] for step in np.argwhere(np.ones((3, 3, 3))) - 1], axis=0)
-    here = pieces[tuple(voxel.T)]
-    return np.asarray(np.where(here != 0, here, around), dtype=np.int32)
+@njit(cache=True)
+def _counted(pieces: NDArray[np.int32], at: FloatArray, n: int) -> NDArray[np.int64]:
+    """The number of points of each component: in its voxels or, if they are in none, adjacent to them."""
+    found = np.zeros(n, dtype=np.int64)
+    for i in range(len(at)):
+        x, y, z = int(np.rint(at[i, 0])), int(np.rint(at[i, 1])), int(np.rint(at[i, 2]))
+        piece = pieces[x, y, z]
+        found[piece if piece else pieces[x - 1 : x + 2, y - 1 : y + 2, z - 1 : z + 2].max()] += 1
+    return found
 
 
 def _tube(start: NDArray[np.intp], end: NDArray[np.intp], *, radius: float) -> NDArray[np.intp]:
