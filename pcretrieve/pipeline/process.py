@@ -298,7 +298,7 @@ def _of_surfaces(
     origin: (3,) float64, that of the points in the frame of the scan.
     """
     with in_stage(Stage.SURFACE):
-        made = surfaces(cloud, options.surface, neighbors)
+        made = surfaces(cloud, neighbors, options.surface)
         mesh, marks = next(made)
     if unused := options.surface.unused:
         ignored = f"surface.method = {options.surface.method!r} does not use {', '.join(unused)}"

@@ -47,6 +47,7 @@ class Outside:
 
 def flood(
     points: FloatArray,
+    further: FloatArray | None = None,
     *,
     cell: float,
     gap: float,
@@ -59,6 +60,7 @@ def flood(
     flood fill continues from the voxels reached through those between walls and points, for as many steps as
     the walls are thick, so that it reaches the space between fingers too, which the walls had closed.
 
+    further: (k, 3), what the grid of the result shall contain beside the points.
     cell: edge of a voxel, about the spacing of the points.
     gap: radius of the largest hole that is closed; unit of the points.
     shift: as in `Grid.around`.
@@ -73,6 +75,16 @@ def flood(
     reached = labels == labels[0, 0, 0]
     del labels  # before further large arrays are made
     reached = _regrown(reached, distance, int(wall) + 1, CLEARANCE)
+    # Around the points there is only outside, which later steps need not visit. All voxels `MARGIN` beyond
+    # the points have been reached, so that none farther away is nearer to a voxel of the rest.
+    bounds = points if further is None else np.concatenate([points, further])
+    at = grid.coordinates(np.array([bounds.min(axis=0), bounds.max(axis=0)]))
+    low = np.maximum(np.floor(at[0]).astype(int) - MARGIN, 0)
+    high = np.minimum(np.ceil(at[1]).astype(int) + MARGIN + 1, grid.shape)
+    rest = tuple(slice(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))
+    reached, distance = np.ascontiguousarray(reached[rest]), np.ascontiguousarray(distance[rest])
+    a, b, c = reached.shape
+    grid = Grid(grid.origin + low * cell, cell, (a, b, c))
     return Outside(grid, reached, distances(reached, deepest), distance)
 
 
@@ -81,24 +93,19 @@ def _regrown(outside: Mask, distance: Voxels, n_steps: int, clearance: float) ->
     """The voxels outside the walls, and those that are reached from them by a number of steps."""
     n_x, n_y, n_z = outside.shape
     result: Mask = outside.copy()
-    reached, to_points = result.ravel(), distance.ravel()
-    step = (n_y * n_z, n_z, 1)
+    was, reached, to_points = outside.ravel(), result.ravel(), distance.ravel()
+    a = n_y * n_z
+    step = (a, n_z, 1)
     front = np.empty(distance.size, dtype=np.int32)
     n = 0
     for x in range(1, n_x - 1):
         for y in range(1, n_y - 1):
             for z in range(1, n_z - 1):
-                if outside[x, y, z] or distance[x, y, z] <= clearance:
+                c = (x * n_y + y) * n_z + z
+                if was[c] or to_points[c] <= clearance:
                     continue
-                if (
-                    outside[x - 1, y, z]
-                    or outside[x + 1, y, z]
-                    or outside[x, y - 1, z]
-                    or outside[x, y + 1, z]
-                    or outside[x, y, z - 1]
-                    or outside[x, y, z + 1]
-                ):
-                    front[n] = (x * n_y + y) * n_z + z
+                if was[c - 1] or was[c + 1] or was[c - n_z] or was[c + n_z] or was[c - a] or was[c + a]:
+                    front[n] = c
                     n += 1
     for i in range(n):
         reached[front[i]] = True

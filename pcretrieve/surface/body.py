@@ -29,7 +29,7 @@ from pcretrieve.surface.caps import NO_CAP, Capped, base_of, points_on
 from pcretrieve.surface.coarse import coarse_surface, crossings, filled
 from pcretrieve.surface.field import distance_field, folded, hidden_below, normals_of
 from pcretrieve.surface.growth import with_topology
-from pcretrieve.surface.marching import Crossings, crossed, marched, smoothed
+from pcretrieve.surface.marching import LEAST_SHARE, Crossings, crossed, marched, smoothed
 from pcretrieve.surface.parts import CONTINUED, contact_layer, joined, rims, walls
 from pcretrieve.surface.simplify import simplified
 from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
@@ -63,10 +63,6 @@ CELLS = (1.0, 4 / 3, 3 / 4)
 # low-discrepancy sequence (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018).
 SHIFT = np.array([0.8191725134, 0.6710436067, 0.5497004779])
 
-# Smallest distance of a vertex on a grid line from the ends of its edge, in voxels, so that no triangle
-# becomes degenerate.
-MARGIN = 0.02
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceMarks:
@@ -97,8 +93,8 @@ def body_surfaces(
     holes of the scan, it is inside if it is inside a coarse surface. A voxel that the flood fill of the
     outside reaches is never inside.
 
-    Each surface, closed, connected and manifold, is made on a grid of another voxel edge and another origin.
-    The surfaces differ where the points do not determine the surface: where parts touch, and in thin parts.
+    Each surface, closed, connected and manifold, is made on a grid of another voxel edge and another origin:
+    see `CELLS`.
 
     neighbors: the `PLANE_NEIGHBORS` nearest of all points, or more, if they are known.
     """
@@ -133,8 +129,9 @@ def _body_surface(
     deepest = hidden_below(cloud.diagonal, cell) + 1  # interpolated between voxels
     # A cap stops the flood fill as points do.
     walled = np.concatenate([cloud.points, points_on(coarse.surface, coarse.cap != NO_CAP, cell)])
+    further = coarse.surface.vertices
     for gap in (options.gap, *(options.gap * wider for wider in WIDER)):
-        outside = flood(walled, cell=cell, gap=gap * cloud.diagonal, shift=shift, deepest=deepest)
+        outside = flood(walled, further, cell=cell, gap=gap * cloud.diagonal, shift=shift, deepest=deepest)
         coarse_inside = filled(coarse.surface, outside.grid)
         distance = distance_field(cloud, outside)
         # Far from the points only: near them the coarse surface can be inaccurate by a voxel.
@@ -233,7 +230,7 @@ def _surface(
         share = np.divide(at_low, at_low - at_high, out=np.full(len(here), 0.5), where=believed)
         crossing = crossings(coarse, grid, axis)[low]
         share = np.where(believed, share, np.where(changes & np.isfinite(crossing), crossing, 0.5))
-        placed.append(Crossings(here, np.clip(share, MARGIN, 1 - MARGIN)))
+        placed.append(Crossings(here, np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE)))
         invented.append(~believed)
         unseen.append(~believed & ~parted[low] & ~parted[high])
     vertices, faces = marched(body, placed)

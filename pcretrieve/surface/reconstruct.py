@@ -88,11 +88,9 @@ def _n_non_manifold(found: Defects) -> int:
 Reconstructed = tuple[TriangleMesh, SurfaceMarks | None]
 
 
-def surfaces(
-    cloud: PointCloud, options: SurfaceOptions, neighbors: Neighborhoods | None = None
-) -> Iterator[Reconstructed]:
-    """Reconstruct the surfaces of a cloud by the method of the options; `neighbors` as in `body_surfaces`."""
+def surfaces(cloud: PointCloud, near: Neighborhoods, options: SurfaceOptions) -> Iterator[Reconstructed]:
+    """Reconstruct the surfaces of a cloud by the method of the options; with the neighbours of all points."""
     if options.method == "poisson":
         yield poisson_surface(cloud, options), None
     else:
-        yield from body_surfaces(cloud, options, neighbors)
+        yield from body_surfaces(cloud, options, near)

@@ -73,8 +73,7 @@ def test_a_body_comes_back_also_with_a_hole(name: str, top: float) -> None:
     assert mesh.area == pytest.approx(true.area, rel=0.02)
     assert mesh.volume == pytest.approx(true.volume, rel=0.02)
     assert len(mesh.faces) <= SurfaceOptions().target_faces
-    assert not len(marks.cuts)
-    assert not len(marks.bridges)
+    assert len(marks.cuts) == len(marks.bridges) == 0
     assert mesh.provenance[-1].sizes["invented"] > 0 or top > 0.48
 
 
