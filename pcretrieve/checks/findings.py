@@ -48,7 +48,7 @@ BARE, BARE_OF_SPARSE = 1.75, 0.6
 # point, since in a hole of a smooth surface these agree; the least distance to this point, in medians; the
 # largest distance to an extremity of the body, relative to the diagonal; and the number of extremities:
 # limbs, head, tail, ears, half a limb that is left.
-TURNED, CLOSING, NEAR_END, N_ENDS = 0.3, 2.5, 0.06, 13
+TURNED, CLOSING, NEAR_END, N_ENDS = 0.7, 2.5, 0.06, 13
 
 # Normals round a cut limb are perpendicular to its axis, those of thin parts along it: areas are weighted by
 # (1 − |cosine|)². The least weight is for large sheets, such as a floor, whose back was invented.

@@ -108,7 +108,7 @@ MEASURES = {
         "The orange surface is interpolated, because there are no points: scan these places too.",
     ),
     "Closed ends": Measure(
-        (0.000225, 0.000225),
+        (0.000275, 0.000275),
         "Points lie on the ends of the limbs.",
         "The surface was closed across a limb that ends in a hole: scan the part that is missing.",
     ),
