@@ -55,7 +55,7 @@ BEHIND = {"cli": {"simulation"}, "pages": {"pipeline"}, "web": {"ingestion", "qu
 
 # Slow to import: each is imported in functions.
 HEAVY = {
-    *("cholespy", "cv2", "distributed", "fsspec", "laspy", "matplotlib", "open3d", "pandas", "potpourri3d"),
+    *("cv2", "distributed", "fsspec", "laspy", "matplotlib", "open3d", "pandas", "potpourri3d"),
     *("psycopg", "pye57", "pytetwild", "robust_laplacian", "sqlalchemy", "starlette", "trimesh"),
 }
 

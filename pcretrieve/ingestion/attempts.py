@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -63,8 +62,6 @@ class Work:
         from pcretrieve.pipeline.process import compile_stages
 
         library()
-        with suppress(ModuleNotFoundError):  # SuperLU takes its place
-            import cholespy  # noqa: F401
         if self.options.surface.mode != "keep":
             compile_stages()
 

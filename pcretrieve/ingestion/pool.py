@@ -45,10 +45,6 @@ logger = logging.getLogger(__name__)
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
 
-# Number of items after which a worker is replaced, because cholespy does not free the workspace of its first
-# solve with a factor.
-MAX_ITEMS = 200
-
 # Number of workers that may fail to start, one after the other.
 MAX_FAILED_STARTS = 5
 
@@ -162,12 +158,11 @@ def in_processes(
                     if worker.printed:
                         logger.info("%s: its libraries printed: %s", _name(worker.item), worker.printed)
                     finished.append((worker.item, *news))
-                is_worn = worker.is_gone or worker.n_items >= MAX_ITEMS
-                if not is_worn and (task := next(first, None)):
+                if not worker.is_gone and (task := next(first, None)):
                     worker.take(*task, timeout)
                     continue
                 crew.remove(worker)
-                if idle is None or is_worn:
+                if idle is None or worker.is_gone:
                     worker.stop()
                 else:
                     idle.append(worker)

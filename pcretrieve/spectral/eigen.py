@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from scipy.linalg import LinAlgError, eigh
-from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
 from pcretrieve.errors import OptionError, SpectrumError
-from pcretrieve.spectral.krylov import BLOCK, basis_size, block_krylov, superlu
+from pcretrieve.spectral.krylov import BLOCK, basis_size, block_krylov
 from pcretrieve.values import Eigenpairs, FloatArray, LaplaceBeltrami
 from pcretrieve.values.base import check_type
 
@@ -17,10 +14,6 @@ from pcretrieve.values.base import check_type
 # σ < 0. |σ| is small enough that it is near to λ_1 (about 10 / area), and large enough that S − σM is well
 # conditioned and θ_0 does not exceed the other θ by orders of magnitude.
 RELATIVE_SHIFT = -1.0
-
-# Number of additional eigenpairs that ARPACK computes. Lanczos iteration with single vectors finds the copies
-# of a multiple eigenvalue one after another, and the last of them late.
-GUARD_PAIRS = 8
 
 # Largest residual ‖S φ − λ M φ‖ / (λ ‖M φ‖) that is accepted; on valid surfaces it is near the tolerance.
 # With the largest tolerance the relative error of eigenvalues is 1e-6, and of signatures 1e-5.
@@ -36,7 +29,6 @@ def eigenpairs(
     operator: LaplaceBeltrami,
     n_pairs: int = 61,
     *,
-    solver: Literal["krylov", "arpack"] = "krylov",
     tolerance: float = 1e-4,
 ) -> Eigenpairs:
     """The smallest eigenvalues λ of S φ = λ M φ, and their eigenvectors φ.
@@ -47,14 +39,10 @@ def eigenpairs(
         The operator of a connected surface; or any operator with the Dirichlet boundary condition.
     n_pairs : int, default 61
         Number of eigenpairs, including the constant eigenfunction; at least 2.
-    solver : {"krylov", "arpack"}, default "krylov"
-        Block Krylov iteration with a sparse Cholesky factorisation (`block_krylov`); or shift-invert Lanczos
-        iteration by ARPACK [1]_ with SuperLU, about four times slower, for comparison. If the operator has
-        too few rows for either of them, LAPACK's dense solver is used.
     tolerance : float, default 1e-4
         Largest residual ‖T φ − θ φ‖ / θ of T = (S − σM)⁻¹M, with θ = 1/(λ − σ) and σ = −1/area; above 0, at
         most 1e-3. `Eigenpairs.largest_residual`, the residual of S φ = λ M φ, is of about the same size. The
-        error of eigenvalues is of the order of its square. ARPACK always iterates to rounding accuracy.
+        error of eigenvalues is of the order of its square.
 
     Returns
     -------
@@ -71,26 +59,15 @@ def eigenpairs(
         If the operator has at most `n_pairs` rows, or a row has no mass; the surface is not connected; the
         stiffness matrix is not positive semi-definite; a number overflows; or the solver fails, its residuals
         do not decrease below the tolerance, or its results are not eigenpairs.
-
-    References
-    ----------
-    .. [1] Lehoucq, Sorensen and Yang, "ARPACK users' guide", SIAM 1998.
     """
     _check_question(operator, n_pairs, tolerance)
-    if solver not in ("krylov", "arpack"):
-        raise OptionError(f"solver must be 'krylov' or 'arpack', got {solver!r}")
-    used = solver if operator.mass.shape[0] >= basis_size(n_pairs) + BLOCK else "dense"
+    # LAPACK's dense solver, if the operator has too few rows for the iteration.
+    used = "krylov" if operator.mass.shape[0] >= basis_size(n_pairs) + BLOCK else "dense"
     try:
         # Overflow is detected in the results.
         with np.errstate(over="ignore", invalid="ignore"):
-            shift = RELATIVE_SHIFT / operator.area
-            if used == "krylov":
-                found = block_krylov(operator, n_pairs, shift=shift, tolerance=tolerance)
-            else:
-                found = _arpack(operator, n_pairs, shift) if used == "arpack" else _dense(operator, n_pairs)
-    except ArpackNoConvergence as error:
-        raise SpectrumError(f"ARPACK must converge to rounding, did not: {error}") from error
-    # SuperLU raises RuntimeError for a singular matrix; ArpackError is a RuntimeError too.
+            found = _krylov(operator, n_pairs, tolerance) if used == "krylov" else _dense(operator, n_pairs)
+    # SuperLU raises RuntimeError for a singular matrix.
     except (LinAlgError, RuntimeError) as error:
         raise SpectrumError(f"the eigenvalue solver failed: {error}") from error
     eigenvalues, vectors, iterations = found
@@ -134,38 +111,20 @@ def _check_question(operator: LaplaceBeltrami, n_pairs: int, tolerance: float) -
         raise SpectrumError(f"every unknown must have mass, got {n_massless} of {n} without")
 
 
+def _krylov(operator: LaplaceBeltrami, n_pairs: int, tolerance: float) -> tuple[FloatArray, FloatArray, int]:
+    """By a shift amid the wanted eigenvalues, 4πk / area by Weyl's law; else by one below all of them."""
+    try:
+        shift = 2 * np.pi * n_pairs / operator.area
+        return block_krylov(operator, n_pairs, shift=shift, tolerance=tolerance)
+    except (SpectrumError, LinAlgError, RuntimeError):
+        shift = RELATIVE_SHIFT / operator.area
+        return block_krylov(operator, n_pairs, shift=shift, tolerance=tolerance)
+
+
 def _dense(operator: LaplaceBeltrami, n_pairs: int) -> tuple[FloatArray, FloatArray, int]:
     stiffness, mass = operator.stiffness.toarray(), operator.mass.toarray()
     eigenvalues, vectors = eigh(stiffness, mass, subset_by_index=[0, n_pairs - 1], check_finite=False)
     return eigenvalues, vectors, 0
-
-
-def _arpack(operator: LaplaceBeltrami, n_pairs: int, shift: float) -> tuple[FloatArray, FloatArray, int]:
-    stiffness, mass = operator.stiffness, operator.mass
-    n = stiffness.shape[0]
-    factor = superlu(stiffness - shift * mass)
-    n_solves = 0
-
-    def solve(right: FloatArray) -> FloatArray:
-        nonlocal n_solves
-        n_solves += 1
-        return factor.solve(right)
-
-    eigenvalues, vectors = eigsh(
-        stiffness,
-        k=n_pairs + GUARD_PAIRS,
-        M=mass,
-        sigma=shift,
-        OPinv=LinearOperator((n, n), matvec=solve, dtype=np.float64),
-        # A fixed start vector, for reproducible results. It is random, because it must have a component in
-        # every eigenspace, which a vector with the symmetry of a surface has not.
-        v0=np.random.default_rng(0).standard_normal(n),
-        # Rounding accuracy: with a larger tolerance copies of multiple eigenvalues are missing in spite of
-        # the additional pairs.
-        tol=0.0,
-    )
-    order = np.argsort(eigenvalues)[:n_pairs]
-    return eigenvalues[order], vectors[:, order], n_solves
 
 
 def _check_answer(operator: LaplaceBeltrami, eigenvalues: FloatArray, vectors: FloatArray) -> float:

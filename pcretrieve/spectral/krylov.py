@@ -1,23 +1,25 @@
 """Shift-invert block Lanczos iteration: the smallest eigenpairs of S φ = λ M φ.
 
 T = (S − σM)⁻¹M has the eigenvectors φ, the eigenvalues θ = 1/(λ − σ), and is symmetric in the inner product
-of M. The iteration builds an M-orthonormal basis Q of the Krylov space of T, block by block. By the
-three-term recurrence, each new block T Q_new is orthogonalised against the last two blocks, and when rounding
-errors have accumulated, against the whole basis. The Rayleigh–Ritz method, the eigenpairs of QᵀMTQ,
-approximates the largest θ first, which are the smallest λ.
+of M. With σ amid the wanted λ, their |θ| are the largest, and stand out more than with σ below all λ. The
+iteration builds an M-orthonormal basis Q of the Krylov space of T, block by block. By the three-term
+recurrence, each new block T Q_new is orthogonalised against the last two blocks, and when rounding errors
+have accumulated, against the whole basis. The Rayleigh–Ritz method, the eigenpairs of QᵀMTQ, approximates the
+largest |θ| first. It has found all λ below σ if as many θ are negative as S − σM has negative pivots.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
+from numba import config, njit
 from scipy.linalg import LinAlgError, eigh
 from scipy.sparse import csc_array, csr_array
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import splu
 
 from pcretrieve.errors import SpectrumError
+from pcretrieve.spectral.elements import Index
 from pcretrieve.values import FloatArray, LaplaceBeltrami
 
 # Number of vectors in a block. An iteration finds at most as many copies of a multiple eigenvalue as the
@@ -26,13 +28,16 @@ from pcretrieve.values import FloatArray, LaplaceBeltrami
 # and other solvers see docs/decisions.md, BLOCK.
 BLOCK = 8
 
+# Rows of eight numbers are vectors of the processor, if numba lets LLVM combine equal operations.
+config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]
+
 # Size of the basis: a multiple of the number of pairs, and a constant. Large enough that the iteration
 # usually converges without a restart.
 VECTORS_PER_PAIR = 3
 SPARE_VECTORS = 12 * BLOCK
 
 # Size of the basis at the first convergence test. The iteration rarely converges before it.
-VECTORS_PER_PAIR_AT_FIRST_LOOK = 2.3
+VECTORS_PER_PAIR_AT_FIRST_LOOK = 1.6
 SPARE_VECTORS_AT_FIRST_LOOK = 5 * BLOCK
 
 # Factor by which one block reduces the residuals. A convergence test takes a considerable part of the time of
@@ -68,7 +73,7 @@ def block_krylov(
     """Block Lanczos iteration [1]_ with partial reorthogonalisation [2]_ and thick restart [3]_.
 
     operator: of at least `basis_size` + `BLOCK` rows.
-    shift: σ, less than the smallest eigenvalue; unit length⁻².
+    shift: σ, unit length⁻²; below zero, or among the first `n_pairs` eigenvalues.
     Returns eigenvalues, vectors, n_blocks: (n_pairs,) ascending; (n, n_pairs), M-orthonormal up to
         `LARGEST_LOST`; and the number of blocks.
 
@@ -84,27 +89,26 @@ def block_krylov(
     """
     n, size = operator.mass.shape[0], basis_size(n_pairs)
     mass = operator.mass.T  # M in CSR format, since M is symmetric
-    solve = _cholesky((operator.stiffness - shift * operator.mass).T)
+    factor = _factor(operator, n_pairs, shift)
     basis = np.empty((size + BLOCK, n))
     projected = np.zeros((size, size))  # QᵀMTQ
     lost = np.zeros((size, size))  # estimate of QᵀMQ − I
-    rounding = np.finfo(float).eps / abs(shift)  # of T X: ‖T‖ ≤ 1 / |σ|, since λ ≥ 0
     # A fixed start block, for reproducible results. It is random, because it must have a component in every
     # eigenspace, which vectors with the symmetry of a surface have not.
     random = np.random.default_rng(0)
-    start = solve(mass @ random.standard_normal((n, BLOCK)))
+    start = factor.solve(mass @ random.standard_normal((n, BLOCK)))
     # The last rows of QᵀMT block. The rows before them contain rounding errors and the effect of `lost` only.
     # They are set to zero, as they are for T projected onto an orthonormal basis of the same space [2]_.
     known = np.empty((0, BLOCK))
     block, mapped, left, drift = _orthonormal(start, basis[:0], mass, known, known)
-    width, look_at = 0, int(VECTORS_PER_PAIR_AT_FIRST_LOOK * n_pairs) + SPARE_VECTORS_AT_FIRST_LOOK
+    norm, width, look_at = 0.0, 0, int(VECTORS_PER_PAIR_AT_FIRST_LOOK * n_pairs) + SPARE_VECTORS_AT_FIRST_LOOK
     for n_blocks in range(1, LONGEST_RUN * size // BLOCK + 1):
         new = slice(width, width + BLOCK)
         width += BLOCK
         basis[new] = block.T
         lost[: new.start, new] = drift
         lost[new, : new.start] = drift.T
-        image = solve(mapped)
+        image = factor.solve(mapped)
         known = np.concatenate([known, mapped.T @ image])
         rows = slice(width - len(known), width)
         projected[rows, new] = known
@@ -112,7 +116,8 @@ def block_krylov(
         # Estimate of QᵀM of the remainder of the image: the recurrence (4.19) of [2]_, from the symmetry of
         # QᵀMTQ.
         drift = projected[:width, :width] @ lost[:width, new] - lost[:width, rows] @ known
-        drift += rounding * random.standard_normal(drift.shape)
+        norm = max(norm, float(np.linalg.norm(known)))  # of T, about
+        drift += np.finfo(float).eps * norm * random.standard_normal(drift.shape)
         # T Q_new = Q_rows known + block left
         block, mapped, left, drift = _orthonormal(image, basis[:width], mass, known, drift)
         known = left.T
@@ -120,11 +125,11 @@ def block_krylov(
         if width < look_at and not full:
             continue
 
-        theta, mixing = eigh(projected[:width, :width], driver="evd", check_finite=False)
-        theta, mixing = theta[::-1], mixing[:, ::-1]
+        theta, mixing = _ritz(projected[:width, :width])
         outside = left @ mixing[new] / theta  # (BLOCK, width): the component of T φ / θ outside the basis
-        worst = float(np.linalg.norm(outside[:, :n_pairs], axis=0).max())
-        if worst <= tolerance:
+        unit = _unit(theta[:n_pairs], shift, operator.area)
+        worst = float((np.linalg.norm(outside[:, :n_pairs], axis=0) / unit).max())
+        if worst <= tolerance and (theta < 0).sum() == factor.n_negative:
             # T φ / θ instead of φ: it is available, and more accurate by one iteration.
             basis[width : width + BLOCK] = block.T
             vectors = _combined(basis, mixing[:, :n_pairs], outside[:, :n_pairs])
@@ -140,8 +145,20 @@ def block_krylov(
         look_at = width + BLOCK * math.ceil(np.log(worst / tolerance) / np.log(FALL_PER_BLOCK))
     raise SpectrumError(
         f"residuals must fall below {tolerance:g}, got {worst:.1e} after {n_blocks} blocks: "
-        "allow a larger tolerance, or try solver='arpack'"
+        "allow a larger tolerance"
     )
+
+
+def _ritz(projected: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Eigenvalues θ in the order of ascending λ, and eigenvectors."""
+    theta, mixing = eigh(projected, driver="evd", check_finite=False)
+    order = np.argsort(1 / theta)
+    return theta[order], mixing[:, order]
+
+
+def _unit(theta: FloatArray, shift: float, area: float) -> FloatArray:
+    """λ + 1/area in units of |λ − σ|, at most 1: what residuals are measured in."""
+    return np.minimum(1.0, np.abs(1 + theta * (shift + 1 / area)))
 
 
 def _turn(basis: FloatArray, lost: FloatArray, turn: FloatArray) -> None:
@@ -204,31 +221,59 @@ def _orthonormal(
     raise LinAlgError("the space has no room for another block")
 
 
-def _cholesky(matrix: csr_array) -> Callable[[FloatArray], FloatArray]:
-    """The inverse of a symmetric positive definite matrix; one triangle of it is read, but by SuperLU."""
-    try:
-        import cholespy  # only imported here: it loads CHOLMOD, and a GPU driver if there is one
-    except ModuleNotFoundError:  # users who may have nothing under the GPL uninstall it
-        return superlu(matrix).solve
-    rows, columns = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
-    try:
-        # In CSC format the arrays would not be copied, and be freed by the solver.
-        kind = cholespy.MatrixType.CSR
-        solver = cholespy.CholeskySolverD(matrix.shape[0], rows, columns, matrix.data, kind)
-    except ValueError as error:
-        raise SpectrumError(
-            f"S − σM must be positive definite for a σ below 0, got one that is not: {error}"
-        ) from error
-
-    def solve(right: FloatArray) -> FloatArray:
-        solution = np.empty_like(right)
-        solver.solve(right, solution)
-        return solution
-
-    return solve
+@njit(cache=True, fastmath={"contract"})
+def _row(x: FloatArray, i: int) -> tuple[float, ...]:
+    return x[i, 0], x[i, 1], x[i, 2], x[i, 3], x[i, 4], x[i, 5], x[i, 6], x[i, 7]
 
 
-def superlu(matrix: csr_array) -> SuperLU:
-    """The factors of a symmetric positive definite matrix, for which pivots on the diagonal are stable."""
-    # Minimum degree ordering of the symmetric pattern causes less fill-in than the default ordering.
-    return splu(csc_array(matrix), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+@njit(cache=True, fastmath={"contract"})
+def _plus(x: tuple[float, ...], a: float, y: tuple[float, ...]) -> tuple[float, ...]:
+    (p, q, r, s, t, u, v, w), (e, f, g, h, i, j, k, m) = x, y
+    return p + a * e, q + a * f, r + a * g, s + a * h, t + a * i, u + a * j, v + a * k, w + a * m
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _substitute(x: FloatArray, indptr: Index, rows: Index, lower: FloatArray, pivots: FloatArray) -> None:
+    """Solve L D Lᵀ X = B in place, B of BLOCK columns; columns of L begin with its diagonal."""
+    for j in range(len(pivots)):
+        y = _row(x, j)
+        for at in range(indptr[j] + 1, indptr[j + 1]):
+            i = np.uint64(rows[at])
+            z = _plus(_row(x, i), -lower[at], y)
+            x[i, 0], x[i, 1], x[i, 2], x[i, 3], x[i, 4], x[i, 5], x[i, 6], x[i, 7] = z
+    for j in range(len(pivots) - 1, -1, -1):
+        y = _plus((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 1 / pivots[j], _row(x, j))
+        for at in range(indptr[j] + 1, indptr[j + 1]):
+            y = _plus(y, -lower[at], _row(x, np.uint64(rows[at])))
+        x[j, 0], x[j, 1], x[j, 2], x[j, 3], x[j, 4], x[j, 5], x[j, 6], x[j, 7] = y
+
+
+class Factor:
+    """LDLᵀ of a symmetric matrix without pivoting, by SuperLU, in an order of little fill-in.
+
+    By Sylvester's law, D has as many negative entries as the matrix has negative eigenvalues.
+    """
+
+    def __init__(self, matrix: csc_array) -> None:
+        # Minimum degree ordering of the symmetric pattern causes less fill-in than the default ordering.
+        factor = splu(matrix, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        if not np.array_equal(factor.perm_r, factor.perm_c):
+            raise LinAlgError("a pivot is zero")
+        self.place: Index = factor.perm_r
+        self.order, self.pivots, self.lower = np.argsort(self.place), factor.U.diagonal(), factor.L
+        self.n_negative = int((self.pivots < 0).sum())
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        """(n, BLOCK) the solution for right-hand sides (n, BLOCK)."""
+        solution = right[self.order]
+        _substitute(solution, self.lower.indptr, self.lower.indices, self.lower.data, self.pivots)
+        return solution[self.place]
+
+
+def _factor(operator: LaplaceBeltrami, n_pairs: int, shift: float) -> Factor:
+    factor = Factor(operator.stiffness - shift * operator.mass)
+    if shift < 0 < factor.n_negative:
+        raise SpectrumError("S − σM must be positive definite for a σ below 0, got one that is not")
+    if factor.n_negative > n_pairs:
+        raise SpectrumError(f"at most {n_pairs} eigenvalues must be below the shift, got {factor.n_negative}")
+    return factor

@@ -78,10 +78,9 @@ class Eigenpairs(Value):
     largest_residual : float
         max ‖S φ − λ M φ‖ / (λ ‖M φ‖) over the pairs with λ > 0, dimensionless.
     iterations : int
-        Number of solves with the shifted stiffness matrix: of a block of vectors (``krylov``), of one vector
-        (``arpack``); 0 for ``dense``.
+        Number of solves with the shifted stiffness matrix for a block of vectors; 0 for ``dense``.
     solver : str
-        The eigenvalue solver: ``krylov``, ``arpack`` or ``dense``.
+        The eigenvalue solver: ``krylov`` or ``dense``.
     """
 
     eigenvalues: FloatArray
