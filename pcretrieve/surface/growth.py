@@ -22,8 +22,6 @@ from pcretrieve.points.outside import FARTHEST
 from pcretrieve.surface.marching import marched, voxels_of
 from pcretrieve.values import TriangleMesh
 
-Links = NDArray[np.int32]
-
 # Largest amount by which the depth of a voxel, as the priority of region growing, may exceed its distance to
 # the nearest point; in voxels. It is small, so that a contact, with points of both surfaces in it, has a
 # lower priority than the interior of a thin limb.
@@ -83,8 +81,7 @@ def _steps(inside: Mask, depth: Voxels, to_points: Voxels) -> tuple[NDArray[np.i
 def _grown(steps: NDArray[np.int16], seed: int, walls: Mask) -> Mask:
     _, n_y, n_z = steps.shape
     n = steps.size
-    step = steps.ravel()
-    wall = walls.reshape(3, n)
+    step, wall = steps.ravel(), walls.reshape(3, n)
     # The state of a voxel is in one byte, so that the states of a neighbourhood stay in the cache.
     state = np.zeros(n, dtype=np.uint8)
     for cell in range(n):
@@ -97,11 +94,9 @@ def _grown(steps: NDArray[np.int16], seed: int, walls: Mask) -> Mask:
     head = np.full((2, n_buckets), -1, dtype=np.int32)
     tail = np.full((2, n_buckets), -1, dtype=np.int32)
     after = np.empty((2, n), dtype=np.int32)
-    top = np.zeros(2, dtype=np.int64)
-    top[1] = step[seed]
+    top = np.array([0, step[seed]])
     head[1, top[1]] = seed
     after[1, seed] = -1
-    empty = True
     while True:
         queue = 1
         while queue >= 0:
@@ -121,9 +116,8 @@ def _grown(steps: NDArray[np.int16], seed: int, walls: Mask) -> Mask:
         around = 0
         for k in range(27):
             around |= (state[cell + offset[k]] & ADDED != 0) << k
-        if not empty and not _is_simple(around):
+        if around and not _is_simple(around):  # the first voxel has nothing around it
             continue  # it is queued again when a neighbour is added
-        empty = False
         state[cell] |= ADDED
         for axis in range(3):
             above, below = cell + along[axis], cell - along[axis]
@@ -137,19 +131,14 @@ def _grown(steps: NDArray[np.int16], seed: int, walls: Mask) -> Mask:
             if state[other] & (WAITING << queue):
                 continue
             state[other] |= WAITING << queue
-            _append(head[queue], tail[queue], after[queue], step[other], other)
-            top[queue] = max(top[queue], step[other])
-
-
-@njit(cache=True)
-def _append(head: Links, tail: Links, after: Links, bucket: int, cell: int) -> None:
-    """Append a voxel to the linked list of a bucket."""
-    after[cell] = -1
-    if head[bucket] < 0:
-        head[bucket] = cell
-    else:
-        after[tail[bucket]] = cell
-    tail[bucket] = cell
+            bucket = step[other]
+            after[queue, other] = -1
+            if head[queue, bucket] < 0:
+                head[queue, bucket] = other
+            else:
+                after[queue, tail[queue, bucket]] = other
+            tail[queue, bucket] = other
+            top[queue] = max(top[queue], bucket)
 
 
 @njit(cache=True)
