@@ -59,7 +59,7 @@ def split_non_manifold(mesh: TriangleMesh) -> TriangleMesh:
 
 def _pairs_around(mesh: TriangleMesh, edges: Edges, edge: int) -> Index:
     """(use / 2, 2) half-edges of one edge, paired such that each pair bounds one wedge of the interior."""
-    around = edges.around(edge)  # (use,)
+    around = edges.order[edges.starts[edge] :][: edges.use[edge]]  # (use,)
     low, high = np.sort(edges.ends[edge])
     apex = mesh.faces[around // 3, (around + 2) % 3]  # third corner of each face
     axis = mesh.vertices[high] - mesh.vertices[low]
@@ -99,8 +99,6 @@ def _cut_in_the_middle(faces: Index, middle: Index) -> Index:
 
 
 Notes = tuple[str, ...]
-
-TINY = np.finfo(np.float64).tiny
 
 ONE_SIDED = "the surface is one-sided, as a Möbius strip is, and bounds no body; scan it again or repair it"
 
@@ -158,7 +156,8 @@ def denoised(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
 
 def _median_angle(mesh: TriangleMesh, pairs: Index) -> float:
     """The median angle between the normals of pairs (p, 2) of faces; radians."""
-    normals = mesh.area_vectors / np.maximum(np.linalg.norm(mesh.area_vectors, axis=1, keepdims=True), TINY)
+    tiny = np.finfo(np.float64).tiny
+    normals = mesh.area_vectors / np.maximum(np.linalg.norm(mesh.area_vectors, axis=1, keepdims=True), tiny)
     cosines = np.einsum("ij,ij->i", *normals[pairs.T])
     return float(np.arccos(np.clip(np.median(cosines), -1, 1))) if len(cosines) else 0.0
 

@@ -13,7 +13,7 @@ from pcretrieve.draw.open3d import open3d_mesh
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.surface.repair import repaired
-from pcretrieve.surface.topology import compact
+from pcretrieve.surface.topology import compact, twins
 from pcretrieve.values import FloatArray, IntArray, Step, TriangleMesh
 
 # Weight of the squared distance along the surface, relative to the squared distance from it. A smaller weight
@@ -55,7 +55,7 @@ def simplified(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
        l'Institut Mathématique 66, 1999.
     """
     vertices, corners = mesh.vertices.copy(), mesh.faces.flatten()  # (n, 3), (3m,): modified below
-    twin, n_bad = _twins(corners, len(vertices))
+    twin, n_bad = twins(corners, len(vertices))
     if n_bad:
         raise DegenerateMeshError(
             "a surface must be closed, manifold and oriented to be simplified, this one is not at "
@@ -77,49 +77,6 @@ def _next(h: int) -> int:
 @njit(cache=True)
 def _previous(h: int) -> int:
     return h + 2 if h % 3 == 0 else h - 1
-
-
-@njit(cache=True)
-def _twins(corners: IntArray, n_vertices: int) -> tuple[IntArray, int]:
-    """The twins of half-edges, those in the opposite direction; and in how many places there is no manifold.
-
-    Half-edge 3 f + k is side k of face f, from corner k to corner k + 1 (modulo 3).
-    """
-    starts = np.zeros(n_vertices + 1, dtype=np.int32)
-    for v in corners:
-        starts[v + 1] += 1
-    for v in range(n_vertices):
-        starts[v + 1] += starts[v]
-    fill = starts[:-1].copy()
-    leaving = np.empty(len(corners), dtype=np.int32)  # half-edges, grouped by their first vertex
-    for h in range(len(corners)):
-        leaving[fill[corners[h]]] = h
-        fill[corners[h]] += 1
-    twin = np.full(len(corners), -1, dtype=np.int32)
-    n_bad = 0
-    for h in range(len(corners)):
-        tail, head = corners[h], corners[_next(h)]
-        n_back = 0
-        for i in range(starts[head], starts[head + 1]):
-            g = leaving[i]
-            if corners[_next(g)] == tail:
-                twin[h] = g
-                n_back += 1
-        # Of two half-edges with the same ends, each opposite half-edge has two twins.
-        n_bad += tail == head or n_back != 1
-    if n_bad:
-        return twin, n_bad
-    for v in range(n_vertices):
-        n_around = starts[v + 1] - starts[v]
-        if n_around:
-            first = leaving[starts[v]]
-            h = twin[_previous(first)]
-            n_fan = 1
-            while h != first:
-                h = twin[_previous(h)]
-                n_fan += 1
-            n_bad += n_fan != n_around
-    return twin, n_bad
 
 
 @njit(cache=True)
