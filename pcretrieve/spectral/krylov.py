@@ -28,7 +28,8 @@ from pcretrieve.values import FloatArray, LaplaceBeltrami
 # and other solvers see docs/decisions.md, BLOCK.
 BLOCK = 8
 
-# Rows of eight numbers are vectors of the processor, if numba lets LLVM combine equal operations.
+# Rows of eight numbers are vectors of the processor, if numba lets LLVM combine equal operations. The setting
+# is one of the process; operations are combined, not reordered, so that no result changes.
 config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]
 
 # Size of the basis: a multiple of the number of pairs, and a constant. Large enough that the iteration
@@ -144,8 +145,7 @@ def block_krylov(
             drift = turn.T @ drift
         look_at = width + BLOCK * math.ceil(np.log(worst / tolerance) / np.log(FALL_PER_BLOCK))
     raise SpectrumError(
-        f"residuals must fall below {tolerance:g}, got {worst:.1e} after {n_blocks} blocks: "
-        "allow a larger tolerance"
+        f"residuals must fall below {tolerance:g}, got {worst:.1e} after {n_blocks} blocks: allow more"
     )
 
 
