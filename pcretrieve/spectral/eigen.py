@@ -54,7 +54,7 @@ def eigenpairs(
     Raises
     ------
     OptionError
-        If `n_pairs` is less than 2, the tolerance is out of range, or the solver does not exist.
+        If `n_pairs` is less than 2, or the tolerance is out of range.
     SpectrumError
         If the operator has at most `n_pairs` rows, or a row has no mass; the surface is not connected; the
         stiffness matrix is not positive semi-definite; a number overflows; or the solver fails, its residuals
