@@ -114,11 +114,9 @@ def _check_question(operator: LaplaceBeltrami, n_pairs: int, tolerance: float) -
 def _krylov(operator: LaplaceBeltrami, n_pairs: int, tolerance: float) -> tuple[FloatArray, FloatArray, int]:
     """By a shift amid the wanted eigenvalues, 4πk / area by Weyl's law; else by one below all of them."""
     try:
-        shift = 2 * np.pi * n_pairs / operator.area
-        return block_krylov(operator, n_pairs, shift=shift, tolerance=tolerance)
+        return block_krylov(operator, n_pairs, shift=2 * np.pi * n_pairs / operator.area, tolerance=tolerance)
     except (SpectrumError, LinAlgError, RuntimeError):
-        shift = RELATIVE_SHIFT / operator.area
-        return block_krylov(operator, n_pairs, shift=shift, tolerance=tolerance)
+        return block_krylov(operator, n_pairs, shift=RELATIVE_SHIFT / operator.area, tolerance=tolerance)
 
 
 def _dense(operator: LaplaceBeltrami, n_pairs: int) -> tuple[FloatArray, FloatArray, int]:

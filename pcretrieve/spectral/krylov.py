@@ -89,15 +89,16 @@ def block_krylov(
        Matrix Anal. Appl. 22 (2000).
     """
     n, size = operator.mass.shape[0], basis_size(n_pairs)
-    mass = operator.mass.T  # M in CSR format, since M is symmetric
     factor = _factor(operator, n_pairs, shift)
+    # In the order of the factor, as the iteration is, and in CSR format, since M is symmetric.
+    mass = operator.mass[factor.order][:, factor.order].T
     basis = np.empty((size + BLOCK, n))
     projected = np.zeros((size, size))  # QᵀMTQ
     lost = np.zeros((size, size))  # estimate of QᵀMQ − I
     # A fixed start block, for reproducible results. It is random, because it must have a component in every
     # eigenspace, which vectors with the symmetry of a surface have not.
     random = np.random.default_rng(0)
-    start = factor.solve(mass @ random.standard_normal((n, BLOCK)))
+    start = factor.solve(mass @ random.standard_normal((n, BLOCK))[factor.order])
     # The last rows of QᵀMT block. The rows before them contain rounding errors and the effect of `lost` only.
     # They are set to zero, as they are for T projected onto an orthonormal basis of the same space [2]_.
     known = np.empty((0, BLOCK))
@@ -133,7 +134,7 @@ def block_krylov(
         if worst <= tolerance and (theta < 0).sum() == factor.n_negative:
             # T φ / θ instead of φ: it is available, and more accurate by one iteration.
             basis[width : width + BLOCK] = block.T
-            vectors = _combined(basis, mixing[:, :n_pairs], outside[:, :n_pairs])
+            vectors = _combined(basis, mixing[:, :n_pairs], outside[:, :n_pairs], factor.order)
             return 1 / theta[:n_pairs] + shift, vectors, n_blocks
         if full:
             width = (n_pairs + size) // 2
@@ -170,14 +171,14 @@ def _turn(basis: FloatArray, lost: FloatArray, turn: FloatArray) -> None:
     lost[:new, :new] = turn.T @ lost[:old, :old] @ turn
 
 
-def _combined(basis: FloatArray, mixing: FloatArray, outside: FloatArray) -> FloatArray:
-    """The (n, n_pairs) eigenvectors: combinations of the basis, and of the block after it."""
+def _combined(basis: FloatArray, mixing: FloatArray, outside: FloatArray, order: Index) -> FloatArray:
+    """The (n, n_pairs) eigenvectors: combinations of the basis, and of the block after it, at their rows."""
     parts = np.concatenate([mixing, outside])  # (width + BLOCK, n_pairs)
     parts -= parts @ (outside.T @ outside) / 2  # M-orthonormal again, to first order
     vectors = np.empty((basis.shape[1], parts.shape[1]))
     for first in range(0, len(vectors), CHUNK):
         part = slice(first, first + CHUNK)
-        vectors[part] = basis[: len(parts), part].T @ parts
+        vectors[order[part]] = basis[: len(parts), part].T @ parts
     return vectors
 
 
@@ -255,19 +256,19 @@ class Factor:
     """
 
     def __init__(self, matrix: csc_array) -> None:
-        # Minimum degree ordering of the symmetric pattern causes less fill-in than the default ordering.
-        factor = splu(matrix, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        # Minimum degree ordering of the symmetric pattern causes less fill-in than the default ordering. With
+        # relaxed supernodes, regularly refined meshes may take ten times as long; narrow panels gain a tenth.
+        factor = splu(matrix, "MMD_AT_PLUS_A", 0.0, relax=1, panel_size=4, options={"SymmetricMode": True})
         if not np.array_equal(factor.perm_r, factor.perm_c):
             raise LinAlgError("a pivot is zero")
-        self.place: Index = factor.perm_r
-        self.order, self.pivots, self.lower = np.argsort(self.place), factor.U.diagonal(), factor.L
+        self.order, self.pivots, self.lower = np.argsort(factor.perm_r), factor.U.diagonal(), factor.L
         self.n_negative = int((self.pivots < 0).sum())
 
     def solve(self, right: FloatArray) -> FloatArray:
-        """(n, BLOCK) the solution for right-hand sides (n, BLOCK)."""
-        solution = right[self.order]
+        """(n, BLOCK) the solution for right-hand sides (n, BLOCK), both with their rows in `order`."""
+        solution = np.array(right, order="C")
         _substitute(solution, self.lower.indptr, self.lower.indices, self.lower.data, self.pivots)
-        return solution[self.place]
+        return solution
 
 
 def _factor(operator: LaplaceBeltrami, n_pairs: int, shift: float) -> Factor:
