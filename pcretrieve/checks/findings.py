@@ -125,7 +125,7 @@ def _fit(
     cloud: PointCloud, mesh: TriangleMesh, some: FloatArray, spacing: float, base: FloatArray
 ) -> tuple[NDArray[np.bool_], list[Check]]:
     """Faces without a point nearby, and the checks of the fit; `base` as in `SurfaceMarks`."""
-    middles = mesh.vertices[mesh.faces].mean(axis=1)
+    diagonal, middles = cloud.diagonal, mesh.vertices[mesh.faces].mean(axis=1)
     distance, number = nearest(cloud.points, middles, 1)
     apart, near = distance[:, 0], number[:, 0]  # (m,)
     local, some_bare = np.zeros(len(apart)), apart > BARE * spacing
@@ -151,28 +151,28 @@ def _fit(
     lost = gap > FILLED * spacing
     far = np.flatnonzero(bare & (areas > 0))
     normals = vectors[far] / areas[far, np.newaxis]
-    light = _openness(scene, middles[far] - origin + ABOVE * cloud.diagonal * normals, normals)
+    light = _openness(scene, middles[far] - origin + ABOVE * diagonal * normals, normals)
     ends = 0.0
     if cloud.normals is not None:
         turned = far[np.einsum("ij,ij->i", normals, cloud.normals[near[far]]) < TURNED]
         is_closing = np.zeros(len(areas), dtype=np.bool_)
         is_closing[far] = (light > OPEN_END) & (apart[far] > CLOSING * spacing)
         for paths in islice(from_extremities(mesh), N_ENDS):
-            end = turned[(paths < NEAR_END * cloud.diagonal)[mesh.faces[turned]].any(axis=1)]
+            end = turned[(paths < NEAR_END * diagonal)[mesh.faces[turned]].any(axis=1)]
             axis = vectors[end].sum(axis=0)
             rim = cloud.normals[np.unique(near[end])] @ axis / np.linalg.norm(axis)
             size = np.linalg.norm(vectors[end[is_closing[end]]].sum(axis=0)) / area
             if size:
                 ends = max(ends, float(max((1 - np.abs(rim).mean()) ** 2, SHEET) * size))
-    hole = far[(light > OPEN) & (apart[far] > FAR_OFF * cloud.diagonal)]
+    hole = far[(light > OPEN) & (apart[far] > FAR_OFF * diagonal)]
     hole = hole[components(TriangleMesh(mesh.vertices, mesh.faces[hole])) == 0] if len(hole) else hole
     checks += fit_checks(
         filled=float(areas[filled].sum() / area),
         ends=ends,
-        gaps=float(apart[order[min(covered, len(order) - 1)]] / cloud.diagonal),
+        gaps=float(apart[order[min(covered, len(order) - 1)]] / diagonal),
         hole=float(areas[hole].sum() / area),
         lost=float(lost.mean()),
-        noise=float(np.sqrt((gap[~lost] ** 2).sum() / max((~lost).sum(), 1))) / cloud.diagonal,
+        noise=float(np.sqrt((gap[~lost] ** 2).sum() / max((~lost).sum(), 1))) / diagonal,
     )
     return filled, checks
 
@@ -182,12 +182,12 @@ def from_extremities(mesh: TriangleMesh) -> Iterator[FloatArray]:
 
     The extremities are found by farthest-point sampling that begins in the middle of the body.
     """
-    graph = edge_graph(mesh)
+    graph = edge_graph(mesh)  # symmetric
     place = np.linalg.norm(mesh.vertices - mesh.vertices.mean(axis=0), axis=1).argmin()
-    apart = dijkstra(graph, directed=False, indices=np.array([place]))[0]
+    apart = dijkstra(graph, indices=np.array([place]))[0]
     while True:
         place = np.where(np.isfinite(apart), apart, 0).argmax()
-        distances = dijkstra(graph, directed=False, indices=np.array([place]))[0]
+        distances = dijkstra(graph, indices=np.array([place]))[0]
         apart = np.minimum(apart, distances)
         yield distances
 
