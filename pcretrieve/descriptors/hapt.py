@@ -83,14 +83,14 @@ def projected_areas(mesh: TriangleMesh, radii: FloatArray, spread: float) -> Flo
 def _arrived(samples: FloatArray, radius: float, shape: tuple[int, int, int]) -> FloatArray:
     """The area that arrives in each voxel of a grid, in C order, from a surface that moves inwards."""
     arrived = np.zeros(shape[0] * shape[1] * shape[2])
-    for sample in samples:
+    for i in range(len(samples)):
         voxel, is_held = 0, True
         for axis in range(3):
-            moved = int(np.rint(sample[axis] - radius * sample[3 + axis]))
+            moved = int(np.rint(samples[i, axis] - radius * samples[i, 3 + axis]))
             is_held &= 0 <= moved < shape[axis]
             voxel = voxel * shape[axis] + moved
         if is_held:
-            arrived[voxel] += sample[6]
+            arrived[voxel] += samples[i, 6]
     return arrived
 
 

@@ -17,7 +17,7 @@ Shape = tuple[int, int, int]
 # Mean number of points in an occupied cell of the grid, relative to the number of neighbours, by which most
 # neighbourhoods are in a cell and those around it; and its smallest value.
 OCCUPANCY = 0.25
-LEAST_OCCUPANCY = 1.0
+LEAST_OCCUPANCY = 4.0
 
 # Largest number of points in one cell, relative to the wanted mean, and largest number of cells for each
 # point. Beyond them the density varies so much that a k-d tree is faster than a grid.
@@ -108,28 +108,20 @@ def _nearest(
     """The nearest points in a block of cells around each place, which grows until none can be nearer."""
     distance, near = np.empty((len(places), k)), np.empty((len(places), k), dtype=np.intp)
     grouped = points[order]
-    squares, found = np.empty(k), np.empty(k, dtype=np.intp)
+    # Points are sorted by keys: the squares of distances, whose last bits are the number of the point. Keys
+    # are exchanged without branches, of which many would be mispredicted.
+    low_bits = (1 << int(np.ceil(np.log2(len(points) + 1)))) - 1
+    keys = np.empty(k)
+    numbers = keys.view(np.int64)
     for q in range(len(places)):
         x, y, z = places[q, 0], places[q, 1], places[q, 2]
         a = _cell(x, low[0], edge, shape[0])
         b = _cell(y, low[1], edge, shape[1])
         c = _cell(z, low[2], edge, shape[2])
-        n, ring = 0, 1
-        while True:
-            bottom, top = max(0, c - ring), min(shape[2] - 1, c + ring)
-            for u in range(max(0, a - ring), min(shape[0], a + ring + 1)):
-                for v in range(max(0, b - ring), min(shape[1], b + ring + 1)):
-                    line = (u * shape[1] + v) * shape[2]
-                    if ring == 1 or abs(u - a) == ring or abs(v - b) == ring:
-                        # The points in the cells of one line follow each other.
-                        first, last = starts[line + bottom], starts[line + top + 1]
-                        n = _add((x, y, z), grouped, first, last, squares, found, n)
-                        continue
-                    for end in (c - ring, c + ring):  # the rest of the line has been searched
-                        if 0 <= end < shape[2]:
-                            first, last = starts[line + end], starts[line + end + 1]
-                            n = _add((x, y, z), grouped, first, last, squares, found, n)
-            # Points outside the block are at least this far away.
+        n, ring = 0, 0
+        while n < k:
+            ring += 1
+            # Points outside the block are at least this far away. Nearer ones suffice if there are k.
             gap = np.inf
             for at, corner, cell, size in (
                 (x, low[0], a, shape[0]),
@@ -140,39 +132,30 @@ def _nearest(
                     gap = min(gap, at - corner - (cell - ring) * edge)
                 if cell + ring + 1 < size:
                     gap = min(gap, corner + (cell + ring + 1) * edge - at)
-            if gap == np.inf or (n == k and squares[k - 1] <= (1 - ROUNDING) * gap * gap):
-                break
-            ring += 1
+            limit, n = (1 - ROUNDING) * gap * gap, 0
+            bottom, top = max(0, c - ring), min(shape[2] - 1, c + ring)
+            for u in range(max(0, a - ring), min(shape[0], a + ring + 1)):
+                for v in range(max(0, b - ring), min(shape[1], b + ring + 1)):
+                    line = (u * shape[1] + v) * shape[2]
+                    # The points in the cells of one line follow each other.
+                    for i in range(starts[line + bottom], starts[line + top + 1]):
+                        d, e, f = grouped[i, 0] - x, grouped[i, 1] - y, grouped[i, 2] - z
+                        square = max(d * d + e * e + f * f, np.finfo(np.float64).tiny)
+                        if square > limit:
+                            continue
+                        key = np.int64(np.float64(square).view(np.int64) & ~low_bits | i).view(np.float64)
+                        for j in range(n):
+                            keys[j], key = min(keys[j], key), max(keys[j], key)
+                        if n < k:
+                            keys[n] = key
+                            n += 1
+                        if n == k:
+                            limit = min(limit, keys[k - 1])
         for j in range(k):
-            distance[q, j], near[q, j] = np.sqrt(squares[j]), order[found[j]]
+            i = numbers[j] & low_bits
+            d, e, f = grouped[i, 0] - x, grouped[i, 1] - y, grouped[i, 2] - z
+            distance[q, j], near[q, j] = np.sqrt(d * d + e * e + f * f), order[i]
     return distance, near
-
-
-@njit(cache=True, error_model="numpy")
-def _add(
-    place: tuple[float, float, float],
-    grouped: FloatArray,
-    first: int,
-    last: int,
-    squares: FloatArray,
-    found: Index,
-    n: int,
-) -> int:
-    """Add those of the points from `first` to `last` that are among the nearest; return their number."""
-    k = len(squares)
-    for i in range(first, last):
-        u, v, w = grouped[i, 0] - place[0], grouped[i, 1] - place[1], grouped[i, 2] - place[2]
-        square = u * u + v * v + w * w
-        if n < k:
-            n += 1
-        elif square >= squares[k - 1]:
-            continue
-        j = n - 1
-        while j > 0 and squares[j - 1] > square:
-            squares[j], found[j] = squares[j - 1], found[j - 1]
-            j -= 1
-        squares[j], found[j] = square, i
-    return n
 
 
 # Smallest length of the cross product of two rows of A − λI, relative to the squared size of A, by which the
