@@ -131,7 +131,7 @@ def _samples(mesh: TriangleMesh, grid: Grid) -> FloatArray:
 
     These are the centres of the triangles into which each triangle is divided, at most `SPACING` wide.
     """
-    corners = mesh.vertices.T[:, mesh.faces.T]  # (3, 3, m): coordinate, corner, face
+    corners = mesh.corners  # (3, 3, m)
     widest = np.sqrt(((corners - corners[:, [2, 0, 1]]) ** 2).sum(axis=0).max(axis=0))  # (m,)
     n_parts = np.maximum(1, np.ceil(widest / SPACING))  # (m,) of each edge
     if (n_points := (n_parts**2).sum()) > MOST_POINTS:

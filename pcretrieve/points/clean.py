@@ -87,7 +87,8 @@ def _inliers(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions) 
 def _thinned(cloud: PointCloud, voxel: float | str) -> tuple[PointCloud, NDArray[np.intp]]:
     """The mean of the points in each voxel, and the voxel of each point, (n,)."""
     if isinstance(voxel, str):
-        n_voxels = len(np.unique(voxel_numbers(cloud.points, DENSE_VOXEL * cloud.diagonal)))
+        numbers = np.sort(voxel_numbers(cloud.points, DENSE_VOXEL * cloud.diagonal))
+        n_voxels = np.count_nonzero(np.diff(numbers, prepend=-1))
         voxel = DENSE_VOXEL if len(cloud.points) >= DENSE * n_voxels else VOXEL
     return averaged(cloud, voxel * cloud.diagonal) if voxel else (cloud, np.arange(len(cloud.points)))
 
@@ -121,10 +122,11 @@ def check_extent(points: FloatArray, stage: str) -> None:
             "scan.voxel",
             stage=stage,
         )
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False, full_matrices=False)  # (3,)
-    flat = spread < SMALLEST_THICKNESS * spread[0]
-    if spread[0] == 0 or flat[2]:
-        what = "are equal" if spread[0] == 0 else "lie on a line" if flat[1] else "lie in a plane"
+    centred = points - [column.mean() for column in points.T]
+    squares = np.linalg.eigvalsh(centred.T @ centred)[::-1]  # (3,): of the singular values
+    flat = squares < SMALLEST_THICKNESS**2 * squares[0]
+    if squares[0] == 0 or flat[2]:
+        what = "are equal" if squares[0] == 0 else "lie on a line" if flat[1] else "lie in a plane"
         raise ReconstructionError(
             f"the points must span a body, all {len(points)} {what}: scan it from several sides",
             stage=stage,

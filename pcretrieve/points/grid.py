@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from pcretrieve.arrays import bounds
 from pcretrieve.values import FloatArray, IntArray, TriangleMesh
 
 #: A set of voxels, or of other elements.
@@ -40,7 +41,8 @@ class Grid:
 
         shift: (3,) float64 or float, displacement of the grid in the negative directions; in voxels.
         """
-        low, high = points.min(axis=0) - np.asarray(shift) * cell, points.max(axis=0)
+        low, high = bounds(points)
+        low = low - np.asarray(shift) * cell
         n_x, n_y, n_z = (np.ceil((high - low) / cell).astype(int) + 2 * margin + 1).tolist()
         return cls(low - margin * cell, cell, (n_x, n_y, n_z))
 

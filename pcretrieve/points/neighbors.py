@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from pcretrieve.arrays import bounds
 from pcretrieve.values import FloatArray
 
 Index = NDArray[np.intp]
@@ -49,7 +50,7 @@ def _cells(points: FloatArray, k: int) -> tuple[FloatArray, float, Shape, Index,
 
     Returns low, edge and shape of the grid, and `order` and `starts` of `_sorted`.
     """
-    low, high = (np.array([bound(column) for column in points.T]) for bound in (np.min, np.max))
+    low, high = bounds(points)
     x, y, z = high - low
     wanted = max(OCCUPANCY * k, LEAST_OCCUPANCY)
     # The edge for a box, and then for the number of cells that this edge gives to the surface.
@@ -70,8 +71,8 @@ def _cells(points: FloatArray, k: int) -> tuple[FloatArray, float, Shape, Index,
 
 
 @njit(cache=True, error_model="numpy")
-def _cell(x: float, low: float, edge: float, n: int) -> int:
-    return min(max(int((x - low) / edge), 0), n - 1)
+def _cell(at: float, n: int) -> int:
+    return min(max(int(at), 0), n - 1)
 
 
 @njit(cache=True, error_model="numpy")
@@ -80,9 +81,9 @@ def _sorted(points: FloatArray, low: FloatArray, edge: float, shape: Shape) -> t
     cell = np.empty(len(points), dtype=np.intp)
     starts = np.zeros(shape[0] * shape[1] * shape[2] + 1, dtype=np.intp)
     for i in range(len(points)):
-        a = _cell(points[i, 0], low[0], edge, shape[0])
-        b = _cell(points[i, 1], low[1], edge, shape[1])
-        cell[i] = (a * shape[1] + b) * shape[2] + _cell(points[i, 2], low[2], edge, shape[2])
+        a = _cell((points[i, 0] - low[0]) / edge, shape[0])
+        b = _cell((points[i, 1] - low[1]) / edge, shape[1])
+        cell[i] = (a * shape[1] + b) * shape[2] + _cell((points[i, 2] - low[2]) / edge, shape[2])
         starts[cell[i] + 1] += 1
     for i in range(1, len(starts)):
         starts[i] += starts[i - 1]
@@ -107,31 +108,29 @@ def _nearest(
 ) -> tuple[FloatArray, Index]:
     """The nearest points in a block of cells around each place, which grows until none can be nearer."""
     distance, near = np.empty((len(places), k)), np.empty((len(places), k), dtype=np.intp)
-    grouped = points[order]
+    grouped = (points[order] - low) / edge  # in cells, whose squares do not underflow
     # Points are sorted by keys: the squares of distances, whose last bits are the number of the point. Keys
     # are exchanged without branches, of which many would be mispredicted.
     low_bits = (1 << int(np.ceil(np.log2(len(points) + 1)))) - 1
     keys = np.empty(k)
     numbers = keys.view(np.int64)
     for q in range(len(places)):
-        x, y, z = places[q, 0], places[q, 1], places[q, 2]
-        a = _cell(x, low[0], edge, shape[0])
-        b = _cell(y, low[1], edge, shape[1])
-        c = _cell(z, low[2], edge, shape[2])
+        x, y, z = (
+            (places[q, 0] - low[0]) / edge,
+            (places[q, 1] - low[1]) / edge,
+            (places[q, 2] - low[2]) / edge,
+        )
+        a, b, c = _cell(x, shape[0]), _cell(y, shape[1]), _cell(z, shape[2])
         n, ring = 0, 0
         while n < k:
             ring += 1
             # Points outside the block are at least this far away. Nearer ones suffice if there are k.
             gap = np.inf
-            for at, corner, cell, size in (
-                (x, low[0], a, shape[0]),
-                (y, low[1], b, shape[1]),
-                (z, low[2], c, shape[2]),
-            ):
+            for at, cell, size in ((x, a, shape[0]), (y, b, shape[1]), (z, c, shape[2])):
                 if cell - ring > 0:
-                    gap = min(gap, at - corner - (cell - ring) * edge)
+                    gap = min(gap, at - (cell - ring))
                 if cell + ring + 1 < size:
-                    gap = min(gap, corner + (cell + ring + 1) * edge - at)
+                    gap = min(gap, cell + ring + 1 - at)
             limit, n = (1 - ROUNDING) * gap * gap, 0
             bottom, top = max(0, c - ring), min(shape[2] - 1, c + ring)
             for u in range(max(0, a - ring), min(shape[0], a + ring + 1)):
@@ -152,9 +151,9 @@ def _nearest(
                         if n == k:
                             limit = min(limit, keys[k - 1])
         for j in range(k):
-            i = numbers[j] & low_bits
-            d, e, f = grouped[i, 0] - x, grouped[i, 1] - y, grouped[i, 2] - z
-            distance[q, j], near[q, j] = np.sqrt(d * d + e * e + f * f), order[i]
+            i = order[numbers[j] & low_bits]
+            d, e, f = points[i, 0] - places[q, 0], points[i, 1] - places[q, 1], points[i, 2] - places[q, 2]
+            distance[q, j], near[q, j] = np.sqrt(d * d + e * e + f * f), i
     return distance, near
 
 
@@ -351,7 +350,7 @@ def noise(points: FloatArray, neighbors: Neighborhoods) -> float:
 
 def voxel_numbers(points: FloatArray, edge: float) -> NDArray[np.int64]:
     """(n,) number of the voxel of each point, ascending by the first, the second and the third coordinate."""
-    index = np.floor((points - points.min(axis=0)) / edge).astype(np.int64)  # (n, 3)
-    sides = index.max(axis=0) + 1
+    index = np.floor((points - bounds(points)[0]) / edge).astype(np.int64)  # (n, 3)
+    sides = bounds(index)[1] + 1
     number: NDArray[np.int64] = (index[:, 0] * sides[1] + index[:, 1]) * sides[2] + index[:, 2]
     return number

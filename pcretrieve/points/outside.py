@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from pcretrieve.arrays import bounds
 from pcretrieve.points.grid import Grid, Mask, Voxels, components, distances
 from pcretrieve.values import FloatArray
 
@@ -77,8 +78,8 @@ def flood(
     reached = _regrown(reached, distance, int(wall) + 1, CLEARANCE)
     # Around the points there is only outside, which later steps need not visit. All voxels `MARGIN` beyond
     # the points have been reached, so that none farther away is nearer to a voxel of the rest.
-    bounds = points if further is None else np.concatenate([points, further])
-    at = grid.coordinates(np.array([bounds.min(axis=0), bounds.max(axis=0)]))
+    held = points if further is None else np.concatenate([points, further])
+    at = grid.coordinates(np.array(bounds(held)))
     low = np.maximum(np.floor(at[0]).astype(int) - MARGIN, 0)
     high = np.minimum(np.ceil(at[1]).astype(int) + MARGIN + 1, grid.shape)
     rest = tuple(slice(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))

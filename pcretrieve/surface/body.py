@@ -143,7 +143,7 @@ def _body_surface(
         distance = distance_field(cloud, outside)
         notes.append("the flood fill of the outside leaked into the body and was not used")
     grid = outside.grid
-    inside = np.where(np.isnan(distance), coarse_inside, distance < 0) & ~outside.reached
+    inside = (coarse_inside & np.isnan(distance) | (distance < 0)) & ~outside.reached
     to_points, parted = outside.distance, np.zeros_like(inside)
     folds = None if options.genus == "free" else folded(cloud, outside, inside)
     del outside, coarse_inside, core  # most memory is needed next
@@ -258,6 +258,6 @@ def _one_sidedness(mesh: TriangleMesh, invented: Mask) -> float:
     """The norm of the sum of the area vectors of unsupported faces, relative to the whole area."""
     # The area vectors of the whole surface sum up to zero. The ratio is 0 if the normals of the unsupported
     # part balance, and 1/2 if this part is one side of a sheet and the points are the other.
-    share = invented[mesh.faces].mean(axis=1)  # (m,)
+    share = invented[mesh.faces] @ np.full(3, 1 / 3)  # (m,)
     vectors = mesh.area_vectors
-    return float(np.linalg.norm(share @ vectors) / np.linalg.norm(vectors, axis=1).sum())
+    return float(np.linalg.norm(share @ vectors) / np.sqrt(vectors**2 @ np.ones(3)).sum())

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from pcretrieve.arrays import bounds
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.grid import Grid, Mask, Voxels
@@ -225,7 +226,8 @@ def _grid(points: FloatArray, n: int) -> Grid:
     """A grid with n voxels, or a few more, on its longest side, whose Fourier transform is fast."""
     from scipy import fft
 
-    longest = float(np.ptp(points, axis=0).max())
+    low, high = bounds(points)
+    longest = float((high - low).max())
     cell = (1 + 2 * MARGIN) * longest / n
     smallest = Grid.around(points, cell, int(np.ceil(MARGIN * longest / cell)))
     a, b, c = (int(fft.next_fast_len(side, real=True)) for side in smallest.shape)

@@ -182,6 +182,6 @@ def _summed(at: FloatArray, normals: FloatArray, number: IntArray, n: int) -> Fl
 
 @njit(cache=True)
 def _add(sums: FloatArray, at: int, terms: FloatArray, begin: int, end: int, factor: float) -> None:
-    here, more = sums[at : at + end - begin], terms[begin:end]
-    for j in range(len(here)):
-        here[j] += factor * more[j]
+    # Numba need not test whether an index without a sign counts from the end of an array.
+    for j in range(np.uint64(end - begin)):
+        sums[np.uint64(at) + j] += factor * terms[np.uint64(begin) + j]

@@ -163,8 +163,7 @@ def _sink(heap: Keys, size: int, at: int) -> None:
         child = 2 * at + 1
         if child >= size:
             break
-        if child + 1 < size and heap[child + 1] < heap[child]:
-            child += 1
+        child += child + 1 < size and heap[child + 1] < heap[child]  # branches would be mispredicted
         if heap[child] >= key:
             break
         heap[at] = heap[child]

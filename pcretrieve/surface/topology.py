@@ -158,28 +158,31 @@ def twins(corners: IntArray, n_vertices: int) -> tuple[IntArray, int]:
     """
     starts = np.cumsum(np.bincount(corners + 1, minlength=n_vertices + 1))
     fill = starts[:-1].copy()
-    leaving = np.empty(len(corners), dtype=np.int32)  # half-edges, grouped by their first vertex
-    for h in range(len(corners)):
-        leaving[fill[corners[h]]] = h
-        fill[corners[h]] += 1
+    # Half-edges, grouped by their first vertex, each with its other vertex, which is thus read in order.
+    leaving = np.empty((len(corners), 2), dtype=np.int32)
+    for f in range(0, len(corners), 3):
+        for k in range(3):
+            i = fill[corners[f + k]]
+            leaving[i, 0], leaving[i, 1] = f + k, corners[f + (k + 1) % 3]
+            fill[corners[f + k]] += 1
     twin = np.full(len(corners), -1, dtype=np.int32)
     n_bad = 0
-    for h in range(len(corners)):
-        tail, head = corners[h], corners[h - 2 if h % 3 == 2 else h + 1]
-        n_back = 0
-        for i in range(starts[head], starts[head + 1]):
-            g = leaving[i]
-            if corners[g - 2 if g % 3 == 2 else g + 1] == tail:
-                twin[h] = g
-                n_back += 1
-        # Of two half-edges with the same ends, each opposite half-edge has two twins.
-        n_bad += tail == head or n_back != 1
+    for f in range(0, len(corners), 3):
+        for k in range(3):
+            tail, head = corners[f + k], corners[f + (k + 1) % 3]
+            n_back = 0
+            for i in range(starts[head], starts[head + 1]):
+                if leaving[i, 1] == tail:
+                    twin[f + k] = leaving[i, 0]
+                    n_back += 1
+            # Of two half-edges with the same ends, each opposite half-edge has two twins.
+            n_bad += tail == head or n_back != 1
     if n_bad:
         return twin, n_bad
     for v in range(n_vertices):
         n_around = starts[v + 1] - starts[v]
         if n_around:
-            first = leaving[starts[v]]
+            first = leaving[starts[v], 0]
             h = twin[first + 2 if first % 3 == 0 else first - 1]
             n_fan = 1
             while h != first:

@@ -90,7 +90,7 @@ class PointCloud(_Processed):
     def __post_init__(self) -> None:
         n = len(self._lock("points", (None, 3)))
         if self.normals is not None:
-            off = np.abs(np.linalg.norm(self._lock("normals", (n, 3)), axis=1) - 1) > UNIT_TOLERANCE  # (n,)
+            off = np.abs(np.sqrt(self._lock("normals", (n, 3)) ** 2 @ np.ones(3)) - 1) > UNIT_TOLERANCE
             if off.any():
                 raise InputError(
                     f"normals must have unit length, got {off.sum()} of {n} that have not: "
@@ -174,26 +174,29 @@ class TriangleMesh(_Processed):
         return bounding_diagonal(self.vertices)
 
     @property
+    def corners(self) -> FloatArray:
+        """(3, 3, m) coordinates of the corners of the faces: coordinate, corner, face; rows without gaps."""
+        return np.take(np.ascontiguousarray(self.vertices.T), np.ascontiguousarray(self.faces.T), axis=1)
+
+    @property
     def area_vectors(self) -> FloatArray:
         """(m, 3) area vectors: outward normals of the faces, with the area as their length; unit length².
 
         The area vectors of a closed surface sum up to zero.
         """
-        corners = self.vertices.T[:, self.faces.T]  # (3, 3, m): coordinate, corner, face
-        x, y, z = corners[:, 1] - corners[:, 0]
-        u, v, w = corners[:, 2] - corners[:, 0]
+        a, b, c = self.corners.swapaxes(0, 1)
+        (x, y, z), (u, v, w) = b - a, c - a
         return np.asarray(np.column_stack([y * w - z * v, z * u - x * w, x * v - y * u]) / 2)
 
     @property
     def face_areas(self) -> FloatArray:
         """(m,) areas of the faces, unit length²."""
-        return np.asarray(np.linalg.norm(self.area_vectors, axis=1))
+        return np.asarray(np.sqrt(self.area_vectors**2 @ np.ones(3)))
 
     @property
     def flat_faces(self) -> NDArray[np.bool_]:
         """(m,) mask of degenerate faces, whose area is too small for the gradients of linear elements."""
-        corners = self.vertices.T[:, self.faces.T]  # (3, 3, m): coordinate, corner, face
-        squares = ((corners - corners[:, [2, 0, 1]]) ** 2).sum(axis=0)  # (3, m)
+        squares = (np.diff(self.corners[:, [0, 1, 2, 0]], axis=1) ** 2).sum(axis=0)  # (3, m)
         return np.asarray(self.face_areas <= SMALLEST_ASPECT * squares.max(axis=0))
 
     @property
