@@ -6,6 +6,7 @@ import time
 from dataclasses import replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.arrays import DOUBLE_OFFSET, Frame
@@ -159,7 +160,7 @@ def _tight_flood(
         towards = outside.direction_at(cloud.points)
         oriented = _guided_normals(cloud.points, towards, neighbors, options)
         shallow = outside.depth_at(cloud.points) < SHALLOW
-        if shallow.sum() > N_COMPARED and _agreement(oriented, neighbors, shallow) >= LEAST_AGREEMENT:
+        if shallow.sum() > N_COMPARED and _agreement(oriented, neighbors.near, shallow) >= LEAST_AGREEMENT:
             note = f"the flood fill leaked; holes with radii up to {gap:.3f} of the diagonal were closed"
             return outside, oriented, (note,) if attempt else ()
     return None, None, (f"the flood fill leaked with holes up to {gap:.3f} of the diagonal closed",)
@@ -201,9 +202,15 @@ def _guided_normals(
     return guided_planes(points, guide, near, distance, SAME_SIDE, NEIGHBOR_SPREAD)
 
 
-def _agreement(oriented: FloatArray, neighbors: Neighborhoods, shallow: NDArray[np.bool_]) -> float:
+@njit(cache=True)
+def _agreement(oriented: FloatArray, near: NDArray[np.intp], shallow: NDArray[np.bool_]) -> float:
     """The fraction of parallel pairs of neighbours, both in the mask `shallow`, with consistent normals."""
-    near = neighbors.near[shallow, 1 : N_COMPARED + 1]  # (m, k), without the point itself
-    cosines = np.einsum("ij,ikj->ik", oriented[shallow], oriented[near])
-    pairs = shallow[near] & (abs(cosines) > PARALLEL)
-    return float((pairs & (cosines > 0)).sum() / max(1, pairs.sum()))
+    n_pairs, n_consistent = 0, 0
+    for i in range(len(near)):
+        for j in near[i, 1 : N_COMPARED + 1]:  # without the point itself
+            cosine = 0.0
+            for axis in range(3):
+                cosine += oriented[i, axis] * oriented[j, axis]
+            n_pairs += shallow[i] and shallow[j] and abs(cosine) > PARALLEL
+            n_consistent += shallow[i] and shallow[j] and cosine > PARALLEL
+    return n_consistent / max(1, n_pairs)

@@ -69,17 +69,18 @@ def walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int], radi
                 continue
             first, second = (axis + 1) % 3, (axis + 2) % 3
             x, y = at[i, first], at[i, second]
+            rise, slope = -normals[i, first] / lean, -normals[i, second] / lean
             left, right = max(0, int(np.ceil(x - radius))), min(shape[first] - 1, int(np.floor(x + radius)))
             low, high = max(0, int(np.ceil(y - radius))), min(shape[second] - 1, int(np.floor(y + radius)))
             for a in range(left, right + 1):
                 for b in range(low, high + 1):
                     da, db = a - x, b - y
-                    along = -(normals[i, first] * da + normals[i, second] * db) / lean
-                    if da * da + db * db + along * along > radius * radius:
-                        continue
+                    along = rise * da + slope * db
                     c = int(np.floor(at[i, axis] + along))
-                    if 0 <= c < shape[axis]:
-                        links[axis, a * step[first] + b * step[second] + c * step[axis]] = True
+                    # Without branches, of which many would be mispredicted.
+                    meets = (da * da + db * db + along * along <= radius * radius) & (0 <= c < shape[axis])
+                    c = min(max(c, 0), shape[axis] - 1)
+                    links[axis, a * step[first] + b * step[second] + c * step[axis]] |= meets
     return walls
 
 
@@ -127,7 +128,7 @@ def contact_layer(inside: Mask, walls: Mask, continued: Mask, to_points: Voxels)
     to_points: distance of each voxel to the nearest point; in voxels.
     Returns (a, b, c) bool: the voxels of the layer. All False if there are so many that noise is the cause.
     """
-    middle = int(np.where(inside, to_points, -1).argmax())
+    middle = int((to_points * inside).argmax())
     found, n_boundary = _contacts(inside, _from_limb(inside, walls, middle), DETOUR)
     most = MOST_CONTACTS * n_boundary
     if found.sum() > most:
