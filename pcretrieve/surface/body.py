@@ -153,7 +153,8 @@ def _body_surface(
         continued = _continued(cloud, grid, to_points)
         parted = contact_layer(inside, crossed_links, continued, to_points)
         inside &= ~parted
-        crossed_links |= continued
+        if continued.any():
+            crossed_links |= continued
         if folds.any():
             crossed_links |= _walls(cloud.select(folds), grid)
         del continued
@@ -199,7 +200,7 @@ def _walls(cloud: PointCloud, grid: Grid) -> Mask:
 def _continued(cloud: PointCloud, grid: Grid, to_points: Voxels) -> Mask:
     """The links that cross a wall continued inwards from the rim of a contact, if sensors left it unseen."""
     if cloud.viewpoints is None:
-        return np.zeros((3, *grid.shape), dtype=bool)
+        return np.zeros((3, 1, 1, 1), dtype=bool)
     middles, directions = rims(grid.coordinates(cloud.points), normals_of(cloud), to_points)
     return walls(middles, directions, grid.shape, CONTINUED)
 
@@ -220,15 +221,16 @@ def _surface(
         beside removed contact voxels do not count, because there are points near them.
     """
     placed, invented, unseen = [], [], []
+    inside, parted, distance = inside.ravel(), parted.ravel(), distance.ravel()
     for axis, here in enumerate(crossed(body)):
-        low = tuple(here.T)
-        high = tuple((here + np.eye(3, dtype=np.intp)[axis]).T)
+        low = np.ravel_multi_index(tuple(here.T), body.shape)
+        high = low + int(np.prod(body.shape[axis + 1 :]))
         at_low, at_high = distance[low], distance[high]
         changes = inside[low] != inside[high]
         believed = changes & ((at_low < 0) == inside[low]) & ((at_high < 0) == inside[high])
         believed &= np.isfinite(at_low) & np.isfinite(at_high)
         share = np.divide(at_low, at_low - at_high, out=np.full(len(here), 0.5), where=believed)
-        crossing = crossings(coarse, grid, axis)[low]
+        crossing = crossings(coarse, grid, axis).ravel()[low]
         share = np.where(believed, share, np.where(changes & np.isfinite(crossing), crossing, 0.5))
         placed.append(Crossings(here, np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE)))
         invented.append(~believed)

@@ -171,17 +171,15 @@ def _summed(at: FloatArray, normals: FloatArray, number: IntArray, n: int) -> Fl
                 rest = REACH * REACH - (x - u) ** 2 - (y - v) ** 2
                 if rest < 0:
                     continue
-                half = np.sqrt(rest)
-                first, last = max(0, int(np.ceil(z - half))), min(n_z, int(z + half) + 1)
+                first, last = w_low, w_high
+                while first < last and (first - z) ** 2 > rest:
+                    first += 1
+                while first < last and (last - 1 - z) ** 2 > rest:
+                    last -= 1
                 of_line = of_x * of_y[v - v_low]
                 if first < last:  # the numbers of the voxels on this line are consecutive
-                    begin, end = 9 * (first - w_low), 9 * (last - w_low)
-                    _add(sums, 9 * number[u, v, first], terms, begin, end, of_line)
+                    here, begin = np.uint64(9 * number[u, v, first]), np.uint64(9 * (first - w_low))
+                    # Numba need not test whether an index without a sign counts from the end of an array.
+                    for j in range(np.uint64(9 * (last - first))):
+                        sums[here + j] += of_line * terms[begin + j]
     return sums.reshape(n, 9)
-
-
-@njit(cache=True)
-def _add(sums: FloatArray, at: int, terms: FloatArray, begin: int, end: int, factor: float) -> None:
-    # Numba need not test whether an index without a sign counts from the end of an array.
-    for j in range(np.uint64(end - begin)):
-        sums[np.uint64(at) + j] += factor * terms[np.uint64(begin) + j]
