@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import dijkstra
 
 from pcretrieve.checks.grading import Check
 from pcretrieve.checks.stages import (
@@ -27,7 +24,6 @@ from pcretrieve.points.grid import joined_by
 from pcretrieve.points.neighbors import SPACING_NEIGHBORS, Neighborhoods, nearest
 from pcretrieve.surface import SurfaceMarks, components
 from pcretrieve.values import FloatArray, PointCloud, Shape, TriangleMesh
-from pcretrieve.values.geometry import edge_graph
 
 # Number of neighbours with whose normals the normal of a point is compared.
 N_NEIGHBORS = 8
@@ -44,21 +40,15 @@ FILLED, FILLED_OF_SPARSE = 4, 2
 # The same beyond which a face may close a cut limb or a hole.
 BARE, BARE_OF_SPARSE = 1.75, 0.6
 
-# Of a face that closes a cut limb: the largest cosine of the angle between its normal and that of the nearest
-# point, since in a hole of a smooth surface these agree; the least distance to this point, in medians; the
-# largest distance to an extremity of the body, relative to the diagonal; and the number of extremities:
-# limbs, head, tail, ears, half a limb that is left.
-TURNED, CLOSING, NEAR_END, N_ENDS = 0.7, 2.5, 0.06, 13
+# Of a face that closes a cut limb: the largest cosine between its normal and that of the nearest point, since
+# in a smooth hole these agree; the largest distance to the middle of what closes it, in diagonals; the number
+# of places, the largest, where it is sought; and the least likeness to a rim, for floors with invented backs.
+TURNED, NEAR_END, N_ENDS, SHEET = 0.8, 0.06, 10, 0.05
 
-# Normals round a cut limb are perpendicular to its axis, those of thin parts along it: areas are weighted by
-# (1 − |cosine|)². The least weight is for large sheets, such as a floor, whose back was invented.
-SHEET = 0.05
-
-# Of a face in a hole that is not explained by occlusion: the least distance to the nearest point, relative to
-# the diagonal, and the least share of the hemisphere above it, weighted by the cosine as for ambient
-# occlusion, that the body leaves free; and this share of a face that closes a cut limb. Sensors do not reach
-# into folds, such as those of a lap, and between limbs that touch.
-FAR_OFF, OPEN, OPEN_END, N_RAYS = 0.01, 0.6, 0.4, 64
+# Of a face in a hole that is not explained by occlusion: the least distance to the nearest point, in
+# diagonals, and the least share of the hemisphere, weighted by the cosine as for ambient occlusion, that
+# surface with points leaves free, unlike folds of a lap; and this share of a face that closes a cut limb.
+FAR_OFF, OPEN, OPEN_END, N_RAYS = 0.007, 0.7, 0.65, 64
 
 # Height above a face from which rays are cast, relative to the diagonal: beyond single precision.
 ABOVE = 1e-3
@@ -151,45 +141,54 @@ def _fit(
     lost = gap > FILLED * spacing
     far = np.flatnonzero(bare & (areas > 0))
     normals = vectors[far] / areas[far, np.newaxis]
-    light = _openness(scene, middles[far] - origin + ABOVE * diagonal * normals, normals)
+    seen = RayScene(mesh.vertices - origin, mesh.faces[~bare])  # dents that close a hole hide nothing
+    light = _openness(seen, middles[far] - origin + ABOVE * diagonal * normals, normals)
     ends = 0.0
     if cloud.normals is not None:
-        turned = far[np.einsum("ij,ij->i", normals, cloud.normals[near[far]]) < TURNED]
-        is_closing = np.zeros(len(areas), dtype=np.bool_)
-        is_closing[far] = (light > OPEN_END) & (apart[far] > CLOSING * spacing)
-        for paths in islice(from_extremities(mesh), N_ENDS):
-            end = turned[(paths < NEAR_END * diagonal)[mesh.faces[turned]].any(axis=1)]
-            axis = vectors[end].sum(axis=0)
-            rim = cloud.normals[np.unique(near[end])] @ axis / np.linalg.norm(axis)
-            size = np.linalg.norm(vectors[end[is_closing[end]]].sum(axis=0)) / area
-            if size:
-                ends = max(ends, float(max((1 - np.abs(rim).mean()) ** 2, SHEET) * size))
-    hole = far[(light > OPEN) & (apart[far] > FAR_OFF * diagonal)]
-    hole = hole[components(TriangleMesh(mesh.vertices, mesh.faces[hole])) == 0] if len(hole) else hole
+        is_turned = np.einsum("ij,ij->i", normals, cloud.normals[near[far]]) < TURNED
+        is_closing = is_turned & (light > OPEN_END)
+        for part in _parts(mesh, far[is_closing])[:N_ENDS]:
+            middle = np.average(middles[part], 0, areas[part])
+            is_near = np.linalg.norm(middles[far] - middle, axis=1) < NEAR_END * diagonal
+            end, cap = far[is_near & is_turned], vectors[far[is_near & is_closing]].sum(axis=0)
+            if len(end):
+                rim, middle = np.unique(near[far[is_near]]), np.average(middles[end], 0, areas[end])
+                likeness = _rim(cloud.normals[rim], cloud.points[rim] - middle, vectors[end].sum(axis=0))
+                ends = max(ends, max(likeness, SHEET) * float(np.linalg.norm(cap) / area))
+    is_hole = (light > OPEN) & (apart[far] > FAR_OFF * diagonal)
+    # The points round a hole lie beside it; those of a thin part, round which the surface is too wide, below.
+    beside = np.linalg.norm(np.cross(cloud.points[near[far]] - middles[far], normals), axis=1)
+    weights = areas.copy()
+    weights[far] *= beside / apart[far]
+    holes = [weights[part].sum() for part in _parts(mesh, far[is_hole])]
     checks += fit_checks(
         filled=float(areas[filled].sum() / area),
         ends=ends,
         gaps=float(apart[order[min(covered, len(order) - 1)]] / diagonal),
-        hole=float(areas[hole].sum() / area),
+        hole=float(max(holes, default=0) / area),
         lost=float(lost.mean()),
         noise=float(np.sqrt((gap[~lost] ** 2).sum() / max((~lost).sum(), 1))) / diagonal,
     )
     return filled, checks
 
 
-def from_extremities(mesh: TriangleMesh) -> Iterator[FloatArray]:
-    """(n,) lengths of the shortest paths along edges from one extremity of a body after the other.
+def _parts(mesh: TriangleMesh, faces: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+    """The connected components of some faces, in order of descending area."""
+    label = components(TriangleMesh(mesh.vertices, mesh.faces[faces]))
+    return [faces[label == number] for number in range(label.max(initial=-1) + 1)]
 
-    The extremities are found by farthest-point sampling that begins in the middle of the body.
+
+def _rim(normals: FloatArray, offsets: FloatArray, axis: FloatArray) -> float:
+    """How like points, by normals and offsets (r, 3) from their middle, are to those round a limb cut off.
+
+    They lie on all sides of its axis, and so do their normals, which are perpendicular to it: twice the
+    second eigenvalue of the covariance of such directions is 1, and 0 for those of folds and thin sheets.
     """
-    graph = edge_graph(mesh)  # symmetric
-    place = np.linalg.norm(mesh.vertices - mesh.vertices.mean(axis=0), axis=1).argmin()
-    apart = dijkstra(graph, indices=np.array([place]))[0]
-    while True:
-        place = np.where(np.isfinite(apart), apart, 0).argmax()
-        distances = dijkstra(graph, indices=np.array([place]))[0]
-        apart = np.minimum(apart, distances)
-        yield distances
+    axis = axis / np.linalg.norm(axis)
+    both = [directions - np.outer(directions @ axis, axis) for directions in (normals, offsets)]
+    both[1] /= np.maximum(np.linalg.norm(both[1], axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    spread = 2 * np.linalg.eigvalsh([np.cov(across.T, bias=True) for across in both])[:, 1]
+    return float(spread.prod() * (1 - np.abs(normals @ axis).mean()))
 
 
 def _openness(scene: RayScene, places: FloatArray, normals: FloatArray) -> FloatArray:

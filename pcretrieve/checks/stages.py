@@ -18,11 +18,11 @@ ERROR_OF_FILLED = 2.0
 ERROR_OF_LOST = 5.0
 ERROR_OF_NOISE = 100.0
 ERROR_OF_ENDS = 200.0
-ENDS_OF_NOISE = 0.000275
+ENDS_OF_NOISE = 0.00022
 ERROR_OF_GAPS = 2900.0
 
-# Log-signature error of a base if the ground was not seen: what was cut off there may be legs.
-ERROR_OF_BASE = 0.3
+# Log-signature error of a base if the ground was not seen: a limb may end there, unless it is a mere sole.
+ERROR_OF_BASE, LEAST_BASE = 0.3, 0.0015
 
 # Log-signature error of one cut or bridge; those of several are independent.
 ERROR_OF_CUT = 0.15
@@ -149,8 +149,9 @@ def fit_checks(
 
 def base_check(area: float, on_ground: bool) -> Check:
     """Check how much of the surface is the base on which the body stood, which no sensor sees."""
-    error = ERROR_OF_FILLED * area + (0.0 if on_ground else ERROR_OF_BASE)
-    return graded("Closed base", area, f"{percent(area)} of the surface", is_good=on_ground, error=error)
+    is_good = on_ground or area < LEAST_BASE
+    error = ERROR_OF_FILLED * area + (0.0 if is_good else ERROR_OF_BASE)
+    return graded("Closed base", area, f"{percent(area)} of the surface", is_good=is_good, error=error)
 
 
 def marks_check(n_cuts: int, n_bridges: int) -> Check:

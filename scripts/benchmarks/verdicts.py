@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from benchmarks.measuring import Column, Table, add_data, all_in_workers, argument_parser, print_lines
 from benchmarks.sets import SETS, Item, left_out
 from pcretrieve.checks import findings_of, verdict_of
-from pcretrieve.checks.findings import from_extremities
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import ShapeError
 from pcretrieve.options import JUDGED, PipelineOptions
@@ -29,6 +29,7 @@ from pcretrieve.pipeline.process import process, shape_of, stages
 from pcretrieve.retrieval import Positions
 from pcretrieve.simulation import RigOptions, scan
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
+from pcretrieve.values.geometry import edge_graph
 
 CONDITIONS = ("whole", "no limb", "hole", "density 10 : 1")
 
@@ -150,4 +151,19 @@ def _from_an_end(mesh: TriangleMesh, rng: np.random.Generator) -> FloatArray:
         share = float(areas[(paths < reach)[mesh.faces].all(axis=1)].sum())
         return SHARES[0] < share < SHARES[1]
 
-    return next(islice(filter(is_limb, from_extremities(mesh)), int(rng.integers(N_ENDS)), None))
+    return next(islice(filter(is_limb, _from_extremities(mesh)), int(rng.integers(N_ENDS)), None))
+
+
+def _from_extremities(mesh: TriangleMesh) -> Iterator[FloatArray]:
+    """(n,) lengths of the shortest paths along edges from one extremity of a body after the other.
+
+    The extremities are found by farthest-point sampling that begins in the middle of the body.
+    """
+    graph = edge_graph(mesh)  # symmetric
+    place = np.linalg.norm(mesh.vertices - mesh.vertices.mean(axis=0), axis=1).argmin()
+    apart = dijkstra(graph, indices=np.array([place]))[0]
+    while True:
+        place = np.where(np.isfinite(apart), apart, 0).argmax()
+        distances = dijkstra(graph, indices=np.array([place]))[0]
+        apart = np.minimum(apart, distances)
+        yield distances

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pcretrieve import TriangleMesh, process
 from pcretrieve.checks import Check, verdict_of
 from pcretrieve.checks.grading import GROSS
-from pcretrieve.checks.stages import fit_checks
+from pcretrieve.checks.stages import base_check, fit_checks
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SignatureOptions
@@ -162,5 +162,6 @@ def test_a_gross_fault_makes_a_scan_incomplete() -> None:
     assert verdict.judgement == "incomplete"
     assert verdict.reasons == ("normals: much", "gaps: much")
     assert verdict_of([check("Gaps", 1.1)]).judgement == "incomplete"
-    assert verdict_of([check("Closed base", 0.3)]).judgement == "incomplete"
+    assert verdict_of([base_check(0.01, on_ground=False)]).judgement == "incomplete"
+    assert verdict_of([base_check(0.001, on_ground=False)]).judgement == "good"  # a sole
     assert verdict_of([check("Gaps", 0.9)]) == Verdict("good", 0.9)
