@@ -108,18 +108,15 @@ def _nearest(
 ) -> tuple[FloatArray, Index]:
     """The nearest points in a block of cells around each place, which grows until none can be nearer."""
     distance, near = np.empty((len(places), k)), np.empty((len(places), k), dtype=np.intp)
-    grouped = (points[order] - low) / edge  # in cells, whose squares do not underflow
+    # In cells, whose squares do not underflow.
+    grouped, scaled = (points[order] - low) / edge, (places - low) / edge
     # Points are sorted by keys: the squares of distances, whose last bits are the number of the point. Keys
-    # are exchanged without branches, of which many would be mispredicted.
+    # wait and are exchanged without branches, of which many would be mispredicted.
     low_bits = (1 << int(np.ceil(np.log2(len(points) + 1)))) - 1
-    keys = np.empty(k)
+    keys, waiting = np.empty(k), np.empty(len(points) + 1)
     numbers = keys.view(np.int64)
     for q in range(len(places)):
-        x, y, z = (
-            (places[q, 0] - low[0]) / edge,
-            (places[q, 1] - low[1]) / edge,
-            (places[q, 2] - low[2]) / edge,
-        )
+        x, y, z = scaled[q, 0], scaled[q, 1], scaled[q, 2]
         a, b, c = _cell(x, shape[0]), _cell(y, shape[1]), _cell(z, shape[2])
         n, ring = 0, 0
         while n < k:
@@ -131,7 +128,7 @@ def _nearest(
                     gap = min(gap, at - (cell - ring))
                 if cell + ring + 1 < size:
                     gap = min(gap, cell + ring + 1 - at)
-            limit, n = (1 - ROUNDING) * gap * gap, 0
+            limit, n, m = (1 - ROUNDING) * gap * gap, 0, 0
             bottom, top = max(0, c - ring), min(shape[2] - 1, c + ring)
             for u in range(max(0, a - ring), min(shape[0], a + ring + 1)):
                 for v in range(max(0, b - ring), min(shape[1], b + ring + 1)):
@@ -140,16 +137,16 @@ def _nearest(
                     for i in range(starts[line + bottom], starts[line + top + 1]):
                         d, e, f = grouped[i, 0] - x, grouped[i, 1] - y, grouped[i, 2] - z
                         square = max(d * d + e * e + f * f, np.finfo(np.float64).tiny)
-                        if square > limit:
-                            continue
-                        key = np.int64(np.float64(square).view(np.int64) & ~low_bits | i).view(np.float64)
-                        for j in range(n):
-                            keys[j], key = min(keys[j], key), max(keys[j], key)
-                        if n < k:
-                            keys[n] = key
-                            n += 1
-                        if n == k:
-                            limit = min(limit, keys[k - 1])
+                        bits = np.float64(square).view(np.int64) & ~low_bits | i
+                        waiting[m] = np.int64(bits).view(np.float64)
+                        m += square <= limit
+            for i in range(m):
+                key = waiting[i]
+                for j in range(n):
+                    keys[j], key = min(keys[j], key), max(keys[j], key)
+                if n < k:
+                    keys[n] = key
+                    n += 1
         for j in range(k):
             i = order[numbers[j] & low_bits]
             d, e, f = points[i, 0] - places[q, 0], points[i, 1] - places[q, 1], points[i, 2] - places[q, 2]
