@@ -113,12 +113,12 @@ def assembled(mesh: TriangleMesh, nodes: Index, element: ReferenceElement) -> As
 
     nodes: (m, q) int, node numbers of each face. Every number from 0 to the largest occurs.
     """
-    corners = mesh.vertices[mesh.faces]  # (m, 3, 3)
-    edges = np.roll(corners, -1, axis=1) - corners  # (m, 3, 3)
+    corners = mesh.corners  # (3, 3, m): coordinate, corner, face
+    edges = np.roll(corners, -1, axis=1) - corners
     area = mesh.face_areas  # (m,)
     # The angle opposite to side k is at corner k + 2, between sides k + 1 and k + 2.
-    opposite = np.einsum("mkx,mkx->mk", np.roll(edges, -1, axis=1), np.roll(edges, -2, axis=1))
-    half_cotangents = -opposite / (4 * area[:, None])  # (m, 3)
+    opposite = (np.roll(edges, -1, axis=1) * np.roll(edges, -2, axis=1)).sum(axis=0)  # (3, m)
+    half_cotangents = np.ascontiguousarray((-opposite / (4 * area)).T)  # (m, 3)
 
     n = int(nodes.max()) + 1
     boundary, lone = np.zeros(n, dtype=bool), lone_sides(mesh)
