@@ -274,7 +274,7 @@ def _of_scan(value: PointCloud, options: PipelineOptions) -> Iterator[Seen]:
 @cache
 def compile_stages() -> None:
     """Compile the loops of all stages, if setup.py has not; one process after the other."""
-    from pcretrieve.points.grid import components
+    from pcretrieve.points.grid import components, distances
 
     components(np.zeros((1, 1, 1), dtype=np.bool_), False)
     if components.stats.cache_misses:
@@ -286,6 +286,7 @@ def compile_stages() -> None:
         with Path(__file__).open(encoding="utf-8") as file:
             with suppress(OSError):  # a file system without locks
                 fcntl.flock(file, fcntl.LOCK_EX)
+            distances(np.zeros((1, 1, 200), dtype=np.bool_), np.inf)  # in 32 bits: `body` needs 16 only
             *_, last = _of_scan(PointCloud(body), options := PipelineOptions())
             describe(shape_of(last, options), options.signature)
 
