@@ -41,9 +41,9 @@ FILLED, FILLED_OF_SPARSE = 4, 2
 BARE, BARE_OF_SPARSE = 1.75, 0.6
 
 # Of a face that closes a cut limb: the largest cosine between its normal and that of the nearest point, since
-# in a smooth hole these agree; the largest distance to the middle of what closes it, in diagonals; the number
-# of places, the largest, where it is sought; and the least likeness to a rim, for floors with invented backs.
-TURNED, NEAR_END, N_ENDS, SHEET = 0.8, 0.06, 10, 0.05
+# in a smooth hole these agree; the least distance to this point, in medians; the largest to the middle of
+# what closes it, in diagonals; the number of places; and the least likeness to a rim, for floors.
+TURNED, CLOSING, NEAR_END, N_ENDS, SHEET = 0.8, 1.9, 0.045, 10, 0.1
 
 # Of a face in a hole that is not explained by occlusion: the least distance to the nearest point, in
 # diagonals, and the least share of the hemisphere, weighted by the cosine as for ambient occlusion, that
@@ -146,7 +146,7 @@ def _fit(
     ends = 0.0
     if cloud.normals is not None:
         is_turned = np.einsum("ij,ij->i", normals, cloud.normals[near[far]]) < TURNED
-        is_closing = is_turned & (light > OPEN_END)
+        is_closing = is_turned & (apart[far] > CLOSING * spacing) & (light > OPEN_END)
         for part in _parts(mesh, far[is_closing])[:N_ENDS]:
             middle = np.average(middles[part], 0, areas[part])
             is_near = np.linalg.norm(middles[far] - middle, axis=1) < NEAR_END * diagonal
@@ -183,12 +183,13 @@ def _rim(normals: FloatArray, offsets: FloatArray, axis: FloatArray) -> float:
 
     They lie on all sides of its axis, and so do their normals, which are perpendicular to it: twice the
     second eigenvalue of the covariance of such directions is 1, and 0 for those of folds and thin sheets.
+    Of the normals its root counts, because it is small if the limb is not round.
     """
     axis = axis / np.linalg.norm(axis)
     both = [directions - np.outer(directions @ axis, axis) for directions in (normals, offsets)]
     both[1] /= np.maximum(np.linalg.norm(both[1], axis=1, keepdims=True), np.finfo(np.float64).tiny)
-    spread = 2 * np.linalg.eigvalsh([np.cov(across.T, bias=True) for across in both])[:, 1]
-    return float(spread.prod() * (1 - np.abs(normals @ axis).mean()))
+    spread = np.linalg.eigvalsh([2 * np.cov(across.T, bias=True) for across in both])[:, 1].clip(0)
+    return float(np.sqrt(spread[0]) * spread[1] * (1 - np.abs(normals @ axis).mean()))
 
 
 def _openness(scene: RayScene, places: FloatArray, normals: FloatArray) -> FloatArray:
