@@ -12,6 +12,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from pcretrieve.catalogue import records
 from pcretrieve.catalogue.arrays import (
     intact,
     packed,
@@ -22,17 +23,6 @@ from pcretrieve.catalogue.arrays import (
     unpacked_values,
 )
 from pcretrieve.catalogue.cache import IndexCache, signatures_digest
-from pcretrieve.catalogue.records import (
-    OWN,
-    PAYLOADS,
-    Content,
-    Entry,
-    Payload,
-    Record,
-    row_of,
-    settings_of,
-    stored_options,
-)
 from pcretrieve.catalogue.rows import Rows
 from pcretrieve.errors import CatalogueError, InputError, PcretrieveError, ShapeError
 from pcretrieve.options import PipelineOptions, options_difference
@@ -104,9 +94,11 @@ class Catalogue(Rows):
         create: bool = False,
         any_numbers: bool = False,
     ) -> None:
-        super().__init__(location, settings_of(options or PipelineOptions()), create=create)
+        super().__init__(location, records.settings_of(options or PipelineOptions()), create=create)
         try:
-            self.options = stored_options(self.location, self.settings(), options, any_numbers=any_numbers)
+            self.options = records.stored_options(
+                self.location, self.settings(), options, any_numbers=any_numbers
+            )
         except BaseException:
             self.close()
             raise
@@ -147,7 +139,7 @@ class Catalogue(Rows):
 
     def signature(self, shape_id: str) -> FloatArray:
         """The signature (L,) of a shape by the options of the catalogue, as it is stored."""
-        stored = self._entry(shape_id, ()).signatures.get(OWN)
+        stored = self._entry(shape_id, ()).signatures.get(records.OWN)
         if stored is None:
             raise self.unknown(shape_id)
         with intact(self.location, f"the signature of {shape_id!r}"):
@@ -162,19 +154,19 @@ class Catalogue(Rows):
 
     def stored_bytes(self, shape_id: str) -> dict[str, int]:
         """The sizes in bytes of a shape's record, signatures and arrays; InputError if there is no shape."""
-        entry = self._entry(shape_id, PAYLOADS)
-        texts = (str(value) for value in row_of(entry.record).values() if value is not None)
-        sizes = dict.fromkeys(("record", "signatures", *PAYLOADS), 0)
+        entry = self._entry(shape_id, records.PAYLOADS)
+        texts = (str(value) for value in records.row_of(entry.record).values() if value is not None)
+        sizes = dict.fromkeys(("record", "signatures", *records.PAYLOADS), 0)
         sizes["record"] = sum(len(text.encode()) for text in texts)
         sizes["signatures"] = sum(map(len, entry.signatures.values()))
         return sizes | {name: len(arrays) for name, arrays in entry.payloads.items()}
 
-    def put(self, record: Record, content: Content | None = None) -> Record:
+    def put(self, record: records.Record, content: records.Content | None = None) -> records.Record:
         """Store a shape, or with no content its failure, as by `store`; the record that is then stored."""
         added = datetime.now(timezone.utc).isoformat(timespec="seconds")
         record = replace(record, options_digest=self.options.digest, added=added)
         if content is None:
-            return self.store(Entry(record, {}, {}))
+            return self.store(records.Entry(record, {}, {}))
         shape, mesh = content.shape, content.shape.mesh
         record = replace(
             record,
@@ -187,9 +179,9 @@ class Catalogue(Rows):
         payloads = payloads_of(shape, self.options)
         if content.thumbnail is not None:
             payloads["thumbnails"] = packed([np.frombuffer(content.thumbnail, np.uint8)])
-        return self.store(Entry(record, {OWN: packed_values(content.signature)}, payloads))
+        return self.store(records.Entry(record, {records.OWN: packed_values(content.signature)}, payloads))
 
-    def keep_thumbnail(self, record: Record, picture: bytes) -> bool:
+    def keep_thumbnail(self, record: records.Record, picture: bytes) -> bool:
         """Store the picture of a shape, a PNG file, unless the shape has been replaced since it was read.
 
         Returns whether it could be written. No error is raised, because a picture can be drawn again.
@@ -271,19 +263,19 @@ class Catalogue(Rows):
             )
         return options
 
-    def _entry(self, shape_id: str, payloads: Collection[Payload]) -> Entry:
+    def _entry(self, shape_id: str, payloads: Collection[records.Payload]) -> records.Entry:
         for entry in self.entries([shape_id], payloads=payloads):
             return entry
         raise self.unknown(shape_id)
 
-    def _read(self, shape_id: str, needs: Collection[Need]) -> tuple[Record, Shape]:
+    def _read(self, shape_id: str, needs: Collection[Need]) -> tuple[records.Record, Shape]:
         """A record and its shape with some parts.
 
         Overlaps that were not stored are computed from the mesh. Parts that were not stored, and cannot be
         computed, are missing in the shape.
         """
         overlaps, with_mesh = "overlaps" in needs, bool({"mesh", "eigenvectors"} & set(needs))
-        names: list[Payload] = ["spectra"]
+        names: list[records.Payload] = ["spectra"]
         names += ["moments"] if overlaps or "spectrum" in needs else []
         names += ["overlaps"] if overlaps else []
         names += ["meshes"] if overlaps or with_mesh else []
@@ -309,7 +301,7 @@ class Catalogue(Rows):
         descriptor = DESCRIPTORS[options.signature.method]
         unit = self._unit_of_sizes(options)
         is_own = options.signature_digest == self.options.signature_digest
-        digest = OWN if is_own else signatures_digest(options)
+        digest = records.OWN if is_own else signatures_digest(options)
         n_values = signature_length(options.signature)
         with intact(self.location, "a signature"):
             revision, ids, labels, has, packed = self.listed(digest)
@@ -332,7 +324,7 @@ class Catalogue(Rows):
         needs = DESCRIPTORS[options.signature.method].needs
         made: list[FloatArray] = []
         for start in range(0, len(ids), KEPT_AT_ONCE):
-            unkept: list[tuple[Record, bytes]] = []
+            unkept: list[tuple[records.Record, bytes]] = []
             try:
                 for shape_id in ids[start : start + KEPT_AT_ONCE]:
                     record, shape = self._read(shape_id, needs)

@@ -7,17 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.checks import stages
 from pcretrieve.checks.grading import Check
-from pcretrieve.checks.stages import (
-    base_check,
-    fit_checks,
-    marks_check,
-    mesh_check,
-    normal_checks,
-    point_checks,
-    spectrum_checks,
-    surface_checks,
-)
 from pcretrieve.draw.open3d import RayScene
 from pcretrieve.points.density import local_spacings
 from pcretrieve.points.grid import joined_by
@@ -93,9 +84,9 @@ def findings_of(
         places = np.ascontiguousarray(cloud.points[some])
         distance, near = nearest(cloud.points, places, min(N_NEIGHBORS + 1, len(cloud.points)))
         spacing = float(np.median(distance[:, 1]))
-        checks += point_checks(cloud, spacing=spacing)
+        checks += stages.point_checks(cloud, spacing=spacing)
         if cloud.normals is not None:
-            checks += normal_checks(cloud.normals, cloud.normals[some], near[:, 1:])  # itself first
+            checks += stages.normal_checks(cloud.normals, cloud.normals[some], near[:, 1:])  # itself first
         if mesh is not None:
             base = np.zeros((0, 3)) if marks is None else marks.base
             filled, fit = _fit(cloud, mesh, places, spacing, base)
@@ -103,11 +94,11 @@ def findings_of(
         if marks is not None:
             reach = PLACE * cloud.diagonal
             cuts, bridges = _places(marks.cuts, reach), _places(marks.bridges, reach)
-            checks.append(marks_check(len(cuts), len(bridges)))
+            checks.append(stages.marks_check(len(cuts), len(bridges)))
     if mesh is not None:
-        checks += [*surface_checks(mesh), *mesh_check(mesh.provenance)]
+        checks += [*stages.surface_checks(mesh), *stages.mesh_check(mesh.provenance)]
     if shape is not None:
-        checks += spectrum_checks(shape)
+        checks += stages.spectrum_checks(shape)
     return Findings(tuple(checks), spacing, filled, cuts, bridges)
 
 
@@ -130,7 +121,7 @@ def _fit(
     if len(base):
         on_base = filled.copy()
         on_base[filled] = nearest(base, middles[filled], 1)[0][:, 0] < apart[filled]
-        checks.append(base_check(float(areas[on_base].sum() / area), cloud.up is not None))
+        checks.append(stages.base_check(float(areas[on_base].sum() / area), cloud.up is not None))
         apart, areas = np.where(on_base, 0, apart), np.where(on_base, 0, areas)
     order = np.argsort(apart)
     covered = np.searchsorted(np.cumsum(areas[order]), COVERED * areas.sum())
@@ -161,7 +152,7 @@ def _fit(
     weights = areas.copy()
     weights[far] *= beside / apart[far]
     holes = [weights[part].sum() for part in _parts(mesh, far[is_hole])]
-    checks += fit_checks(
+    checks += stages.fit_checks(
         filled=float(areas[filled].sum() / area),
         ends=ends,
         gaps=float(apart[order[min(covered, len(order) - 1)]] / diagonal),

@@ -13,18 +13,7 @@ from typing import Any, NoReturn
 import click
 
 import pcretrieve as pr
-from pcretrieve.cli import options as opt, output as out
-from pcretrieve.cli.messages import (
-    Progress,
-    bar,
-    duration,
-    failure_line,
-    log_to,
-    say,
-    shown_path,
-    stop_waiting,
-    without_password,
-)
+from pcretrieve.cli import messages, options as opt, output as out
 from pcretrieve.errors import CatalogueError, InputError
 
 # Largest number of names in the message about names in a label file that match no scan.
@@ -81,11 +70,11 @@ def ingest_command(
     if not paths:
         raise click.UsageError("name at least one scan")
     if log_file is not None:
-        log_to(log_file)
+        messages.log_to(log_file)
     options = _new_options(values)
     if cluster := opt.taken(values, "scheduler", "scheduler_file"):
         values["executor"] = pr.DaskExecutor(**cluster)
-    with Progress("ingest", "none" if quiet and progress == "bar" else progress) as shown:
+    with messages.Progress("ingest", "none" if quiet and progress == "bar" else progress) as shown:
         try:
             values |= {"on_start": shown.start, "on_shape": partial(_advance, shown)}
             summary = pr.ingest(paths, catalogue, options=options, **values)
@@ -111,17 +100,19 @@ def _stopped(stop: BaseException, catalogue: str) -> NoReturn:
     """End the command after Ctrl-C or a signal, and say what is stored."""
     try:
         with pr.Catalogue(catalogue) as store:
-            say(f"stopped; {len(store)} shapes are in {catalogue}, and the same command goes on from there")
+            messages.say(
+                f"stopped; {len(store)} shapes are in {catalogue}, and the same command goes on from there"
+            )
     except CatalogueError:  # there is none yet
-        say("stopped")
+        messages.say("stopped")
     sys.exit(stop.code if isinstance(stop, SystemExit) else out.EXIT_INTERRUPTED)
 
 
-def _advance(shown: Progress, record: pr.Record) -> None:
+def _advance(shown: messages.Progress, record: pr.Record) -> None:
     """Count a scan that a catalogue has now, and show it."""
     facts = {"status": record.status, "seconds": round(record.seconds, 3)} | _facts(record)
     is_failed = record.status == "failed"
-    shown.advance(facts, failure_line(record.id, record, record.path) if is_failed else None)
+    shown.advance(facts, messages.failure_line(record.id, record, record.path) if is_failed else None)
 
 
 def _facts(record: pr.Record) -> dict[str, object]:
@@ -150,7 +141,7 @@ def retry_command(catalogue: str, progress: str, **chosen: Any) -> out.Result:
     \b
     pcretrieve catalogue retry -c bodies.sqlite --stage worker --timeout 3600
     """
-    with pr.Catalogue(catalogue) as store, Progress("retry", progress) as shown:
+    with pr.Catalogue(catalogue) as store, messages.Progress("retry", progress) as shown:
         summary = pr.retry(store, on_start=shown.start, on_shape=partial(_advance, shown), **chosen)
     _say_summary(summary, catalogue)
     return _result(summary, catalogue)
@@ -176,10 +167,10 @@ def watch_command(folder: Path, catalogue: str, **values: Any) -> None:
     \b
     pcretrieve watch scanner/ --catalogue bodies.sqlite
     """
-    stop_waiting()
+    messages.stop_waiting()
     options = _new_options(values)
     try:
-        say(f"watching {folder} every {values['interval']:g} s, until Ctrl-C")
+        messages.say(f"watching {folder} every {values['interval']:g} s, until Ctrl-C")
         for summary in pr.watch(folder, catalogue, options=options, on_shape=_tell, **values):
             _say_summary(summary, catalogue)
     except (KeyboardInterrupt, SystemExit) as stop:
@@ -188,9 +179,9 @@ def watch_command(folder: Path, catalogue: str, **values: Any) -> None:
 
 def _tell(record: pr.Record) -> None:
     if record.status == "failed":
-        say(failure_line(record.id, record, record.path))
+        messages.say(messages.failure_line(record.id, record, record.path))
     else:
-        say(f"done: [{record.id}] {shown_path(record.path)}")
+        messages.say(f"done: [{record.id}] {messages.shown_path(record.path)}")
 
 
 @opt.command("status")
@@ -202,7 +193,7 @@ def status_command(catalogue: str) -> out.Result:
     pcretrieve status -c bodies.sqlite
     """
     found = pr.status(catalogue)
-    document = {"catalogue": without_password(catalogue)} | asdict(found)
+    document = {"catalogue": messages.without_password(catalogue)} | asdict(found)
     return out.Result(document, show=lambda: _write_status(catalogue, found))
 
 
@@ -218,7 +209,7 @@ def _progress_lines(found: pr.BatchStatus) -> list[str]:
     if found.state == "none":
         return ["no ingest into it is known on this computer"]
     n_finished = found.n_done + found.n_failed + found.n_skipped
-    left = "" if found.seconds_left is None else f", about {duration(found.seconds_left)} left"
+    left = "" if found.seconds_left is None else f", about {messages.duration(found.seconds_left)} left"
     lines = [
         f"ingest {found.state}: {n_finished} of {found.n_scans} scans: {found.n_done} done, "
         f"{found.n_failed} failed, {found.n_skipped} known already or duplicates",
@@ -236,23 +227,23 @@ def _progress_lines(found: pr.BatchStatus) -> list[str]:
 def _say_summary(summary: pr.Summary, catalogue: str, labels: str | None = None) -> None:
     """Print the summary of an ingest, or of what an ingest would do."""
     for path, original in summary.duplicates:
-        say(f"skipped {path}: the same content as {original.id} ({original.path})")
+        messages.say(f"skipped {path}: the same content as {original.id} ({original.path})")
     if summary.unknown_labels:
         quoted = ", ".join(summary.unknown_labels[:QUOTED])
         more = len(summary.unknown_labels) - QUOTED
-        say(
+        messages.say(
             f"{labels} names {len(summary.unknown_labels)} shapes that are not among the scans: {quoted}"
             + (f" and {more} more" if more > 0 else "")
         )
     failures = _failures(summary)
     done = f"{len(summary.planned)} to process" if summary.planned else f"{len(summary.done)} done"
-    say(
+    messages.say(
         f"{done}, {len(failures)} failed, {len(_known(summary))} known already, {len(summary.duplicates)} "
         f"duplicates: {catalogue}{'; --retry-failed processes the failed shapes again' if failures else ''}"
     )
     if incomplete := _incomplete(summary):
         listed = f"`pcretrieve list --incomplete -c {quote(catalogue)}`"
-        say(f"{len(incomplete)} incomplete: {listed} gives the reasons")
+        messages.say(f"{len(incomplete)} incomplete: {listed} gives the reasons")
 
 
 def _result(summary: pr.Summary, catalogue: str, options: pr.PipelineOptions | None = None) -> out.Result:
@@ -261,7 +252,7 @@ def _result(summary: pr.Summary, catalogue: str, options: pr.PipelineOptions | N
         with suppress(CatalogueError), pr.Catalogue(catalogue) as store:
             options = store.options
     document = {
-        "catalogue": without_password(catalogue),
+        "catalogue": messages.without_password(catalogue),
         "planned": [record.id for record in summary.planned],
         "done": [record.id for record in summary.done],
         "held": [record.id for record in _known(summary)],
@@ -304,9 +295,9 @@ def demo_command(folder: Path) -> None:
 
     scans, catalogue = folder / "scans", folder / "bodies.sqlite"
     n = len(DEMO_SAMPLES)
-    say(f"Simulating {n} scans of five bodies in {scans}, and a new scan of one of the bodies.")
-    stop_waiting()
-    with bar(total=n + 1, unit="scan", desc="simulate", disable=None, leave=False) as shown:
+    messages.say(f"Simulating {n} scans of five bodies in {scans}, and a new scan of one of the bodies.")
+    messages.stop_waiting()
+    with messages.bar(total=n + 1, unit="scan", desc="simulate", disable=None, leave=False) as shown:
         try:
             write_samples(scans, DEMO_SAMPLES, on_scan=lambda path: shown.update())
             (new,) = write_samples(folder / "new", [DEMO_QUERY], on_scan=lambda path: shown.update())
@@ -323,10 +314,10 @@ def demo_command(folder: Path) -> None:
     for purpose, words in steps:
         arguments = [str(word) for word in words]
         for line in ("", purpose, f"$ {join(['pcretrieve', *arguments])}"):
-            say(line)
+            messages.say(line)
         context = click.get_current_context()
         command = context.find_root().command
         if code := command.main(arguments, prog_name="pcretrieve", standalone_mode=False):
             context.exit(code)
-    say("")
-    say(f"Open this page in a browser: {page.resolve().as_uri()}")
+    messages.say("")
+    messages.say(f"Open this page in a browser: {page.resolve().as_uri()}")

@@ -225,11 +225,7 @@ def backup_command(catalogue: str, file: Path) -> out.Result:
 @opt.option("--signatures", "Write signatures, ids and classes, not meshes.")
 @opt.comparison_options
 def export_command(
-    shape_ids: tuple[str, ...],
-    catalogue: str,
-    output: Path,
-    signatures: bool,
-    **comparison: Any,
+    shape_ids: tuple[str, ...], catalogue: str, output: Path, signatures: bool, **comparison: Any
 ) -> out.Result:
     """Write meshes or signatures of a catalogue to files.
 

@@ -12,18 +12,8 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from pcretrieve.arrays import FloatArray, IntArray, bounding_diagonal
+from pcretrieve.draw import pictures
 from pcretrieve.draw.axes import body_axes
-from pcretrieve.draw.pictures import (
-    CLAY,
-    SUPERSAMPLING,
-    cameras_around,
-    cameras_framing,
-    depth_picture,
-    face_brightness,
-    pooled,
-    rotation,
-    visible_faces,
-)
 
 # Side of the pictures that catalogues keep, and from which smaller ones are made; pixels.
 THUMBNAIL_PIXELS = 200
@@ -42,7 +32,7 @@ DIRECTION = re.compile(rb"Comment\0" + DRAWN_BY.encode() + rb"((?: -?[0-9]\.[0-9
 
 # The palette has one entry for the background, and one for each brightness at each coverage, at most 256 in
 # all. It reduces the size of a file to a third.
-N_COVERAGES = SUPERSAMPLING**2
+N_COVERAGES = pictures.SUPERSAMPLING**2
 N_LEVELS = 255 // N_COVERAGES
 
 
@@ -63,11 +53,17 @@ def thumbnail(
     if not len(faces) or not area > np.finfo(np.float32).eps * bounding_diagonal(vertices) ** 2:
         return None
     axes = body_axes(vertices, faces, up)
-    (camera,) = cameras_framing(vertices[faces.ravel()], [rotation(AZIMUTH, ELEVATION) @ axes])
+    (camera,) = pictures.cameras_framing(
+        vertices[faces.ravel()], [pictures.rotation(AZIMUTH, ELEVATION) @ axes]
+    )
     framed = camera.seen(vertices)
-    face = visible_faces(framed, faces, size)
+    face = pictures.visible_faces(framed, faces, size)
     covered = (face >= 0).astype(np.float64)
-    return _png(pooled(np.append(face_brightness(framed, faces), 0.0)[face]), pooled(covered), axes[1])
+    return _png(
+        pictures.pooled(np.append(pictures.face_brightness(framed, faces), 0.0)[face]),
+        pictures.pooled(covered),
+        axes[1],
+    )
 
 
 def resized(picture: bytes, size: int) -> bytes:
@@ -77,7 +73,7 @@ def resized(picture: bytes, size: int) -> bytes:
             return picture
         pixels = np.asarray(image.convert("RGBA"), np.float64) / 255  # (n, n, 4)
     coverage = pixels[:, :, 3].astype(np.float32)
-    shade = (coverage * pixels[:, :, 0] / CLAY[0]).astype(np.float32)
+    shade = (coverage * pixels[:, :, 0] / pictures.CLAY[0]).astype(np.float32)
     smaller = [Image.fromarray(a).resize((size, size), Image.Resampling.BOX) for a in (shade, coverage)]
     shade, coverage = (np.asarray(each) for each in smaller)
     return _png(shade.astype(np.float64), coverage.astype(np.float64), direction_upwards(picture))
@@ -95,10 +91,12 @@ def direction_upwards(picture: bytes) -> FloatArray | None:
 def cloud_thumbnail(points: FloatArray) -> bytes:
     """A picture of at least one point from the front of the cloud; nearer points are brighter."""
     shown = points[:: -(-len(points) // MOST_POINTS)]
-    camera = cameras_around(shown)[0]
+    camera = pictures.cameras_around(shown)[0]
     spacing = 2 * camera.half / np.sqrt(len(shown))
     file = BytesIO()
-    depth_picture(shown, CLAY, camera, width=spacing, size=CLOUD_PIXELS).save(file, "PNG", optimize=True)
+    pictures.depth_picture(shown, pictures.CLAY, camera, width=spacing, size=CLOUD_PIXELS).save(
+        file, "PNG", optimize=True
+    )
     return file.getvalue()
 
 
@@ -116,7 +114,7 @@ def _png(shade: FloatArray, coverage: FloatArray, up: FloatArray | None) -> byte
     step = np.round(coverage * N_COVERAGES)
     level = np.round(brightness * (N_LEVELS - 1))
     number = np.where(step > 0, 1 + (step - 1) * N_LEVELS + level, 0)  # (size, size), row of the palette
-    levels = np.linspace(0, 255, N_LEVELS)[:, np.newaxis] * CLAY  # (N_LEVELS, 3)
+    levels = np.linspace(0, 255, N_LEVELS)[:, np.newaxis] * pictures.CLAY  # (N_LEVELS, 3)
     colours = np.concatenate([np.zeros((1, 3)), np.tile(levels, (N_COVERAGES, 1))])
     alphas = np.concatenate([[0], np.repeat(np.linspace(0, 255, N_COVERAGES + 1)[1:], N_LEVELS)])
     picture = Image.fromarray(number.astype(np.uint8))

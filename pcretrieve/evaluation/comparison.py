@@ -17,18 +17,8 @@ import numpy as np
 
 from pcretrieve.catalogue import CatalogueLike
 from pcretrieve.errors import InputError
+from pcretrieve.evaluation import measures
 from pcretrieve.evaluation.catalogue import rank_shapes
-from pcretrieve.evaluation.measures import (
-    LEVEL,
-    MEASURES,
-    QueryScores,
-    bootstrap_interval,
-    class_measures,
-    confusion,
-    precision_recall,
-    query_scores,
-    verification,
-)
 from pcretrieve.evaluation.rankings import Rankings
 from pcretrieve.matching import DistanceMatrix, ids_path, read_matrix
 from pcretrieve.options import OptionsLike, PipelineOptions
@@ -37,7 +27,7 @@ from pcretrieve.values.base import Value
 from pcretrieve.values.files import csv_text, write_file
 
 # Columns of the file of queries, and the attributes of `QueryScores` in the same order.
-SCORES = (*MEASURES[:-1], "ap")
+SCORES = (*measures.MEASURES[:-1], "ap")
 # The first bytes of the file of a catalogue.
 SQLITE = b"SQLite format 3"
 
@@ -73,7 +63,7 @@ class Comparison(Value):
     second_options: PipelineOptions | None = field(default=None, compare=False, repr=False)
 
 
-def compare_scores(first: QueryScores, second: QueryScores) -> Comparison:
+def compare_scores(first: measures.QueryScores, second: measures.QueryScores) -> Comparison:
     """Compare two results query by query."""
     row = {shape_id: number for number, shape_id in enumerate(second.ids)}
     pairs = [(a, row[shape_id]) for a, shape_id in enumerate(first.ids) if shape_id in row]
@@ -98,8 +88,8 @@ def compare_scores(first: QueryScores, second: QueryScores) -> Comparison:
         first=one.mean(axis=0),
         second=two.mean(axis=0),
         difference=(two - one).mean(axis=0),
-        interval=bootstrap_interval(two - one),
-        level=LEVEL,
+        interval=measures.bootstrap_interval(two - one),
+        level=measures.LEVEL,
         changes=tuple(changes),
         only_first=tuple(shape_id for shape_id in first.ids if shape_id not in common),
         only_second=tuple(shape_id for shape_id in second.ids if shape_id not in common),
@@ -113,7 +103,11 @@ def write_evaluation(ranked: Rankings, folder: str | Path) -> tuple[Path, ...]:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot make the folder {folder}: {error.strerror}") from error
-    scores, confused, curve = query_scores(ranked), confusion(ranked), precision_recall(ranked)
+    scores, confused, curve = (
+        measures.query_scores(ranked),
+        measures.confusion(ranked),
+        measures.precision_recall(ranked),
+    )
     near = ranked.nearest, ranked.nearest_labels
     files: dict[str, tuple[Sequence[object], Iterable[Sequence[object]]]] = {
         "queries.csv": (
@@ -121,8 +115,8 @@ def write_evaluation(ranked: Rankings, folder: str | Path) -> tuple[Path, ...]:
             zip(scores.ids, scores.labels, *scores.columns.T.tolist(), *near, strict=True),
         ),
         "classes.csv": (
-            ("label", "n_queries", *MEASURES),
-            ((one.label, one.n_queries, *one.means.tolist()) for one in class_measures(ranked)),
+            ("label", "n_queries", *measures.MEASURES),
+            ((one.label, one.n_queries, *one.means.tolist()) for one in measures.class_measures(ranked)),
         ),
         "confusion.csv": (
             ("label", *(label or "" for label in confused.nearest)),
@@ -130,7 +124,7 @@ def write_evaluation(ranked: Rankings, folder: str | Path) -> tuple[Path, ...]:
         ),
         "precision_recall.csv": (curve._fields, zip(*(column.tolist() for column in curve), strict=True)),
     }
-    if rates := verification(ranked.genuine, ranked.impostor):
+    if rates := measures.verification(ranked.genuine, ranked.impostor):
         files["det.csv"] = (rates._fields, zip(*(column.tolist() for column in rates), strict=True))
     paths = []
     for name, (header, rows) in files.items():
@@ -139,7 +133,7 @@ def write_evaluation(ranked: Rankings, folder: str | Path) -> tuple[Path, ...]:
     return tuple(paths)
 
 
-def read_scores(path: str | Path) -> QueryScores:
+def read_scores(path: str | Path) -> measures.QueryScores:
     """Read the measures of each query."""
     try:
         text = Path(path).read_bytes().decode("utf-8", errors="surrogateescape")
@@ -158,19 +152,19 @@ def read_scores(path: str | Path) -> QueryScores:
         raise InputError(f"{path} must have each query once, got {len(ids)} rows of {len(set(ids))} queries")
     if not all(((column >= 0) & (column <= 1)).all() for column in columns):
         raise InputError(f"the measures in {path} must lie between 0 and 1, got others")
-    return QueryScores(ids, labels, *columns)
+    return measures.QueryScores(ids, labels, *columns)
 
 
 def result_scores(
     result: CatalogueLike | DistanceMatrix, options: OptionsLike = None, labels: str | Path | None = None
-) -> tuple[QueryScores, PipelineOptions | None]:
+) -> tuple[measures.QueryScores, PipelineOptions | None]:
     """The measures of each query, and the options by which a catalogue was ranked; None for files."""
     if isinstance(result, (str, Path)) and Path(result).suffix.lower() == ".csv":
         return read_scores(result), None
     if isinstance(result, (str, Path)) and _is_matrix(Path(result)):
         result = read_matrix(result)
     ranked = rank_shapes(result, options, labels)
-    return query_scores(ranked.rankings), ranked.options
+    return measures.query_scores(ranked.rankings), ranked.options
 
 
 def _is_matrix(path: Path) -> bool:

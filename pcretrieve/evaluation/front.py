@@ -10,24 +10,9 @@ from typing import ClassVar
 from pcretrieve.catalogue import Catalogue, CatalogueLike
 from pcretrieve.descriptors.dl import learned_atoms
 from pcretrieve.errors import InputError
+from pcretrieve.evaluation import measures
 from pcretrieve.evaluation.catalogue import RankedShapes, rank_shapes
 from pcretrieve.evaluation.comparison import Comparison, compare_scores, result_scores, write_evaluation
-from pcretrieve.evaluation.measures import (
-    LEVEL,
-    ClassMeasures,
-    Confusion,
-    PrecisionRecall,
-    QueryScores,
-    RetrievalMeasures,
-    Verification,
-    bootstrap_interval,
-    class_measures,
-    confusion,
-    evaluate_rankings,
-    precision_recall,
-    query_scores,
-    verification,
-)
 from pcretrieve.ingestion.labels import LAYOUTS
 from pcretrieve.matching import DistanceMatrix, Matcher, known_matcher, match_all
 from pcretrieve.options import OptionsLike, PipelineOptions, describe_options
@@ -38,32 +23,32 @@ from pcretrieve.values.files import write_file
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evaluation(RetrievalMeasures):
+class Evaluation(measures.RetrievalMeasures):
     """Means of the measures over all queries, and what else is known of the same rankings."""
 
     ranked: RankedShapes = field(repr=False)
     layout: str = field(default="", repr=False)
-    level: ClassVar[float] = LEVEL
+    level: ClassVar[float] = measures.LEVEL
 
     @property
-    def macro(self) -> RetrievalMeasures:
+    def macro(self) -> measures.RetrievalMeasures:
         """Means over the classes, in which small classes count as much as large ones."""
-        return evaluate_rankings(self.ranked.rankings, average="macro")
+        return measures.evaluate_rankings(self.ranked.rankings, average="macro")
 
     @property
-    def plain(self) -> RetrievalMeasures:
+    def plain(self) -> measures.RetrievalMeasures:
         """Means over the queries without re-ranking."""
-        return evaluate_rankings(self.ranked.plain)
+        return measures.evaluate_rankings(self.ranked.plain)
 
     @property
     def interval(self) -> FloatArray:
         """(2, 6) float64, lower and upper ends of the confidence intervals (`level`) of the measures."""
-        return bootstrap_interval(self.scores.columns)
+        return measures.bootstrap_interval(self.scores.columns)
 
     @property
-    def classes(self) -> tuple[ClassMeasures, ...]:
+    def classes(self) -> tuple[measures.ClassMeasures, ...]:
         """The measures of each class, and the classes that it is mistaken for."""
-        return tuple(class_measures(self.ranked.rankings))
+        return tuple(measures.class_measures(self.ranked.rankings))
 
     @property
     def protocol(self) -> str:
@@ -72,24 +57,24 @@ class Evaluation(RetrievalMeasures):
         return f"{layout.name}: {layout.protocol}" if layout else ""
 
     @property
-    def scores(self) -> QueryScores:
+    def scores(self) -> measures.QueryScores:
         """The measures of each query."""
-        return query_scores(self.ranked.rankings)
+        return measures.query_scores(self.ranked.rankings)
 
     @property
-    def confusion(self) -> Confusion:
+    def confusion(self) -> measures.Confusion:
         """How often the nearest shape of a class is of each class."""
-        return confusion(self.ranked.rankings)
+        return measures.confusion(self.ranked.rankings)
 
     @property
-    def precision_recall(self) -> PrecisionRecall:
+    def precision_recall(self) -> measures.PrecisionRecall:
         """The mean precision at each recall."""
-        return precision_recall(self.ranked.rankings)
+        return measures.precision_recall(self.ranked.rankings)
 
     @property
-    def verification(self) -> Verification | None:
+    def verification(self) -> measures.Verification | None:
         """The error rates of pairs of shapes (DET, ROC); None if there are no pairs of two classes."""
-        return verification(self.ranked.plain.genuine, self.ranked.plain.impostor)
+        return measures.verification(self.ranked.plain.genuine, self.ranked.plain.impostor)
 
     def write(self, folder: str | Path) -> tuple[Path, ...]:
         """Write the measures of queries and classes, confusions, precision-recall and DET as CSV files."""
@@ -135,7 +120,9 @@ def evaluate(
         If the options require other spectra than the catalogue has.
     """
     ranked = rank_shapes(shapes, options, labels, matrix=matrix, good_only=good_only)
-    return Evaluation(**asdict(evaluate_rankings(ranked.rankings)), ranked=ranked, layout=str(labels or ""))
+    return Evaluation(
+        **asdict(measures.evaluate_rankings(ranked.rankings)), ranked=ranked, layout=str(labels or "")
+    )
 
 
 def compare(

@@ -14,21 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import OptionError, ScanReadError, ShapeError, Stage
+from pcretrieve.formats import meshes
 from pcretrieve.formats.arrays import parts_of_npy, read_npy, read_npz, recognise_npy, recognise_npz
 from pcretrieve.formats.conf import conf_views, read_conf
 from pcretrieve.formats.depth import camera_parts, is_depth_image, read_depth
 from pcretrieve.formats.format import Extra, Format, Part, RawScan, check_file, url_of
 from pcretrieve.formats.gltf import buffer_files, gltf_scene
 from pcretrieve.formats.laser import LAZRS, e57_names, read_e57, read_las
-from pcretrieve.formats.meshes import (
-    Scene,
-    collada_scene,
-    mesh_bytes,
-    read_by_trimesh,
-    read_obj,
-    read_scene,
-    three_mf_scene,
-)
 from pcretrieve.formats.pcd import pcd_bytes, read_pcd
 from pcretrieve.formats.ply import ply_bytes, read_ply
 from pcretrieve.formats.text import is_table, ptx_names, read_ptx, read_text, xyzn_bytes
@@ -232,8 +224,8 @@ def _rows(array: object, name: str, n: int | None = None) -> NDArray[np.float64]
 # --- the table --------------------------------------------------------------------------------------------
 
 
-def _scene(read: Callable[[Path], Scene], **others: Any) -> Format:
-    return Format(partial(read_scene, read), names=lambda path: tuple(read(path)), **others)
+def _scene(read: Callable[[Path], meshes.Scene], **others: Any) -> Format:
+    return Format(partial(meshes.read_scene, read), names=lambda path: tuple(read(path)), **others)
 
 
 # Columns behind the coordinates of tables without a header are colours and intensities, by the suffix.
@@ -242,7 +234,7 @@ _POINTS = Format(partial(read_text, normals=False))
 _TABLE = Format(read_text, recognise=is_table)
 _IMAGE = Format(read_depth, camera_parts, recognise=is_depth_image)
 _OWN = {
-    ".ply": Format(read_ply, write_cloud=ply_bytes, write_mesh=partial(mesh_bytes, file_type="ply")),
+    ".ply": Format(read_ply, write_cloud=ply_bytes, write_mesh=partial(meshes.mesh_bytes, file_type="ply")),
     ".pcd": Format(read_pcd, write_cloud=pcd_bytes),
     **dict.fromkeys((".xyz", ".xyzrgb", ".pts"), _POINTS),
     ".xyzn": Format(partial(read_text, normals=True), write_cloud=xyzn_bytes),
@@ -254,13 +246,13 @@ _OWN = {
     ".laz": Format(read_las, extra=LAZRS),
     ".e57": Format(read_e57, names=e57_names, extra=Extra("e57", ("pye57",))),
     **dict.fromkeys((".png", ".tif", ".tiff"), _IMAGE),
-    ".obj": Format(read_obj, write_mesh=partial(mesh_bytes, file_type="obj")),
-    ".off": Format(read_by_trimesh, write_mesh=partial(mesh_bytes, file_type="off")),
-    ".stl": Format(read_by_trimesh, write_mesh=partial(mesh_bytes, file_type="stl")),
-    ".glb": _scene(gltf_scene, write_mesh=partial(mesh_bytes, file_type="glb")),
+    ".obj": Format(meshes.read_obj, write_mesh=partial(meshes.mesh_bytes, file_type="obj")),
+    ".off": Format(meshes.read_by_trimesh, write_mesh=partial(meshes.mesh_bytes, file_type="off")),
+    ".stl": Format(meshes.read_by_trimesh, write_mesh=partial(meshes.mesh_bytes, file_type="stl")),
+    ".glb": _scene(gltf_scene, write_mesh=partial(meshes.mesh_bytes, file_type="glb")),
     ".gltf": _scene(gltf_scene, parts=buffer_files),
-    ".3mf": _scene(three_mf_scene, extra=Extra("meshes", ("lxml", "networkx"))),
-    ".dae": _scene(collada_scene, extra=Extra("meshes", ("collada",))),
+    ".3mf": _scene(meshes.three_mf_scene, extra=Extra("meshes", ("lxml", "networkx"))),
+    ".dae": _scene(meshes.collada_scene, extra=Extra("meshes", ("collada",))),
     ".conf": Format(partial(read_conf, read_view=read_raw), conf_views),
 }
 

@@ -48,10 +48,7 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     # cut. All scans are in the unit of the scanner, so that sizes are comparable too.
     "body-scanner": {"surface": {"genus": "sphere"}, "signature": {"size_weight": 6.0}},
     # A hand-held scanner moved around the body: many outliers, and large holes in places that it missed.
-    "handheld": {
-        "scan": {"outlier_std": 1.5, "flood_gap": 0.03},
-        "surface": {"gap": 0.03},
-    },
+    "handheld": {"scan": {"outlier_std": 1.5, "flood_gap": 0.03}, "surface": {"gap": 0.03}},
     # Frames of a depth sensor: noise of 0.3 % of the diagonal and more, and a room around the body.
     "depth-camera": {
         "scan": {"voxel": 0.004, "outlier_std": 1.5, "normal_neighbors": 30, "flood_gap": 0.03},

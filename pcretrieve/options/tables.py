@@ -122,10 +122,7 @@ class ScanOptions(Options):
 
 # The options that one method of surface reconstruction alone uses. `reconstructions` is not here: that the
 # method poisson makes one surface is noted for the default too.
-ONLY_OF_METHOD = {
-    "growth": ("genus", "cell", "gap"),
-    "poisson": ("poisson_depth",),
-}
+ONLY_OF_METHOD = {"growth": ("genus", "cell", "gap"), "poisson": ("poisson_depth",)}
 
 
 class SurfaceOptions(Options):

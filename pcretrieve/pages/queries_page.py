@@ -11,17 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pcretrieve import (
-    Answer,
-    Catalogue,
-    DistanceMatrix,
-    Neighbors,
-    PipelineOptions,
-    ShapeError,
-    Signature,
-    __version__,
-    search_many,
-)
+import pcretrieve as pr
 from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import write_page
 from pcretrieve.pages.thumbnails import Thumbnails
@@ -32,13 +22,13 @@ Pair = tuple[str, str, float, float]
 
 
 def query_page(
-    catalogue: Catalogue | str | Path,
-    queries: str | Path | Iterable[str | Path | Signature | Pair],
+    catalogue: pr.Catalogue | str | Path,
+    queries: str | Path | Iterable[str | Path | pr.Signature | Pair],
     path: str | Path,
     *,
     options: OptionsLike = None,
     up: str | None = None,
-    on_answer: Callable[[str, Answer | ShapeError], None] = lambda name, answer: None,
+    on_answer: Callable[[str, pr.Answer | pr.ShapeError], None] = lambda name, answer: None,
     **asked: Any,
 ) -> Path:
     """Answer one or more queries on an HTML page, with pictures.
@@ -74,8 +64,8 @@ def query_page(
     InputError
         As by `search`, or if the page cannot be written.
     """
-    with Catalogue.opened(catalogue) as store:
-        chosen = PipelineOptions.of(options, store.options)
+    with pr.Catalogue.opened(catalogue) as store:
+        chosen = pr.PipelineOptions.of(options, store.options)
         many = [queries] if isinstance(queries, (str, Path)) else [*queries]
         files = [Path(one) for one in (store.location, *many) if isinstance(one, (str, Path))]
         check_target(Path(path), files)
@@ -83,14 +73,14 @@ def query_page(
         pairs = [_paired(store, one) for one in many if isinstance(one, tuple)]
         alone = [one for one in many if not isinstance(one, tuple)]
         asked |= {"options": chosen, "has_pictures": True, "up": thumbnails.said}
-        what, outcomes = "pairs" if pairs else "queries", pairs + list(search_many(store, alone, **asked))
+        what, outcomes = "pairs" if pairs else "queries", pairs + list(pr.search_many(store, alone, **asked))
         matrix, labels, least = (asked.get(name) for name in ("matrix", "labels", "min_score"))
         panels = [
             {"name": name} | _panel(store, one, thumbnails)
             for name, one in outcomes
-            if isinstance(one, Answer)
+            if isinstance(one, pr.Answer)
         ]
-        failures = [(name, one) for name, one in outcomes if isinstance(one, ShapeError)]
+        failures = [(name, one) for name, one in outcomes if isinstance(one, pr.ShapeError)]
         written = write_page(
             path,
             "query.html",
@@ -100,25 +90,25 @@ def query_page(
             failures=failures,
             min_score=least,
             settings=settings_in_words(store, chosen, matrix, labels, least),
-            version=__version__,
+            version=pr.__version__,
         )
         for name, outcome in outcomes:
             on_answer(name, outcome)
         return written
 
 
-def _paired(catalogue: Catalogue, pair: Pair) -> tuple[str, Answer]:
+def _paired(catalogue: pr.Catalogue, pair: Pair) -> tuple[str, pr.Answer]:
     """A pair as a query with one answer."""
     first, second, distance, limit = pair
-    found = Neighbors((second,), np.array([distance]))
+    found = pr.Neighbors((second,), np.array([distance]))
     name = f"{first} and {second}, less than {limit:#.3g} apart"
-    return name, Answer(found, (catalogue.record(second),), query=first)
+    return name, pr.Answer(found, (catalogue.record(second),), query=first)
 
 
 def settings_in_words(
-    catalogue: Catalogue,
-    options: PipelineOptions,
-    matrix: DistanceMatrix | None = None,
+    catalogue: pr.Catalogue,
+    options: pr.PipelineOptions,
+    matrix: pr.DistanceMatrix | None = None,
     labels: Collection[str] | None = None,
     min_score: float | None = None,
 ) -> dict[str, str]:
@@ -141,7 +131,7 @@ def settings_in_words(
     } | least
 
 
-def _panel(catalogue: Catalogue, answer: Answer, thumbnails: Thumbnails) -> dict[str, Any]:
+def _panel(catalogue: pr.Catalogue, answer: pr.Answer, thumbnails: Thumbnails) -> dict[str, Any]:
     """One query as the template shows it."""
     query, record, picture, verdict = answer.query, None, None, None
     if isinstance(query, str):

@@ -13,17 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcretrieve import (
-    Catalogue,
-    Comparison,
-    DistanceMatrix,
-    Evaluation,
-    PipelineOptions,
-    Record,
-    SignatureIndex,
-    compare,
-    evaluate,
-)
+import pcretrieve as pr
 from pcretrieve.errors import InputError
 from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import write_page
@@ -57,7 +47,7 @@ MEASURES = {
 class _Card(NamedTuple):
     """A query, or a result with its distance, and whether it is of the class of the query."""
 
-    record: Record
+    record: pr.Record
     picture: bytes | None
     distance: float | None = None
     relevant: bool | None = None
@@ -72,14 +62,14 @@ class _Panel(NamedTuple):
 
 
 def report(
-    catalogue: Catalogue | str | Path,
+    catalogue: pr.Catalogue | str | Path,
     path: str | Path,
     *,
     n_queries: int = 1000,
     k: int = 5,
     options: OptionsLike = None,
-    matrix: DistanceMatrix | None = None,
-    versus: str | Path | Catalogue | None = None,
+    matrix: pr.DistanceMatrix | None = None,
+    versus: str | Path | pr.Catalogue | None = None,
     up: str | None = None,
 ) -> Path:
     """Write a page with retrieval measures, and with pictures of queries and their ranked results.
@@ -116,8 +106,8 @@ def report(
     CatalogueError
         If the options require other spectra than the catalogue has.
     """
-    with Catalogue.opened(catalogue) as store:
-        chosen = PipelineOptions.of(options, store.options)
+    with pr.Catalogue.opened(catalogue) as store:
+        chosen = pr.PipelineOptions.of(options, store.options)
         # As the measures: with a whitening fitted to labels, the queries that they call bad would look good.
         chosen = chosen.without_labels if matrix is None else chosen.changed(retrieval={"rerank": "none"})
         ranking = store.index(chosen) if matrix is None else matrix
@@ -127,9 +117,9 @@ def report(
         sizes = Counter(record.label for record in records.values() if record.label is not None)
         measured, comparison, precision = None, None, {}
         if any(size > 1 for size in sizes.values()):
-            evaluated = evaluate(store, options=chosen, matrix=matrix)
+            evaluated = pr.evaluate(store, options=chosen, matrix=matrix)
             measured, scores = _measured(evaluated), evaluated.scores
-            comparison = None if versus is None else _compared(compare(versus, evaluated))
+            comparison = None if versus is None else _compared(pr.compare(versus, evaluated))
             precision = dict(zip(scores.ids, scores.ap.tolist(), strict=True))
         elif versus is not None:
             raise InputError(f"no class in {store.location} has two shapes: there are no measures to compare")
@@ -146,7 +136,7 @@ def report(
             query = _Card(records[one], thumbnails.of(store, records[one]))
             panels.append(_Panel(query, _judged(query.record.label, found, sizes), precision.get(one)))
         drawing = None
-        if isinstance(ranking, SignatureIndex) and len(ranking) <= MOST_MAPPED:
+        if isinstance(ranking, pr.SignatureIndex) and len(ranking) <= MOST_MAPPED:
             labels = [records[shape_id].label for shape_id in ranking.ids]
             places = store.cache.places(ranking.points, store.revision())
             drawing = map_drawing(ranking.ids, labels, places)
@@ -163,14 +153,14 @@ def report(
             pictures={picture: number for number, picture in enumerate(shown)},
             measured=measured,
             comparison=comparison,
-            compared_with=Path(versus.location if isinstance(versus, Catalogue) else str(versus)).name,
+            compared_with=Path(versus.location if isinstance(versus, pr.Catalogue) else str(versus)).name,
             drawing=drawing,
             map_pictures=map_pictures(store, ranking.ids, thumbnails),
             failures=[record for records in store.pages(status="failed") for record in records],
         )
 
 
-def _measured(found: Evaluation) -> dict[str, Any]:
+def _measured(found: pr.Evaluation) -> dict[str, Any]:
     """The measures as the template shows them."""
     curve = found.precision_recall
     means = (found.nn, found.ft, found.st, found.e, found.dcg, found.map)
@@ -188,7 +178,7 @@ def _measured(found: Evaluation) -> dict[str, Any]:
     }
 
 
-def _compared(found: Comparison) -> dict[str, Any]:
+def _compared(found: pr.Comparison) -> dict[str, Any]:
     """The measures of another result and of this one, and this minus the other with its interval."""
     columns = (found.first, found.second, found.difference, *found.interval)
     rows = []
@@ -201,10 +191,10 @@ def _compared(found: Comparison) -> dict[str, Any]:
 
 
 def _near(
-    ranking: SignatureIndex | DistanceMatrix, shape_id: str, k: int, rerank: str
+    ranking: pr.SignatureIndex | pr.DistanceMatrix, shape_id: str, k: int, rerank: str
 ) -> list[tuple[str, float]]:
     """The `k` shapes nearest to a shape of the gallery, and their distances."""
-    if isinstance(ranking, SignatureIndex):
+    if isinstance(ranking, pr.SignatureIndex):
         near = ranking.ranked(shape_id, k + 1, rerank=rerank)
     else:
         near = ranking.nearest(shape_id, k + 1)
@@ -213,7 +203,7 @@ def _near(
 
 
 def _judged(
-    label: str | None, found: list[tuple[Record, bytes | None, float]], sizes: Mapping[str, int]
+    label: str | None, found: list[tuple[pr.Record, bytes | None, float]], sizes: Mapping[str, int]
 ) -> list[_Card]:
     """The results of a query of a class; `sizes` of the classes."""
     n_others = 0 if label is None else sizes[label] - 1

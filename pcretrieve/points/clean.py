@@ -128,6 +128,5 @@ def check_extent(points: FloatArray, stage: str) -> None:
     if squares[0] == 0 or flat[2]:
         what = "are equal" if squares[0] == 0 else "lie on a line" if flat[1] else "lie in a plane"
         raise ReconstructionError(
-            f"the points must span a body, all {len(points)} {what}: scan it from several sides",
-            stage=stage,
+            f"the points must span a body, all {len(points)} {what}: scan it from several sides", stage=stage
         )

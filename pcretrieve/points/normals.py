@@ -14,13 +14,7 @@ from pcretrieve.draw.open3d import library, open3d_cloud
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
 from pcretrieve.points.density import SAME_SIDE, disks, local_spacings, sparse_points
-from pcretrieve.points.neighbors import (
-    PLANE_NEIGHBORS,
-    Neighborhoods,
-    guided_planes,
-    neighborhoods,
-    spacing,
-)
+from pcretrieve.points.neighbors import PLANE_NEIGHBORS, Neighborhoods, guided_planes, neighborhoods, spacing
 from pcretrieve.points.outside import Outside, flood
 from pcretrieve.values import FloatArray, PointCloud, Step
 

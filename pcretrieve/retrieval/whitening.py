@@ -37,14 +37,7 @@ from typing_extensions import Self
 
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import RetrievalOptions, Shrinkage, WhiteningKind
-from pcretrieve.retrieval.covariances import (
-    Fit,
-    check_distinct,
-    checked_shrinkage,
-    covariance_of,
-    neighbour_covariance,
-    within_class_covariance,
-)
+from pcretrieve.retrieval import covariances
 from pcretrieve.retrieval.distances import table_coordinates
 from pcretrieve.retrieval.people import ALIKE, KNOWN, LEAST_SHARE, People, corrected, row_products
 from pcretrieve.values import FloatArray, Metric, SignatureTable
@@ -185,7 +178,7 @@ def fit_whitening(
         raise OptionError(f"whitening must be one of auto, {', '.join(WHITENINGS)}, got {kind!r}")
     if logs.ndim != 2 or not np.isfinite(logs).all():
         raise InputError(f"log-signatures must be finite and have shape (N, L), got {logs.shape}")
-    checked_shrinkage(kind, shrinkage)
+    covariances.checked_shrinkage(kind, shrinkage)
     used, unlike = kind, np.inf
     if people is not None and len(logs) and kind in (*AUTOMATIC, "people"):
         unlike = people.unlikeness(logs)
@@ -197,19 +190,19 @@ def fit_whitening(
                 "whitening 'people' is known for hapt, r-bihdm and their fusion, by area and with n_modes = "
                 "60: take one of these descriptors, or another whitening"
             )
-        own = neighbour_covariance(corrected(logs, people.network), shrinkage)
+        own = covariances.neighbour_covariance(corrected(logs, people.network), shrinkage)
         return replace(_of_people(own, people, unlike), options_digest=options_digest)
-    fit = Fit(logs, None, 0.0, "none")
+    fit = covariances.Fit(logs, None, 0.0, "none")
     if used == "pca":
         fit = _pca(logs, shrinkage)
     elif used == "within-class":
-        fit = within_class_covariance(logs, labels, shrinkage, one_unit=metric != "values")
+        fit = covariances.within_class_covariance(logs, labels, shrinkage, one_unit=metric != "values")
     elif used == "neighbours":
-        fit = neighbour_covariance(logs, shrinkage)
+        fit = covariances.neighbour_covariance(logs, shrinkage)
     if fit.covariance is None:
         zero, identity = np.zeros(logs.shape[1]), np.eye(logs.shape[1])
         return Whitening("none", zero, identity, len(logs), 0.0, options_digest, fit.reason)
-    total = covariance_of(fit.shapes)
+    total = covariances.covariance_of(fit.shapes)
     variances, directions = np.linalg.eigh(fit.covariance)
     root = (directions / np.sqrt(variances)) @ directions.T  # C^(−1/2)
     scale = np.sqrt(np.trace(total) / np.trace(root @ total @ root))
@@ -240,7 +233,7 @@ def calibrated_whitening(
     if people is None or not len(logs) or (unlike := people.unlikeness(logs)) > ALIKE:
         return table_whitening(table, options.model_copy(update={"whitening": "within-class"}))
     logs = corrected(logs, people.network)
-    own = within_class_covariance(logs, table.labels, options.shrinkage, one_unit=True)
+    own = covariances.within_class_covariance(logs, table.labels, options.shrinkage, one_unit=True)
     return replace(_of_people(own, people, unlike), options_digest=table.digest)
 
 
@@ -257,7 +250,7 @@ def _chosen(logs: FloatArray, labels: Sequence[str | None] | None, unlike: float
     return "people" if unlike <= ALIKE else "neighbours"
 
 
-def _of_people(own: Fit, people: People, unlike: float) -> Whitening:
+def _of_people(own: covariances.Fit, people: People, unlike: float) -> Whitening:
     """The symmetric root of the metric of people, by which the total variance of people does not change.
 
     own: what the shapes themselves teach. The less they are like the simulated people, the more it counts.
@@ -272,10 +265,10 @@ def _of_people(own: Fit, people: People, unlike: float) -> Whitening:
     return Whitening("people", people.mean, root, n_own, own.shrinkage, "", reason, people.network)
 
 
-def _pca(logs: FloatArray, shrinkage: Shrinkage) -> Fit:
+def _pca(logs: FloatArray, shrinkage: Shrinkage) -> covariances.Fit:
     """All shapes, and their regularised covariance."""
-    check_distinct("pca", logs)
-    used = checked_shrinkage("pca", shrinkage)
-    total = covariance_of(logs)
+    covariances.check_distinct("pca", logs)
+    used = covariances.checked_shrinkage("pca", shrinkage)
+    total = covariances.covariance_of(logs)
     covariance = total + used * np.linalg.eigvalsh(total)[-1] * np.eye(len(total))
-    return Fit(logs, covariance, used, f"pca: the covariance of {len(logs)} shapes")
+    return covariances.Fit(logs, covariance, used, f"pca: the covariance of {len(logs)} shapes")

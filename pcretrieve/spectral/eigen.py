@@ -25,12 +25,7 @@ LARGEST_TOLERANCE = 1e-3
 SMALLEST_GAP = 1e-6
 
 
-def eigenpairs(
-    operator: LaplaceBeltrami,
-    n_pairs: int = 61,
-    *,
-    tolerance: float = 1e-4,
-) -> Eigenpairs:
+def eigenpairs(operator: LaplaceBeltrami, n_pairs: int = 61, *, tolerance: float = 1e-4) -> Eigenpairs:
     """The smallest eigenvalues λ of S φ = λ M φ, and their eigenvectors φ.
 
     Parameters

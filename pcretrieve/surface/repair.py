@@ -6,16 +6,7 @@ import numpy as np
 
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError
 from pcretrieve.points.grid import joined_by
-from pcretrieve.surface.topology import (
-    Edges,
-    Index,
-    compact,
-    components,
-    edges_of,
-    face_groups,
-    fans,
-    orient_faces,
-)
+from pcretrieve.surface import topology
 from pcretrieve.values import TriangleMesh
 from pcretrieve.values.geometry import adjacency
 
@@ -34,17 +25,17 @@ def split_non_manifold(mesh: TriangleMesh) -> TriangleMesh:
        to manifold surfaces", IEEE Transactions on Visualization and Computer Graphics 7 (2001); without the
        pairing by the interior.
     """
-    edges = edges_of(mesh.faces)
+    edges = topology.edges_of(mesh.faces)
     crowded = edges.use > 2
     agreed = np.flatnonzero(crowded & (edges.balance == 0))
     pairs = np.concatenate([edges.pairs, *(_pairs_around(mesh, edges, edge) for edge in agreed.tolist())])
-    fan = fans(edges, pairs)
+    fan = topology.fans(edges, pairs)
     _, first = np.unique(fan, return_index=True)  # one corner of each fan
     vertices, faces = mesh.vertices[edges.tail[first]], fan.reshape(-1, 3)
     if crowded.any():
         # If both ends of an edge have one fan only, its pairs of faces still share the edge. Each pair then
         # gets a vertex of its own in the middle of the edge.
-        still = edges_of(faces)
+        still = topology.edges_of(faces)
         sides = np.flatnonzero(still.crowd > 2)  # half-edges
         pair = np.arange(len(fan))
         pair[pairs[:, 1]] = pairs[:, 0]
@@ -57,7 +48,7 @@ def split_non_manifold(mesh: TriangleMesh) -> TriangleMesh:
     return TriangleMesh(vertices, faces.astype(np.int32), mesh.provenance)
 
 
-def _pairs_around(mesh: TriangleMesh, edges: Edges, edge: int) -> Index:
+def _pairs_around(mesh: TriangleMesh, edges: topology.Edges, edge: int) -> topology.Index:
     """(use / 2, 2) half-edges of one edge, paired such that each pair bounds one wedge of the interior."""
     around = edges.order[edges.starts[edge] :][: edges.use[edge]]  # (use,)
     low, high = np.sort(edges.ends[edge])
@@ -83,7 +74,7 @@ def _pairs_around(mesh: TriangleMesh, edges: Edges, edge: int) -> Index:
     return np.array(pairs, dtype=np.intp)
 
 
-def _cut_in_the_middle(faces: Index, middle: Index) -> Index:
+def _cut_in_the_middle(faces: topology.Index, middle: topology.Index) -> topology.Index:
     """Bisect faces at the vertices in the middle of their sides, given as (m, 3) numbers, −1 for none."""
     while (cut := (middle >= 0).any(axis=1)).any():
         side = np.argmax(middle[cut] >= 0, axis=1)
@@ -116,7 +107,7 @@ def repaired(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
         raise DegenerateMeshError(
             f"no face of {len(mesh.faces)} bounds anything: they are flat or cancel out"
         )
-    oriented = orient_faces(single)
+    oriented = topology.orient_faces(single)
     if oriented is None:
         raise DegenerateMeshError(ONE_SIDED)
     agreed, n_turned = oriented
@@ -142,7 +133,7 @@ def denoised(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     ----------
     .. [1] G. Taubin, "A signal processing approach to fair surface design", SIGGRAPH 1995.
     """
-    links, pairs = adjacency(mesh), edges_of(mesh.faces).pairs // 3
+    links, pairs = adjacency(mesh), topology.edges_of(mesh.faces).pairs // 3
     n_links, vertices = links.sum(axis=1)[:, np.newaxis], mesh.vertices
     for factor in N_PASSES * FACTORS:
         vertices = vertices + factor * (links @ vertices / n_links - vertices)
@@ -154,7 +145,7 @@ def denoised(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     return smooth, (f"smoothed noisy vertices: the angle between neighbouring faces fell {angles} (median)",)
 
 
-def _median_angle(mesh: TriangleMesh, pairs: Index) -> float:
+def _median_angle(mesh: TriangleMesh, pairs: topology.Index) -> float:
     """The median angle between the normals of pairs (p, 2) of faces; radians."""
     tiny = np.finfo(np.float64).tiny
     normals = mesh.area_vectors / np.maximum(np.linalg.norm(mesh.area_vectors, axis=1, keepdims=True), tiny)
@@ -164,7 +155,7 @@ def _median_angle(mesh: TriangleMesh, pairs: Index) -> float:
 
 def used_vertices(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     """Remove unreferenced vertices."""
-    used = compact(mesh.vertices, mesh.faces)
+    used = topology.compact(mesh.vertices, mesh.faces)
     n_unused = len(mesh.vertices) - len(used.vertices)
     return (used, (f"dropped {n_unused} vertices that are in no face",)) if n_unused else (mesh, ())
 
@@ -189,7 +180,7 @@ def collapse_flat_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
         _, first = np.unique(point[order], return_index=True)
         faces = point[mesh.faces]
         whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-        mesh = compact(mesh.vertices[order[first]], faces[whole])
+        mesh = topology.compact(mesh.vertices[order[first]], faces[whole])
         flat = mesh.flat_faces
     n_lost = n_faces - len(mesh.faces)
     return mesh, (f"collapsed {n_lost} of {n_faces} faces, flat ones and their neighbours",) * (n_lost > 0)
@@ -203,25 +194,25 @@ def drop_repeated_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     for a pair. If most faces are in such pairs, the mesh is a deliberate two-sided sheet, and one face of
     each pair is kept.
     """
-    group = face_groups(mesh.faces)  # (m,)
+    group = topology.face_groups(mesh.faces)  # (m,)
     _, first, count = np.unique(group, return_index=True, return_counts=True)
     if len(first) == len(group):
         return mesh, ()
     a, b, c = mesh.faces.T
     handed = np.sign(a - b) * np.sign(b - c) * np.sign(c - a)  # (m,) ±1: parity of the order of the corners
-    even = (edges_of(mesh.faces).crowd.reshape(-1, 3) % 2 == 0).all(axis=1)  # (m,)
+    even = (topology.edges_of(mesh.faces).crowd.reshape(-1, 3) % 2 == 0).all(axis=1)  # (m,)
     cancelled = (np.bincount(group, weights=handed) == 0) & even[first]
     if 2 * count[cancelled].sum() > len(group):
         cancelled[:] = False
     kept = np.sort(first[~cancelled])
     n_dropped = len(group) - len(kept)
     note = f"dropped {n_dropped} of {len(group)} faces that repeat others, or lie back to back"
-    return compact(mesh.vertices, mesh.faces[kept]), (note,)
+    return topology.compact(mesh.vertices, mesh.faces[kept]), (note,)
 
 
 def largest_component(mesh: TriangleMesh, most: float = 1.0) -> tuple[TriangleMesh, Notes]:
     """The connected component of largest area."""
-    piece = components(mesh)  # (m,)
+    piece = topology.components(mesh)  # (m,)
     areas = np.bincount(piece, weights=mesh.face_areas)
     if len(areas) < 2:
         return mesh, ()
@@ -232,7 +223,7 @@ def largest_component(mesh: TriangleMesh, most: float = 1.0) -> tuple[TriangleMe
             f"surface.max_discarded = {most:.0%}; give each body a file of its own"
         )
     note = f"dropped {len(areas) - 1} smaller components with {share[1:].sum():.2%} of the area"
-    return compact(mesh.vertices, mesh.faces[piece == 0]), (note,)
+    return topology.compact(mesh.vertices, mesh.faces[piece == 0]), (note,)
 
 
 def outward(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:

@@ -303,12 +303,7 @@ def _requeue(
 
 @njit(cache=True)
 def _collapsed(
-    vertices: FloatArray,
-    corners: IntArray,
-    twin: IntArray,
-    quadrics: FloatArray,
-    area: float,
-    n_faces: int,
+    vertices: FloatArray, corners: IntArray, twin: IntArray, quadrics: FloatArray, area: float, n_faces: int
 ) -> None:
     """Collapse edges in place; the corners of faces that do not remain become negative."""
     spent = np.zeros(len(vertices))  # the value of the quadric of each vertex at its position

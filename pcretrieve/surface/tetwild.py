@@ -152,9 +152,7 @@ class _Server:
         self.stop()
         places = [str(Path(place).resolve()) for place in sys.path]
         self._process = subprocess.Popen(
-            [sys.executable, "-c", SERVER, *places],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
+            [sys.executable, "-c", SERVER, *places], stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
         return self._process
 

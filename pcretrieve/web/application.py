@@ -28,16 +28,8 @@ from pcretrieve.errors import CatalogueError, InputError, PcretrieveError
 from pcretrieve.pages.html import page_of, without_folders
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.values import UPWARD
+from pcretrieve.web import documents
 from pcretrieve.web.comparison import Maps, compared, mesh_of, scene_document
-from pcretrieve.web.documents import (
-    job_document,
-    listing_document,
-    record_of,
-    shape_document,
-    similar_csv,
-    similar_document,
-    similar_to,
-)
 from pcretrieve.web.jobs import Job, Jobs
 from pcretrieve.web.requests import ONE_FILE, Listing, Refused, Similar, checked_suffix, received
 
@@ -132,7 +124,7 @@ class _Asked:
 
     @property
     def record(self) -> Record:
-        return record_of(self.catalogue, self.name)
+        return documents.record_of(self.catalogue, self.name)
 
     @property
     def job(self) -> Job:
@@ -153,17 +145,19 @@ class _Asked:
     def answer(self, job: Job | None = None) -> Answer:
         """The neighbours of the scan of a job, or else of the shape that the path names."""
         if job is None:
-            return similar_to(self.catalogue, self.record.id, self.similar, self.site.options)
+            return documents.similar_to(self.catalogue, self.record.id, self.similar, self.site.options)
         if job.described is None:
             raise InputError(
                 f"the scan has no signature, it is {job.state}: ask for /scans/{job.id} until it is done"
             )
-        return similar_to(self.catalogue, job.described, self.similar, self.site.options)
+        return documents.similar_to(self.catalogue, job.described, self.similar, self.site.options)
 
     def found(self, job: Job | None = None) -> dict[str, Any]:
         """The neighbours as a document."""
         name = self.name if job is None else job.name
-        return similar_document(self.catalogue, name, self.similar, self.site.options, self.answer(job))
+        return documents.similar_document(
+            self.catalogue, name, self.similar, self.site.options, self.answer(job)
+        )
 
 
 class _Json(JSONResponse):
@@ -184,7 +178,7 @@ def _collection(asked: _Asked) -> Response:
     return asked.page(
         "collection.html",
         listing=listing,
-        found=listing_document(asked.catalogue, listing),
+        found=documents.listing_document(asked.catalogue, listing),
         classes=asked.classes,
         suffixes=() if asked.site.given_jobs is None else ONE_FILE,
         most_bytes=asked.site.most_bytes,
@@ -198,7 +192,7 @@ def _shape(asked: _Asked) -> Response:
     record = asked.record
     return asked.page(
         "shape.html",
-        shape=shape_document(record),
+        shape=documents.shape_document(record),
         asked=asked.similar,
         found=asked.found() if record.status == "done" else None,
         classes=asked.classes,
@@ -219,7 +213,7 @@ def _scan(asked: _Asked) -> Response:
         "scan.html",
         asked=asked.similar,
         found=None if described is None else asked.found(job),
-        job=job_document(job),
+        job=documents.job_document(job),
         classes=asked.classes,
         has_picture=described is not None and described.picture is not None,
         can_be_kept=job.scan is not None and asked.site.keeps_scans,
@@ -246,7 +240,9 @@ def _download(content: bytes, name: str, kind: str) -> Response:
 
 
 def _table(name: str, answer: Answer) -> Response:
-    return _download(similar_csv(name, answer).encode("utf-8", "replace"), "similar.csv", "text/csv")
+    return _download(
+        documents.similar_csv(name, answer).encode("utf-8", "replace"), "similar.csv", "text/csv"
+    )
 
 
 def _thumbnail(asked: _Asked) -> Response:
@@ -293,7 +289,7 @@ async def _new_scan(request: Request) -> Response:
         if isinstance(error, ClientDisconnect):
             return Response(status_code=400)
         raise
-    document = job_document(job)
+    document = documents.job_document(job)
     jobs.submit(job, path)
     return _Json(document, 202, location=f"/scans/{job.id}")
 
@@ -301,7 +297,7 @@ async def _new_scan(request: Request) -> Response:
 async def _keep_scan(request: Request) -> Response:
     """For scripts: the fields are in the address, and the answer is JSON."""
     record = await _kept(request, request.query_params)
-    return _Json(shape_document(record), 201, location=f"/shapes/{quote(record.id, safe='')}")
+    return _Json(documents.shape_document(record), 201, location=f"/shapes/{quote(record.id, safe='')}")
 
 
 async def _keep_scan_by_form(request: Request) -> Response:
@@ -333,7 +329,9 @@ async def _turn(request: Request) -> Response:
     """One shape is turned by a quarter."""
     forwards, site, name = (await _form(request)).get("way") == "forwards", _site(request), _name(request)
     await site.drawing.read(
-        lambda catalogue: site.thumbnails.turn(catalogue, record_of(catalogue, name), forwards=forwards)
+        lambda catalogue: site.thumbnails.turn(
+            catalogue, documents.record_of(catalogue, name), forwards=forwards
+        )
     )
     return RedirectResponse(f"/shape/{quote(name, safe='')}", 303, headers=FRESH)
 
@@ -356,7 +354,7 @@ async def _events(jobs: Jobs, job_id: str) -> AsyncIterator[str]:
     while True:
         job = jobs.job(job_id)
         has_ended = job.has_ended
-        if (now := json.dumps(job_document(job))) != last:
+        if (now := json.dumps(documents.job_document(job))) != last:
             last = now
             yield f"data: {now}\n\n"
         if has_ended:
@@ -372,10 +370,10 @@ TURNS = (Route("/up", _say_up, methods=["POST"]), Route("/shape/{id}/turn", _tur
 SEARCHES: dict[str, Callable[[_Asked], Response]] = {
     "/shape/{id}": _shape,
     "/scan/{id}": _scan,
-    "/shapes/{id}": lambda asked: _Json(shape_document(asked.record)),
+    "/shapes/{id}": lambda asked: _Json(documents.shape_document(asked.record)),
     "/shapes/{id}/similar": lambda asked: _Json(asked.found()),
     "/shapes/{id}/similar.csv": lambda asked: _table(asked.name, asked.answer()),
-    "/scans/{id}": lambda asked: _Json(job_document(asked.job)),
+    "/scans/{id}": lambda asked: _Json(documents.job_document(asked.job)),
     "/scans/{id}/similar": lambda asked: _Json(asked.found(asked.job)),
     "/scans/{id}/similar.csv": lambda asked: _table(asked.job.name, asked.answer(asked.job)),
 }
@@ -386,7 +384,9 @@ OTHERS: dict[str, Callable[[_Asked], Response]] = {
     ),
     "/compare": _compare,
     "/scan/{id}/inspection": _inspection,
-    "/shapes": lambda asked: _Json(listing_document(asked.catalogue, Listing.of(asked.request.query_params))),
+    "/shapes": lambda asked: _Json(
+        documents.listing_document(asked.catalogue, Listing.of(asked.request.query_params))
+    ),
     "/shapes/{id}/thumbnail.png": _thumbnail,
     "/shapes/{id}/scene": _scene,
     "/shapes/{id}/mesh.glb": _glb,

@@ -82,15 +82,7 @@ def _against_lapy(folder: Path) -> Iterator[str]:
         (their_times, their_values), (our_times, our_values) = timed_by_turns(solvers, N_REPEATS)
         theirs, ours = statistics.median(their_times), statistics.median(our_times)
         errors = [np.abs(values[1:] / reference - 1).max() for values in (their_values, our_values)]
-        yield TABLE.row(
-            name,
-            len(mesh.vertices),
-            theirs,
-            ours,
-            theirs / ours,
-            *errors,
-            residual,
-        )
+        yield TABLE.row(name, len(mesh.vertices), theirs, ours, theirs / ours, *errors, residual)
 
 
 def _meshes(folder: Path) -> Iterator[tuple[str, TriangleMesh]]:

@@ -11,12 +11,7 @@ import pytest
 import shapes
 
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
-from pcretrieve.spectral.elements import (
-    CUBIC_REFERENCE,
-    LINEAR_REFERENCE,
-    ReferenceElement,
-    cubic_nodes,
-)
+from pcretrieve.spectral.elements import CUBIC_REFERENCE, LINEAR_REFERENCE, ReferenceElement, cubic_nodes
 from pcretrieve.values import FloatArray
 
 # Polynomials in barycentric coordinates: their powers, and the coefficient.

@@ -96,11 +96,7 @@ def posed_track(views: Sequence[View], poses: Poses, reach: float, options: Merg
 
 
 def followed(
-    views: Sequence[View],
-    keys: Poses,
-    tracked: Sequence[Track],
-    reach: float,
-    options: MergeOptions | None,
+    views: Sequence[View], keys: Poses, tracked: Sequence[Track], reach: float, options: MergeOptions | None
 ) -> tuple[dict[int, FloatArray], Mapping[int, int]]:
     """Register the views of tracks to their key frames, which do not move.
 
