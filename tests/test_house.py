@@ -31,7 +31,7 @@ ROOMS = {
     "formats": 3120,  # planned 2200: what a file declares is checked before a library allocates it
     "points": 2730,  # planned 2500: compiled neighbours, and registration that SciPy and Open3D do not have
     "surface": 3040,  # planned 2900: two coarse surfaces, simplification that keeps the topology
-    "spectral": 1010,  # planned 1000
+    "spectral": 1125,  # planned 1000: compiled products of the vectors of a block
     "descriptors": 1660,  # atoms are learned from labels
     "retrieval": 2200,  # planned 1800: an exact compiled scan; the metric of people; how sure an answer is
     "matching": 1080,  # planned 900: three published methods written out

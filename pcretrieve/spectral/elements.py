@@ -127,15 +127,15 @@ def assembled(mesh: TriangleMesh, nodes: Index, element: ReferenceElement) -> As
         boundary[nodes[lone[:, k]][:, side]] = True
         along.append(along[k][np.ix_(back, back)])
         side = element.turn[side]
-    # Assembled as the real and the imaginary part of one matrix, so that its pattern is sorted once.
-    q = nodes.shape[1]
-    local = np.empty((len(nodes), q * q), dtype=np.complex128)
-    local.real = half_cotangents @ np.reshape(along[:3], (3, -1))
-    local.imag = area[:, None] * element.mass.ravel()
-    rows, columns = np.repeat(nodes, q, axis=1).ravel(), np.tile(nodes, (1, q)).ravel()
-    total = csc_array(coo_array((local.ravel(), (rows, columns)), shape=(n, n)))
-    # Rounding depends on the order of summation where more than two faces meet: make it exactly symmetric.
-    total = csc_array((total + total.T) / 2)
+    # Assembled as the real and the imaginary part of one matrix, so that its pattern is sorted once, and as
+    # half of each symmetric element matrix: the sum with the transpose is symmetric in spite of rounding.
+    one, two = np.triu_indices(nodes.shape[1])
+    half = np.where(one == two, 0.5, 1.0)
+    local = np.empty((len(nodes), len(half)), dtype=np.complex128)
+    local.real = half_cotangents @ (np.array(along[:3])[:, one, two] * half)
+    local.imag = area[:, None] * (element.mass[one, two] * half)
+    total = coo_array((local.ravel(), (nodes[:, one].ravel(), nodes[:, two].ravel())), shape=(n, n)).tocsc()
+    total = csc_array(total + total.T)
     stiffness, mass = (
         csc_array((part.copy(), total.indices, total.indptr), shape=(n, n))
         for part in (total.data.real, total.data.imag)

@@ -11,11 +11,14 @@ largest |θ| first. It has found all λ below σ if as many θ are negative as S
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numba import config, njit
+from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, eigh
-from scipy.sparse import csc_array, csr_array
+from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
 from pcretrieve.errors import SpectrumError
@@ -39,7 +42,7 @@ SPARE_VECTORS = 12 * BLOCK
 
 # Size of the basis at the first convergence test. The iteration rarely converges before it.
 VECTORS_PER_PAIR_AT_FIRST_LOOK = 1.6
-SPARE_VECTORS_AT_FIRST_LOOK = 5 * BLOCK
+SPARE_VECTORS_AT_FIRST_LOOK = 6 * BLOCK
 
 # Factor by which one block reduces the residuals. A convergence test takes a considerable part of the time of
 # a block; the next test is therefore made when the residuals are expected to be below the tolerance.
@@ -58,9 +61,15 @@ MOST_ROUNDS = 6
 # reorthogonalisation). √ε would suffice for the eigenvalues, but would not save reorthogonalisations.
 LARGEST_LOST = 3e-11
 
-# Number of columns of the basis that a product overwrites at once, because a copy of the basis would double
-# the memory.
-CHUNK = 4096
+# Number of columns of the basis with which a product is computed at once: so many rows of a block remain in
+# the cache, and a copy of the basis would double the memory.
+CHUNK = 512
+
+# A row of a block.
+NOTHING: tuple[float, ...] = (0.0,) * BLOCK
+
+
+BlockMap = Callable[[FloatArray], FloatArray]
 
 
 def basis_size(n_pairs: int) -> int:
@@ -91,14 +100,14 @@ def block_krylov(
     n, size = operator.mass.shape[0], basis_size(n_pairs)
     factor = _factor(operator, n_pairs, shift)
     # In the order of the factor, as the iteration is, and in CSR format, since M is symmetric.
-    mass = operator.mass[factor.order][:, factor.order].T
+    ordered = operator.mass[factor.order][:, factor.order].T
+    mass = partial(_product, ordered.indptr, ordered.indices, ordered.data)
     basis = np.empty((size + BLOCK, n))
-    projected = np.zeros((size, size))  # QᵀMTQ
-    lost = np.zeros((size, size))  # estimate of QᵀMQ − I
+    projected, lost = np.zeros((2, size, size))  # QᵀMTQ, and an estimate of QᵀMQ − I
     # A fixed start block, for reproducible results. It is random, because it must have a component in every
     # eigenspace, which vectors with the symmetry of a surface have not.
     random = np.random.default_rng(0)
-    start = factor.solve(mass @ random.standard_normal((n, BLOCK))[factor.order])
+    start = factor.solve(mass(random.standard_normal((n, BLOCK))[factor.order]))
     # The last rows of QᵀMT block. The rows before them contain rounding errors and the effect of `lost` only.
     # They are set to zero, as they are for T projected onto an orthonormal basis of the same space [2]_.
     known = np.empty((0, BLOCK))
@@ -137,7 +146,7 @@ def block_krylov(
             vectors = _combined(basis, mixing[:, :n_pairs], outside[:, :n_pairs], factor.order)
             return 1 / theta[:n_pairs] + shift, vectors, n_blocks
         if full:
-            width = (n_pairs + size) // 2
+            width = (n_pairs + size) // 8 * 4
             turn = mixing[:, :width]
             _turn(basis, lost, turn)
             projected[:] = 0
@@ -183,10 +192,11 @@ def _combined(basis: FloatArray, mixing: FloatArray, outside: FloatArray, order:
 
 
 def _orthonormal(
-    block: FloatArray, basis: FloatArray, mass: csr_array, known: FloatArray, drift: FloatArray
+    block: FloatArray, basis: FloatArray, mass: BlockMap, known: FloatArray, drift: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Orthogonalise an (n, BLOCK) block against a basis, in the inner product of M: block = Q known + X left.
 
+    block: (n, BLOCK) float64, overwritten.
     basis: (width, n) float64, one vector in each row; Qᵀ are its last rows, as many as `known` has.
     known: (k, BLOCK) float64, the component of the block along Q.
     drift: (width, BLOCK) float64, estimate of the component of the block along the basis, apart from `known`.
@@ -194,29 +204,28 @@ def _orthonormal(
         the basis, at most `LARGEST_LOST`.
     """
     # Subtracted first: a later projection would multiply it by the loss of orthogonality of the basis.
-    block = block - basis[len(basis) - len(known) :].T @ known  # (n, BLOCK)
-    mapped = mass @ block
+    _subtract(basis[len(basis) - len(known) :], known, block)
+    mapped = mass(block)
     left = np.eye(BLOCK)
     for n_rounds in range(MOST_ROUNDS):
         if n_rounds:
-            # The block is stored by rows, with which this product is faster than with a block in columns.
-            error = np.ascontiguousarray(mapped.T) @ basis.T  # (BLOCK, width)
-            block -= (error @ basis).T
-            mapped = mass @ block
+            error = _components(basis, mapped)  # (width, BLOCK)
+            _subtract(basis, error, block)
+            mapped = mass(block)
             drift = np.zeros_like(drift)
         gram = block.T @ mapped  # (BLOCK, BLOCK)
         if not np.isfinite(gram).all():
             raise SpectrumError("the operator must be of a size to compute with, got overflow or NaN")
         lower = np.linalg.cholesky(gram)
-        inverse = np.linalg.inv(lower).T
+        inverse = np.linalg.inv(lower.T)
         lost = drift @ inverse  # (width, BLOCK)
         if np.abs(lost).max(initial=0) > LARGEST_LOST:
             continue
-        # Stored by rows, as the basis is: a transposed product is faster than a copy.
-        block, mapped = (inverse.T @ block.T).T, mapped @ inverse
+        _times(block, inverse)
+        _times(mapped, inverse)
         left = lower.T @ left
         condition = np.linalg.norm(lower) * np.linalg.norm(inverse) / BLOCK
-        loss = np.sqrt(((error**2).sum(axis=1) / gram.diagonal()).max()) if n_rounds else 0.0
+        loss = np.sqrt(((error**2).sum(axis=0) / gram.diagonal()).max()) if n_rounds else 0.0
         if max(condition, loss) <= LARGEST_LOSS:
             return block, mapped, left, lost
     raise LinAlgError("the space has no room for another block")
@@ -228,25 +237,128 @@ def _row(x: FloatArray, i: int) -> tuple[float, ...]:
 
 
 @njit(cache=True, fastmath={"contract"})
+def _put(x: FloatArray, i: int, row: tuple[float, ...]) -> None:
+    x[i, 0], x[i, 1], x[i, 2], x[i, 3], x[i, 4], x[i, 5], x[i, 6], x[i, 7] = row
+
+
+@njit(cache=True, fastmath={"contract"})
 def _plus(x: tuple[float, ...], a: float, y: tuple[float, ...]) -> tuple[float, ...]:
     (p, q, r, s, t, u, v, w), (e, f, g, h, i, j, k, m) = x, y
     return p + a * e, q + a * f, r + a * g, s + a * h, t + a * i, u + a * j, v + a * k, w + a * m
 
 
+@njit(cache=True, fastmath={"contract"})
+def _product(indptr: Index, columns: Index, entries: FloatArray, block: FloatArray) -> FloatArray:
+    """The product of a CSR matrix and an (n, BLOCK) block."""
+    product = np.empty_like(block)
+    for i in range(len(block)):
+        row = NOTHING
+        for at in range(np.uint64(indptr[i]), np.uint64(indptr[i + 1])):
+            row = _plus(row, entries[at], _row(block, np.uint64(columns[at])))
+        _put(product, i, row)
+    return product
+
+
+@njit(cache=True, fastmath={"contract"})
+def _times(block: FloatArray, matrix: FloatArray) -> None:
+    """Multiply an (n, BLOCK) block by a (BLOCK, BLOCK) matrix, in place."""
+    for i in range(len(block)):
+        row = NOTHING
+        for k in range(BLOCK):
+            row = _plus(row, block[i, k], _row(matrix, k))
+        _put(block, i, row)
+
+
+@njit(cache=True, fastmath={"contract"})
+def _components(basis: FloatArray, block: FloatArray) -> FloatArray:
+    """The product of a (width, n) basis, with a width that is a multiple of 4, and an (n, BLOCK) block."""
+    components = np.zeros((len(basis), BLOCK))
+    for first in range(0, len(block), CHUNK):
+        for k in range(0, len(basis), 4):
+            p, q = _row(components, k), _row(components, k + 1)
+            r, s = _row(components, k + 2), _row(components, k + 3)
+            for i in range(first, min(first + CHUNK, len(block))):
+                row = _row(block, i)
+                p, q = _plus(p, basis[k, i], row), _plus(q, basis[k + 1, i], row)
+                r, s = _plus(r, basis[k + 2, i], row), _plus(s, basis[k + 3, i], row)
+            _put(components, k, p)
+            _put(components, k + 1, q)
+            _put(components, k + 2, r)
+            _put(components, k + 3, s)
+    return components
+
+
+@njit(cache=True, fastmath={"contract"})
+def _subtract(basis: FloatArray, components: FloatArray, block: FloatArray) -> None:
+    """Subtract what (width, BLOCK) components stand for from an (n, BLOCK) block, in place."""
+    for first in range(0, len(block), CHUNK):
+        for k in range(0, len(basis), 4):
+            p, q = _row(components, k), _row(components, k + 1)
+            r, s = _row(components, k + 2), _row(components, k + 3)
+            for i in range(first, min(first + CHUNK, len(block))):
+                row = _plus(_plus(_row(block, i), -basis[k, i], p), -basis[k + 1, i], q)
+                _put(block, i, _plus(_plus(row, -basis[k + 2, i], r), -basis[k + 3, i], s))
+
+
+@njit(cache=True)
+def _paired(indptr: Index, rows: Index) -> NDArray[np.bool_]:
+    """(n + 1,) whether a column of L and the next have the same rows, and are a pair: no column is in two."""
+    paired = np.zeros(len(indptr), dtype=np.bool_)
+    for j in range(len(indptr) - 2):
+        first, last = indptr[j] + 1, indptr[j + 1]
+        if not paired[j - 1] and indptr[j + 2] - last == last - first:
+            paired[j] = (rows[first:last] == rows[last : indptr[j + 2]]).all()
+    return paired
+
+
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _substitute(x: FloatArray, indptr: Index, rows: Index, lower: FloatArray, pivots: FloatArray) -> None:
-    """Solve L D Lᵀ X = B in place, B of BLOCK columns; columns of L begin with its diagonal."""
-    for j in range(len(pivots)):
+def _substitute(
+    x: FloatArray,
+    indptr: Index,
+    rows: Index,
+    lower: FloatArray,
+    pivots: FloatArray,
+    paired: NDArray[np.bool_],
+) -> None:
+    """Solve L D Lᵀ X = B in place, B of BLOCK columns; columns of L begin with its diagonal.
+
+    A pair of columns reads each row of X once. Indices without a sign need no test for negative ones.
+    """
+    j = 0
+    while j < len(pivots):
+        at, end = np.uint64(indptr[j] + 1), np.uint64(indptr[j + 1])
         y = _row(x, j)
-        for at in range(indptr[j] + 1, indptr[j + 1]):
-            i = np.uint64(rows[at])
-            z = _plus(_row(x, i), -lower[at], y)
-            x[i, 0], x[i, 1], x[i, 2], x[i, 3], x[i, 4], x[i, 5], x[i, 6], x[i, 7] = z
-    for j in range(len(pivots) - 1, -1, -1):
-        y = _plus((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 1 / pivots[j], _row(x, j))
-        for at in range(indptr[j] + 1, indptr[j + 1]):
-            y = _plus(y, -lower[at], _row(x, np.uint64(rows[at])))
-        x[j, 0], x[j, 1], x[j, 2], x[j, 3], x[j, 4], x[j, 5], x[j, 6], x[j, 7] = y
+        if paired[j]:
+            z = _plus(_row(x, j + 1), -lower[at], y)
+            _put(x, j + 1, z)
+            ahead = end - at
+            for k in range(at + np.uint64(1), end):
+                i = np.uint64(rows[k])
+                _put(x, i, _plus(_plus(_row(x, i), -lower[k], y), -lower[k + ahead], z))
+            j += 2
+        else:
+            for k in range(at, end):
+                i = np.uint64(rows[k])
+                _put(x, i, _plus(_row(x, i), -lower[k], y))
+            j += 1
+    while j > 0:
+        if paired[j - 2]:
+            j -= 2
+            at, end = np.uint64(indptr[j] + 1), np.uint64(indptr[j + 1])
+            y = _plus(NOTHING, 1 / pivots[j], _row(x, j))
+            z = _plus(NOTHING, 1 / pivots[j + 1], _row(x, j + 1))
+            ahead = end - at
+            for k in range(at + np.uint64(1), end):
+                row = _row(x, np.uint64(rows[k]))
+                y, z = _plus(y, -lower[k], row), _plus(z, -lower[k + ahead], row)
+            _put(x, j + 1, z)
+            _put(x, j, _plus(y, -lower[at], z))
+        else:
+            j -= 1
+            y = _plus(NOTHING, 1 / pivots[j], _row(x, j))
+            for k in range(np.uint64(indptr[j] + 1), np.uint64(indptr[j + 1])):
+                y = _plus(y, -lower[k], _row(x, np.uint64(rows[k])))
+            _put(x, j, y)
 
 
 class Factor:
@@ -262,12 +374,15 @@ class Factor:
         if not np.array_equal(factor.perm_r, factor.perm_c):
             raise LinAlgError("a pivot is zero")
         self.order, self.pivots, self.lower = np.argsort(factor.perm_r), factor.U.diagonal(), factor.L
+        self.paired = _paired(self.lower.indptr, self.lower.indices)
         self.n_negative = int((self.pivots < 0).sum())
 
     def solve(self, right: FloatArray) -> FloatArray:
         """(n, BLOCK) the solution for right-hand sides (n, BLOCK), both with their rows in `order`."""
         solution = np.array(right, order="C")
-        _substitute(solution, self.lower.indptr, self.lower.indices, self.lower.data, self.pivots)
+        _substitute(
+            solution, self.lower.indptr, self.lower.indices, self.lower.data, self.pivots, self.paired
+        )
         return solution
 
 
