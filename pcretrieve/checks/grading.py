@@ -108,7 +108,7 @@ MEASURES = {
         "The orange surface is interpolated, because there are no points: scan these places too.",
     ),
     "Closed ends": Measure(
-        (0.00025, 0.00025),
+        (0.0003, 0.0003),
         "Points lie on the ends of the limbs.",
         "The surface was closed across a limb that ends in a hole: scan the part that is missing.",
     ),
@@ -118,7 +118,7 @@ MEASURES = {
         "Parts of the body have few points: scan these parts more densely, or from nearer.",
     ),
     "Largest hole": Measure(
-        (0.00265, 0.00265),
+        (0.0025, 0.0025),
         "Points lie wherever a sensor could see the surface.",
         "A part of the body that nothing hides was not seen: scan it too, and merge the views.",
     ),

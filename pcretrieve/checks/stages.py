@@ -18,7 +18,7 @@ ERROR_OF_FILLED = 2.0
 ERROR_OF_LOST = 5.0
 ERROR_OF_NOISE = 100.0
 ERROR_OF_ENDS = 200.0
-ENDS_OF_NOISE = 0.00025
+ENDS_OF_NOISE = 0.0003
 ERROR_OF_GAPS = 2900.0
 
 # Log-signature error of a base if the ground was not seen: a limb may end there, unless it is a mere sole.
