@@ -32,8 +32,8 @@ FILLED, FILLED_OF_SPARSE = 4, 2
 BARE, BARE_OF_SPARSE = 1.75, 0.6
 
 # Of a face that closes a cut limb: the largest cosine between its normal and that of the nearest point, since
-# in a smooth hole these agree; the least distance to this point, in medians; the largest to the middle of
-# what closes it, in diagonals; the number of places; and the least likeness to a rim, for floors.
+# in a smooth hole these agree; the least distance to it, in median spacings; the largest to the middle
+# of what closes it, in diagonals; the number of places; and the least likeness to a rim, for floors.
 TURNED, CLOSING, NEAR_END, N_ENDS, SHEET = 0.8, 1.9, 0.045, 10, 0.1
 
 # Of a face in a hole that is not explained by occlusion: the least distance to the nearest point, in
