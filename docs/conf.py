@@ -57,7 +57,11 @@ sphinx_gallery_conf = {
 
 html_theme = "pydata_sphinx_theme"
 html_title = f"pcretrieve {__version__}"
-html_theme_options = {"navigation_depth": 2, "secondary_sidebar_items": ["page-toc"], "show_prev_next": False}
+html_theme_options = {
+    "navigation_depth": 2,
+    "secondary_sidebar_items": ["page-toc"],
+    "show_prev_next": False,
+}
 html_sidebars: dict[str, list[str]] = {"docs/index": []}
 html_static_path = ["_static"]
 html_css_files = ["site.css"]

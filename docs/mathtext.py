@@ -33,7 +33,11 @@ def image(node: nodes.Element, *, block: bool) -> str:
         depth = math_to_image(f"${source}$", drawing, prop=FontProperties(size=size), format="svg")
     data = base64.b64encode(drawing.getvalue()).decode()
     alternative = (
-        nodes.Text(source).astext().replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
+        nodes.Text(source)
+        .astext()
+        .replace("&", "&amp;")
+        .replace("<", "&lt;")
+        .replace('"', "&quot;")
     )
     return (
         f'<img class="formula" src="data:image/svg+xml;base64,{data}" alt="{alternative}" '

@@ -61,7 +61,9 @@ class PcretrieveError(Exception):
 
     default_stage: Stage | None = None
 
-    def __init__(self, message: str, *, stage: str | None = None, shape_id: str | None = None) -> None:
+    def __init__(
+        self, message: str, *, stage: str | None = None, shape_id: str | None = None
+    ) -> None:
         super().__init__(message)
         self.message = message
         self.stage: str | None = stage or self.default_stage
@@ -177,7 +179,9 @@ def shape_error(error: BaseException, stage: str | None = None) -> PcretrieveErr
             "the scan needs more memory than there is, or than --memory allows: raise that, or thin the scan",
             stage=stage,
         )
-    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if PACKAGE in frame.filename]
+    frames = [
+        frame for frame in traceback.extract_tb(error.__traceback__) if PACKAGE in frame.filename
+    ]
     place = f" (at {Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
     return UnexpectedError(
         f"{type(error).__name__}: {_words(error)}{place}; this is a fault of pcretrieve, or of a package "

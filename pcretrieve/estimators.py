@@ -106,7 +106,9 @@ class WithinClassWhitening(_Whitener):
         logs, classes = validate_data(self, X, y, dtype=np.float64, ensure_min_samples=2)
         labels = [None if label is None else str(label) for label in classes.tolist()]
         # Numbers must be whole, as anywhere in scikit-learn.
-        check_classification_targets(classes[np.array([label is not None for label in labels], dtype=bool)])
+        check_classification_targets(
+            classes[np.array([label is not None for label in labels], dtype=bool)]
+        )
         self.whitening_ = fit_whitening("within-class", logs, labels, shrinkage=self.shrinkage)
         return self
 
@@ -172,12 +174,17 @@ class SignatureNeighbors(BaseEstimator):  # type: ignore[misc]
         known_distance(self.distance)
         self._classes = None if y is None else column_or_1d(y)
         if self._classes is not None and len(self._classes) != len(self._fit_X):
-            raise InputError(f"y must have {len(self._fit_X)} classes, one a row, got {len(self._classes)}")
+            raise InputError(
+                f"y must have {len(self._fit_X)} classes, one a row, got {len(self._classes)}"
+            )
         self.n_samples_fit_ = len(self._fit_X)
         return self
 
     def kneighbors(
-        self, X: ArrayLike | None = None, n_neighbors: int | None = None, return_distance: bool = True
+        self,
+        X: ArrayLike | None = None,
+        n_neighbors: int | None = None,
+        return_distance: bool = True,
     ) -> Found:
         """The distances (Q, k) to the nearest of the fitted signatures, ascending, and their rows (Q, k).
 
@@ -188,7 +195,9 @@ class SignatureNeighbors(BaseEstimator):  # type: ignore[misc]
         check_is_fitted(self)
         most = self.n_samples_fit_ - (X is None)
         if isinstance(k, bool) or not isinstance(k, (int, np.integer)) or not 1 <= k <= most:
-            raise OptionError(f"Expected n_neighbors to be a whole number from 1 to {most}, got {k!r}")
+            raise OptionError(
+                f"Expected n_neighbors to be a whole number from 1 to {most}, got {k!r}"
+            )
         rows = [(own[:k], order[:k]) for own, order in self._sorted(X)]
         distances = np.array([own for own, _ in rows]).reshape(-1, k)
         indices = np.array([order for _, order in rows], dtype=np.intp).reshape(-1, k)
@@ -216,10 +225,14 @@ class SignatureNeighbors(BaseEstimator):  # type: ignore[misc]
 
     def _sorted(self, X: ArrayLike | None) -> Iterator[tuple[FloatArray, Positions]]:
         """For each query the distances, ascending, and the rows of the fitted signatures."""
-        queries = self._fit_X if X is None else validate_data(self, X, dtype=np.float64, reset=False)
+        queries = (
+            self._fit_X if X is None else validate_data(self, X, dtype=np.float64, reset=False)
+        )
         rows = max(1, BLOCK_DISTANCES // self.n_samples_fit_)
         for start in range(0, len(queries), rows):
-            distances = pairwise(self.distance, queries[start : start + rows], self._fit_X)  # (rows, N)
+            distances = pairwise(
+                self.distance, queries[start : start + rows], self._fit_X
+            )  # (rows, N)
             # A stable sort: equal distances in the order of the rows.
             orders = np.argsort(distances, axis=1, kind="stable")
             for number, (order, own) in enumerate(zip(orders, distances, strict=True), start):

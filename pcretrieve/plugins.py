@@ -55,8 +55,22 @@ SIZED = ("r-bihdm", "bihdm", "bihdm-sampled", "shape-dna", "sd-gdm", "sd-gdm-sam
 METHODS: dict[str, bool] = {
     name: name in SIZED
     for name in (
-        *("r-bihdm", "bihdm", "bihdm-sampled", "shape-dna", "shape-dna-norm1", "shape-dna-norm1-values"),
-        *("sd-gdm", "sd-gdm-sampled", "hks-bow", "hks-bow-spatial", "si-hks-bow", "si-hks-bow-spatial"),
+        *(
+            "r-bihdm",
+            "bihdm",
+            "bihdm-sampled",
+            "shape-dna",
+            "shape-dna-norm1",
+            "shape-dna-norm1-values",
+        ),
+        *(
+            "sd-gdm",
+            "sd-gdm-sampled",
+            "hks-bow",
+            "hks-bow-spatial",
+            "si-hks-bow",
+            "si-hks-bow-spatial",
+        ),
         *("dl", "dl-supervised", "wks", "csd", "ispm", "hapt", "moments"),
     )
 }
@@ -98,9 +112,8 @@ class Registry(Generic[Record]):
         if name in self.own:
             return f"the {self.names.kind} {name!r}"
         point = self._point(name)
-        return (
-            f"the {self.names.kind} {name!r} of the package {point.dist.name if point.dist else point.module}"
-        )
+        package = point.dist.name if point.dist else point.module
+        return f"the {self.names.kind} {name!r} of the package {package}"
 
     def version(self, name: str) -> str:
         """The package and the version of a record that another package adds; empty for pcretrieve's own."""

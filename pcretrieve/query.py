@@ -218,7 +218,11 @@ def search(
     with Catalogue.opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
         question = Question(chosen, k, labels, exclude_self, min_score, unit, matrix)
-        asked = _query_of(store, query, question) if isinstance(query, (str, Path, Signature)) else query
+        asked = (
+            _query_of(store, query, question)
+            if isinstance(query, (str, Path, Signature))
+            else query
+        )
         if not isinstance(asked, (str, Described)):
             asked = described_scan(question.scan_options(store), False, None, asked)
         return _cut(store, _ranked(store, asked, question), question)
@@ -287,8 +291,12 @@ def _answers(
 ) -> Iterator[tuple[str, Answer | ShapeError]]:
     asked = [each for query in queries for each in _expanded(catalogue, query, question)]
     scans = [query for _, query in asked if isinstance(query, Path)]
-    of_scan = partial(described_scan, question.scan_options(catalogue), question.has_picture, question.up)
-    described: Iterator[tuple[Path, Described | PcretrieveError]] = map(partial(_attempted, of_scan), scans)
+    of_scan = partial(
+        described_scan, question.scan_options(catalogue), question.has_picture, question.up
+    )
+    described: Iterator[tuple[Path, Described | PcretrieveError]] = map(
+        partial(_attempted, of_scan), scans
+    )
     if scans and question.timeout is not None:
         # Imported here, because it is not needed for shapes that the catalogue has.
         from pcretrieve.ingestion.pool import in_processes
@@ -316,10 +324,14 @@ def answer_to(catalogue: Catalogue, query: str | Described, question: Question) 
     ]
     scores = None if question.matrix is not None else catalogue.index(question.options).scores
     found = _cut(catalogue, ranked, question)
-    return Answer(found, tuple(known[i] for i in found.ids), _match(labelled, scores, question.far), query)
+    return Answer(
+        found, tuple(known[i] for i in found.ids), _match(labelled, scores, question.far), query
+    )
 
 
-def _match(found: list[tuple[float, str]], scores: MatchScores | None, far: float | None) -> Match | None:
+def _match(
+    found: list[tuple[float, str]], scores: MatchScores | None, far: float | None
+) -> Match | None:
     """Who a query is, by the distances and the classes of its neighbours."""
     if not found:
         return None
@@ -397,7 +409,9 @@ def cluster(
         return dict(zip(index.ids, names, strict=True))
 
 
-def described_scan(options: PipelineOptions, has_picture: bool, up: str | None, scan: ScanLike) -> Described:
+def described_scan(
+    options: PipelineOptions, has_picture: bool, up: str | None, scan: ScanLike
+) -> Described:
     """Process a scan, and draw a thumbnail of it on request, in which the axis `up` points upwards."""
     from pcretrieve.pipeline.process import process, signature_of
 
@@ -412,7 +426,9 @@ def described_scan(options: PipelineOptions, has_picture: bool, up: str | None, 
     return Described(signature, shape.verdict, picture, None if mesh is None else len(mesh.faces))
 
 
-def _attempted(of_scan: Callable[[Path], Described], scan: Path) -> tuple[Path, Described | PcretrieveError]:
+def _attempted(
+    of_scan: Callable[[Path], Described], scan: Path
+) -> tuple[Path, Described | PcretrieveError]:
     try:
         return scan, of_scan(scan)
     except ShapeError as error:
@@ -442,7 +458,11 @@ def _query_of(
     catalogue: Catalogue, query: str | Path | Signature, question: Question
 ) -> str | Path | Described:
     """The stored shape, the scan or the signature that a query is."""
-    found = Described(query) if isinstance(query, Signature) else _shape_or_scan(catalogue, query, question)
+    found = (
+        Described(query)
+        if isinstance(query, Signature)
+        else _shape_or_scan(catalogue, query, question)
+    )
     if question.matrix is not None and not isinstance(found, str):
         name = query.kind if isinstance(query, Signature) else query
         raise InputError(
@@ -458,10 +478,16 @@ def _shape_or_scan(catalogue: Catalogue, query: str | Path, question: Question) 
     if isinstance(query, str) and (path.is_dir() or not (path.exists() or _is_in_a_file(path))):
         return _stored(catalogue, query)
     if question.matrix is None and question.unit not in (None, catalogue.options.scan.unit):
-        return path  # sizes in another unit: a shape of the same content does not stand for the file
+        return (
+            path  # sizes in another unit: a shape of the same content does not stand for the file
+        )
     from pcretrieve.formats.identity import content_hash
 
-    done = (record.id for record in catalogue.with_content(content_hash(path)) if record.status == "done")
+    done = (
+        record.id
+        for record in catalogue.with_content(content_hash(path))
+        if record.status == "done"
+    )
     return next(done, path)
 
 
@@ -489,7 +515,9 @@ def _stored(catalogue: Catalogue, shape_id: str) -> str:
     return shape_id
 
 
-def _ranked(catalogue: Catalogue, query: str | Described, question: Question, least: int = 0) -> Neighbors:
+def _ranked(
+    catalogue: Catalogue, query: str | Described, question: Question, least: int = 0
+) -> Neighbors:
     """The first results, at least so many, without the query if it is to be left out."""
     among = None if question.labels is None else _labelled(catalogue, question.labels)
     # A query that is left out of its results is one of them before.
@@ -497,7 +525,9 @@ def _ranked(catalogue: Catalogue, query: str | Described, question: Question, le
     matrix = question.matrix
     if matrix is not None and isinstance(query, str):
         row = matrix.values[position_of(matrix.ids, query)]
-        chosen = [number for number, name in enumerate(matrix.ids) if among is None or name in among]
+        chosen = [
+            number for number, name in enumerate(matrix.ids) if among is None or name in among
+        ]
         found = nearest_of([matrix.ids[number] for number in chosen], row[chosen], most)
     else:
         compared = query if isinstance(query, str) else query.signature

@@ -17,7 +17,12 @@ NAMES = ("chromium", "chromium-browser", "google-chrome")
 
 # Without these, the browser asks for updates of its own, and waits for what a computer without network does
 # not answer.
-QUIET = ("--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run")
+QUIET = (
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+)
 
 DESKTOP = (1280, 900)
 PHONE = (360, 740)
@@ -68,7 +73,10 @@ def opened(
     try:
         page = context.new_page()
         page.set_default_timeout(60_000)
-        page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+        page.on(
+            "console",
+            lambda message: errors.append(message.text) if message.type == "error" else None,
+        )
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.on("request", lambda request: requests.append(request.url))
         page.goto(address)
@@ -76,7 +84,9 @@ def opened(
     finally:
         context.close()
     if refused:  # a browser logs the status of an answer, sooner or later
-        errors = [error for error in errors if "the server responded with a status of 4" not in error]
+        errors = [
+            error for error in errors if "the server responded with a status of 4" not in error
+        ]
     assert not errors, errors
     own = ("data:", "blob:", "file:", origin(address))
     assert all(url.startswith(own) for url in requests), requests

@@ -19,7 +19,9 @@ NAMES += [f"catalogue {name}" for name in CATALOGUE] + [f"lab {name}" for name i
 
 def run(*words: object, code: int | None = 0, **environment: str | None) -> Result:
     """Run a command in this process: a new one takes seconds to import what it needs."""
-    done = CliRunner().invoke(cli, [str(word) for word in words], prog_name="pcretrieve", env=environment)
+    done = CliRunner().invoke(
+        cli, [str(word) for word in words], prog_name="pcretrieve", env=environment
+    )
     assert code in (None, done.exit_code), done.output
     return done
 
@@ -37,10 +39,17 @@ def result(*words: object, code: int = 0) -> Any:
 
 
 def program(
-    *words: object, cwd: Path | None = None, code: int = 0, by: tuple[str, ...] = (), **environment: str
+    *words: object,
+    cwd: Path | None = None,
+    code: int = 0,
+    by: tuple[str, ...] = (),
+    **environment: str,
 ) -> subprocess.CompletedProcess[str]:
     """Run a command in a process of its own, which another program may start."""
-    command, known = [*by, sys.executable, "-m", "pcretrieve", *map(str, words)], os.environ | environment
+    command, known = (
+        [*by, sys.executable, "-m", "pcretrieve", *map(str, words)],
+        os.environ | environment,
+    )
     done = subprocess.run(
         command, cwd=cwd, env=known, capture_output=True, text=True, timeout=300, check=False
     )

@@ -10,7 +10,11 @@ import pytest
 
 
 def install(
-    site: Path, name: str, modules: Mapping[str, str], entry_points: str, monkeypatch: pytest.MonkeyPatch
+    site: Path,
+    name: str,
+    modules: Mapping[str, str],
+    entry_points: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Install a package into a folder, and put the folder on the path until the test ends."""
     metadata = site / f"{name}-1.0.dist-info"

@@ -29,7 +29,9 @@ def programs() -> Path:
     for folder in folders:
         if (folder / "initdb").exists() and (folder / "pg_ctl").exists():
             return folder
-    pytest.skip("no PostgreSQL server is installed (Debian: postgresql), which scripts/test installs as root")
+    pytest.skip(
+        "no PostgreSQL server is installed (Debian: postgresql), which scripts/test installs as root"
+    )
 
 
 @contextmanager
@@ -54,7 +56,12 @@ def running_server() -> Iterator[str]:
         port = free.getsockname()[1]
     try:
         run(tools / "initdb", "-D", data, "-U", "tester", "-A", "trust", "-E", "UTF8", "--no-sync")
-        given = (f"port={port}", "listen_addresses=127.0.0.1", f"unix_socket_directories={folder}", *SETTINGS)
+        given = (
+            f"port={port}",
+            "listen_addresses=127.0.0.1",
+            f"unix_socket_directories={folder}",
+            *SETTINGS,
+        )
         options = " ".join(f"-c {setting}" for setting in given)
         run(tools / "pg_ctl", "-D", data, "-w", "-l", folder / "log", "-o", options, "start")
         try:

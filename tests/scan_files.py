@@ -105,9 +105,13 @@ def gltf(
 THREE_MF = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 
 
-def three_mf(body: TriangleMesh, *, unit: str = "millimeter", items: str = '<item objectid="1"/>') -> bytes:
+def three_mf(
+    body: TriangleMesh, *, unit: str = "millimeter", items: str = '<item objectid="1"/>'
+) -> bytes:
     """An archive with one object, which the items of the build place."""
-    vertices = "".join('<vertex x="{:.9g}" y="{:.9g}" z="{:.9g}"/>'.format(*point) for point in body.vertices)
+    vertices = "".join(
+        '<vertex x="{:.9g}" y="{:.9g}" z="{:.9g}"/>'.format(*point) for point in body.vertices
+    )
     triangles = "".join('<triangle v1="{}" v2="{}" v3="{}"/>'.format(*face) for face in body.faces)
     model = (
         f'<model unit="{unit}" xmlns="{THREE_MF}"><resources><object id="1" name="ball" type="model"><mesh>'
@@ -141,9 +145,13 @@ def collada(mesh: TriangleMesh, *, metres: float = 1.0, shift: Sequence[float] =
     return file.getvalue().decode()
 
 
-def write_gltf(path: Path, mesh: TriangleMesh, nodes: list[dict[str, Any]], buffer: str = "") -> None:
+def write_gltf(
+    path: Path, mesh: TriangleMesh, nodes: list[dict[str, Any]], buffer: str = ""
+) -> None:
     """A glTF file and, if it is named, the file of its buffer; else the buffer is a data URI."""
-    tree, binary = gltf(mesh.vertices.tolist(), mesh.faces.ravel().tolist(), nodes, range(len(nodes)))
+    tree, binary = gltf(
+        mesh.vertices.tolist(), mesh.faces.ravel().tolist(), nodes, range(len(nodes))
+    )
     tree["buffers"][0]["uri"] = buffer or "data:;base64," + base64.b64encode(binary).decode()
     path.write_text(json.dumps(tree))
     if buffer:
@@ -155,15 +163,20 @@ def write_gltf(path: Path, mesh: TriangleMesh, nodes: list[dict[str, Any]], buff
 # What the tests need beside pcretrieve to write a file.
 WRITERS = {".las": ("laspy",), ".laz": ("laspy", "lazrs"), ".e57": ("pye57",)}
 CAN_WRITE = {
-    suffix: all(importlib.util.find_spec(module) for module in modules) for suffix, modules in WRITERS.items()
+    suffix: all(importlib.util.find_spec(module) for module in modules)
+    for suffix, modules in WRITERS.items()
 }
 
 
-def write_las(path: Path, points: Any, *, point_format: int = 3, classes: Sequence[int] = ()) -> None:
+def write_las(
+    path: Path, points: Any, *, point_format: int = 3, classes: Sequence[int] = ()
+) -> None:
     """Points to a tenth of a millimetre, compressed if the file is named so."""
     import laspy
 
-    header = laspy.LasHeader(point_format=point_format, version="1.4" if point_format > 5 else "1.2")
+    header = laspy.LasHeader(
+        point_format=point_format, version="1.4" if point_format > 5 else "1.2"
+    )
     header.scales, header.offsets = np.full(3, 1e-4), np.array([10.0, 20.0, 30.0])
     data = laspy.LasData(header)
     data.x, data.y, data.z = np.transpose(points)
@@ -181,7 +194,9 @@ def write_e57(path: Path, scans: Sequence[dict[str, Any]]) -> None:
             points = np.asarray(scan["points"], dtype=np.float64)
             columns = {f"cartesian{axis}": points[:, k] for k, axis in enumerate("XYZ")}
             columns |= {name: scan[name] for name in ("rowIndex", "columnIndex") if name in scan}
-            pose = {name: scan[name] for name in ("name", "rotation", "translation") if name in scan}
+            pose = {
+                name: scan[name] for name in ("name", "rotation", "translation") if name in scan
+            }
             file.write_scan_raw(columns, **pose)
 
 
@@ -253,7 +268,9 @@ REFERENCES = (
 
 def npy(declared: str, body: bytes = b"") -> bytes:
     """An array whose header says what it likes."""
-    return b"\x93NUMPY\x01\x00" + struct.pack("<H", 118) + declared.encode().ljust(117) + b"\n" + body
+    return (
+        b"\x93NUMPY\x01\x00" + struct.pack("<H", 118) + declared.encode().ljust(117) + b"\n" + body
+    )
 
 
 def pcd_bomb(n_bytes: int, n: int = 3 * 10**8, packed: int = 99) -> bytes:
@@ -272,13 +289,25 @@ HOSTILE: list[tuple[str, bytes, str]] = [
     ("a.stl", bytes(80) + struct.pack("<I", 2**32 - 1) + bytes(50), "not a complete STL"),
     ("a.off", f"OFF\n{HUGE} {HUGE} 0\n0 0 0\n".encode(), "not a complete OFF"),
     ("a.ptx", f"{10**9}\n{10**9}\n{POSE}0 0 0 0.5\n".encode(), f"declares {10**18} rows in"),
-    ("a.npy", npy(f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({HUGE}, 3), }}"), "declares"),
-    ("a.npy", npy("{'descr': '|O', 'fortran_order': False, 'shape': (1, 3), }", PICKLE), "Python objects"),
+    (
+        "a.npy",
+        npy(f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({HUGE}, 3), }}"),
+        "declares",
+    ),
+    (
+        "a.npy",
+        npy("{'descr': '|O', 'fortran_order': False, 'shape': (1, 3), }", PICKLE),
+        "Python objects",
+    ),
     ("a.npy", npy("__import__('os').system('echo > pickled')"), "not a complete NPY"),
     ("a.npy", PICKLE, "not a complete NPY"),
     ("a.php.off", b"<?php system($_GET['a']); ?>", "not a complete OFF"),
     ("a.obj", b"<script>alert(1)</script>\nv <b> 0 0\n", "line 2 is 'v <b> 0 0'"),
-    ("a.ply", b'<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><a>&x;</a>', "first line is not 'ply'"),
+    (
+        "a.ply",
+        b'<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><a>&x;</a>',
+        "first line is not 'ply'",
+    ),
     ("a.xyz", b"9" * 900_000 + b" 1 2\n", "each line must hold 3 numbers"),
     ("a.xyz", b"1e308 -1e308 1e308\n" * 200, "coordinates must be 1e-50 to 1e+50 in size"),
 ]

@@ -48,8 +48,12 @@ def write_eggs(path: Path) -> None:
                 where = f"/secret/folder/{kind}{number}.off"
                 record = Record(name, where, name, f"<kind {kind}>", steps=steps)
                 store.put(record, Content(replace(shape, verdict=verdict), values))
-        failed = Record("broken", "/secret/own folder/broken.off", "", status="failed", stage="read")
-        store.put(replace(failed, error="ScanReadError", message="/secret/own folder/broken.off is empty"))
+        failed = Record(
+            "broken", "/secret/own folder/broken.off", "", status="failed", stage="read"
+        )
+        store.put(
+            replace(failed, error="ScanReadError", message="/secret/own folder/broken.off is empty")
+        )
 
 
 def egg(folder: Path, width: float = 1.06) -> bytes:
@@ -99,7 +103,9 @@ class Server:
         try:
             connection.request(method, path, body, sent | (headers or {}))
             answer: HTTPResponse = connection.getresponse()
-            found = Answer(answer.status, {k.lower(): v for k, v in answer.getheaders()}, answer.read())
+            found = Answer(
+                answer.status, {k.lower(): v for k, v in answer.getheaders()}, answer.read()
+            )
         finally:
             connection.close()
         told = found.body + str(found.headers).encode()
@@ -130,7 +136,9 @@ def running(
     temporary files.
     """
     program = (
-        ["-c", f"{first}; from pcretrieve.cli.main import cli; cli()"] if first else ["-m", "pcretrieve"]
+        ["-c", f"{first}; from pcretrieve.cli.main import cli; cli()"]
+        if first
+        else ["-m", "pcretrieve"]
     )
     command = [sys.executable, *program, "serve", "-c", str(catalogue), "--port", "0", *options]
     place = os.environ | ({} if temporary is None else {"TMPDIR": str(temporary)})

@@ -36,27 +36,38 @@ def two_tetrahedra(shared: Literal["edge", "vertex"]) -> TriangleMesh:
     numbers = np.array([0, 4, 5, 3] if shared == "edge" else [0, 4, 5, 6])
     faces = numbers[TETRAHEDRON_FACES if shared == "edge" else TETRAHEDRON_FACES[:, ::-1]]
     own = numbers >= 4
-    return TriangleMesh(np.concatenate([one.vertices, mirrored[own]]), np.concatenate([one.faces, faces]))
+    return TriangleMesh(
+        np.concatenate([one.vertices, mirrored[own]]), np.concatenate([one.faces, faces])
+    )
 
 
 def icosphere(subdivisions: int, radius: float = 1.0) -> TriangleMesh:
     """A sphere of 20 · 4^subdivisions faces: each face of an icosahedron cut in four, again and again."""
     golden = (1 + np.sqrt(5)) / 2
     rectangle = np.array([[-1, golden, 0], [1, golden, 0], [-1, -golden, 0], [1, -golden, 0]])
-    directions: FloatArray = np.concatenate([np.roll(rectangle, k, axis=1) for k in range(3)])  # (12, 3)
+    directions: FloatArray = np.concatenate(
+        [np.roll(rectangle, k, axis=1) for k in range(3)]
+    )  # (12, 3)
     near = np.isclose(np.linalg.norm(directions[:, None] - directions, axis=2), 2.0)
-    faces = np.array([three for three in combinations(range(12), 3) if near[np.ix_(three, three)].sum() == 6])
+    faces = np.array(
+        [three for three in combinations(range(12), 3) if near[np.ix_(three, three)].sum() == 6]
+    )
     inward = np.linalg.det(directions[faces]) < 0  # (20,)
     faces[inward] = faces[inward, ::-1]
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     for _ in range(subdivisions):
         sides = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
         edges, numbers = np.unique(sides, axis=0, return_inverse=True)
-        ab, bc, ca = len(directions) + numbers.reshape(-1, 3).T  # the middle of each side, as a vertex
+        ab, bc, ca = (
+            len(directions) + numbers.reshape(-1, 3).T
+        )  # the middle of each side, as a vertex
         directions = np.concatenate([directions, directions[edges].mean(axis=1)])
         a, b, c = faces.T
         faces = np.concatenate(
-            [np.column_stack(corners) for corners in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+            [
+                np.column_stack(corners)
+                for corners in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
+            ]
         )
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return TriangleMesh(radius * directions, faces)
@@ -81,12 +92,16 @@ def body(subdivisions: int = 4) -> TriangleMesh:
     return TriangleMesh(distance[:, None] * sphere.vertices, sphere.faces)
 
 
-def torus(n_around: int = 48, n_tube: int = 24, *, major: float = 1.0, minor: float = 0.4) -> TriangleMesh:
+def torus(
+    n_around: int = 48, n_tube: int = 24, *, major: float = 1.0, minor: float = 0.4
+) -> TriangleMesh:
     """Area near 4π² major minor, volume near 2π² major minor²; Euler characteristic 0."""
     i, j = np.indices((n_around, n_tube))
     u, v = 2 * np.pi * i / n_around, 2 * np.pi * j / n_tube
     reach = major + minor * np.cos(v)
-    vertices = np.stack([reach * np.cos(u), reach * np.sin(u), minor * np.sin(v)], axis=-1).reshape(-1, 3)
+    vertices = np.stack([reach * np.cos(u), reach * np.sin(u), minor * np.sin(v)], axis=-1).reshape(
+        -1, 3
+    )
     return TriangleMesh(vertices, _quads(i, j, (i + 1) % n_around, (j + 1) % n_tube, n_tube))
 
 
@@ -103,12 +118,16 @@ def mobius_strip(n_around: int = 30, n_across: int = 4) -> TriangleMesh:
     i, j = np.indices((n_around, n_across + 1))
     u, v = 2 * np.pi * i / n_around, np.linspace(-0.4, 0.4, n_across + 1)[j]
     reach = 1 + v * np.cos(u / 2)
-    vertices = np.stack([reach * np.cos(u), reach * np.sin(u), v * np.sin(u / 2)], axis=-1).reshape(-1, 3)
+    vertices = np.stack([reach * np.cos(u), reach * np.sin(u), v * np.sin(u / 2)], axis=-1).reshape(
+        -1, 3
+    )
     i, j = i[:, :-1], j[:, :-1]
     faces = _quads(i, j, i + 1, j + 1, n_across + 1)
     # Once around, the strip meets its start upside down.
     past = faces >= n_around * (n_across + 1)
-    return TriangleMesh(vertices, np.where(past, n_across - (faces - n_around * (n_across + 1)), faces))
+    return TriangleMesh(
+        vertices, np.where(past, n_across - (faces - n_around * (n_across + 1)), faces)
+    )
 
 
 def renumbered(mesh: TriangleMesh, seed: int) -> TriangleMesh:
@@ -150,7 +169,9 @@ def points_on(mesh: TriangleMesh, n: int, *, noise: float = 0.0, seed: int = 0) 
     return points
 
 
-def oriented_points_on(mesh: TriangleMesh, n: int, *, noise: float = 0.0, seed: int = 0) -> PointCloud:
+def oriented_points_on(
+    mesh: TriangleMesh, n: int, *, noise: float = 0.0, seed: int = 0
+) -> PointCloud:
     """`points_on`, with the normals of the faces that they come from."""
     rng = np.random.default_rng(seed)
     areas = mesh.face_areas
@@ -168,6 +189,7 @@ def oriented_points_on(mesh: TriangleMesh, n: int, *, noise: float = 0.0, seed: 
 def _quads(i: ArrayLike, j: ArrayLike, i1: ArrayLike, j1: ArrayLike, width: int) -> IntArray:
     """Two faces for each cell of a grid whose vertex (i, j) has number i · `width` + j."""
     a, b, c, d = (
-        np.ravel(np.asarray(p) * width + np.asarray(q)) for p, q in ((i, j), (i1, j), (i1, j1), (i, j1))
+        np.ravel(np.asarray(p) * width + np.asarray(q))
+        for p, q in ((i, j), (i1, j), (i1, j1), (i, j1))
     )
     return np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])]).astype(np.int32)

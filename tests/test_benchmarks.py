@@ -88,7 +88,10 @@ def test_perturbations_do_what_their_names_say() -> None:
 
 def test_drift_is_nothing_for_the_same_pose_and_grows_with_noise() -> None:
     bodies = shapes.body(2), shapes.ellipsoid(subdivisions=2)
-    same = {str(number): (mesh, shapes.moved(mesh, number, scale=3)) for number, mesh in enumerate(bodies)}
+    same = {
+        str(number): (mesh, shapes.moved(mesh, number, scale=3))
+        for number, mesh in enumerate(bodies)
+    }
     table = drifts(same, ("r-bihdm", "shape-dna"))
     assert table["pose"].max() < 1e-6
     assert (table["noise 0.1"] < table["noise 0.5"]).all()
@@ -107,20 +110,28 @@ def test_every_script_prints_its_figures(tmp_path: Path) -> None:
                 write_mesh(mesh, tmp_path / name / f"{file}{label}.off")
                 rows.append(f"{file}{label}.off,long{label}")
         (tmp_path / name / "labels.csv").write_text("\n".join(rows))
-    parts = [word for part in ("figure1", "figure6", "table4", "figure7") for word in ("--only", part)]
+    parts = [
+        word for part in ("figure1", "figure6", "table4", "figure7") for word in ("--only", part)
+    ]
     paper = printed("reproduce_paper", "--data", tmp_path, "--output", tmp_path / "out", *parts)
     assert "Figure 6, drums of 969 and 969 vertices" in paper
     page = (tmp_path / "out" / "paper.html").read_text("utf-8")
     assert "Figure 1: 15 meshes of shrec11, of 5 classes" in page
-    systems = [line for line in page.splitlines() if re.search(r" (linear|cubic) +(d1|d2|log) ", line)]
+    systems = [
+        line for line in page.splitlines() if re.search(r" (linear|cubic) +(d1|d2|log) ", line)
+    ]
     assert len(systems) == 16
     # Values by area tell lengths of 1.5 and 3 apart without an error; girths, which are alike, do not help.
     assert systems[-2].endswith(" 1.000") and float(systems[-1].split()[-1]) > 0.9
     assert re.search(r"median \d+\.\d{3} s", printed("benchmark_spectral", "--part", "signature"))
     squares = printed("benchmark_spectral", "--part", "square")
     assert len(re.findall(r" order (5\.9|6\.0)\d\n", squares)) == 6
-    assert [float(error) < 1e-5 for error in re.findall(r" 36 vertices  error (\S+)", squares)] == [True] * 2
-    searched = printed("benchmark_catalogue", "--shapes", "10000", "--meshes", "2", "--merged", "1000")
+    assert [float(error) < 1e-5 for error in re.findall(r" 36 vertices  error (\S+)", squares)] == [
+        True
+    ] * 2
+    searched = printed(
+        "benchmark_catalogue", "--shapes", "10000", "--meshes", "2", "--merged", "1000"
+    )
     assert searched.count("5 of 5 as by brute force") >= 6
     assert "shrec11" in printed("benchmark_retrieval", "--data", tmp_path, "--only", "shrec11")
     assert "cold command" in printed("benchmark_speed", "--part", "command")

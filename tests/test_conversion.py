@@ -20,7 +20,9 @@ from pcretrieve.values.conversion import as_cloud, as_geometry, as_mesh
 MESH = shapes.body(3)
 VERTICES, FACES = MESH.vertices, MESH.faces
 CLOUD = pr.PointCloud(VERTICES, VERTICES / np.linalg.norm(VERTICES, axis=1, keepdims=True))
-SIGNATURE = Signature(np.array([3.0, 2, 1, 0.5]), "r-bihdm", deviation=np.array([0.1, 0.2, 0.1, 0.1]))
+SIGNATURE = Signature(
+    np.array([3.0, 2, 1, 0.5]), "r-bihdm", deviation=np.array([0.1, 0.2, 0.1, 0.1])
+)
 TABLE = SignatureTable(("a", "b"), np.array([[1.0, 2], [3, 4]]), "r-bihdm", labels=("cat", None))
 NEIGHBORS = Neighbors(("a", "b"), np.array([0.0, 0.5]))
 PAIRS = pr.eigenpairs(pr.laplace_beltrami(MESH), 5)
@@ -46,7 +48,9 @@ MESHES: dict[str, Callable[[], Any]] = {
 CLOUDS: dict[str, Callable[[], Any]] = {
     "open3d": open3d_cloud,
     "open3d tensor": lambda: CLOUD.to_open3d(tensor=True),
-    "points and normals": lambda: SimpleNamespace(points=VERTICES, normals=2 * np.asarray(CLOUD.normals)),
+    "points and normals": lambda: SimpleNamespace(
+        points=VERTICES, normals=2 * np.asarray(CLOUD.normals)
+    ),
     "trimesh": CLOUD.to_trimesh,
     "pyvista": lambda: pyvista.PolyData(np.array(VERTICES)),
     "array": lambda: VERTICES,
@@ -67,7 +71,9 @@ def test_clouds_keep_their_points_and_get_unit_normals(kind: str) -> None:
     found = as_geometry(CLOUDS[kind]())
     assert isinstance(found, pr.PointCloud)
     np.testing.assert_allclose(found.points, VERTICES, atol=1e-7 if "tensor" in kind else 0)
-    assert (found.normals is not None) == (kind in ("open3d", "open3d tensor", "points and normals"))
+    assert (found.normals is not None) == (
+        kind in ("open3d", "open3d tensor", "points and normals")
+    )
     if found.normals is not None:
         np.testing.assert_allclose(found.normals, np.asarray(CLOUD.normals), atol=1e-6)
 
@@ -98,7 +104,9 @@ def test_what_is_no_surface_or_no_scan_is_said() -> None:
     lines, grid = o3d.geometry.LineSet(), pyvista.ImageData(dimensions=(2, 2, 2))
     things: tuple[Any, ...] = (3, {}, None, trimesh.Scene(), lines, grid, [[0.0], [1, 2]])
     for thing in things:
-        with pytest.raises(InputError, match=f"a scan must be a path, .* got {type(thing).__name__}"):
+        with pytest.raises(
+            InputError, match=f"a scan must be a path, .* got {type(thing).__name__}"
+        ):
             as_scan(thing)
     with pytest.raises(InputError, match="got str"):
         as_mesh("scan.ply")  # type: ignore[arg-type]

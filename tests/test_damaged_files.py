@@ -29,7 +29,15 @@ from scan_files import (
     write_las,
 )
 
-from pcretrieve import Catalogue, PipelineOptions, PointCloud, TriangleMesh, calibrate, ingest, status
+from pcretrieve import (
+    Catalogue,
+    PipelineOptions,
+    PointCloud,
+    TriangleMesh,
+    calibrate,
+    ingest,
+    status,
+)
 from pcretrieve.catalogue import cache
 from pcretrieve.evaluation import evaluate
 from pcretrieve.evaluation.comparison import read_scores, write_evaluation
@@ -41,7 +49,9 @@ from pcretrieve.matching import DistanceMatrix, read_matrix, write_matrix
 from pcretrieve.retrieval.whitening import read_whitening
 
 # Seeds of each format of scans, and of each other kind of file.
-N_SCAN_SEEDS, N_SEEDS = (int(os.environ.get("PCRETRIEVE_SEEDS", default)) for default in ("60", "165"))
+N_SCAN_SEEDS, N_SEEDS = (
+    int(os.environ.get("PCRETRIEVE_SEEDS", default)) for default in ("60", "165")
+)
 
 # --- scans --------------------------------------------------------------------------------------------------
 
@@ -61,10 +71,14 @@ def lines(rows: Any) -> str:
 
 # A whole file of each format in each of its encodings: its content, or what writes it.
 SCANS: dict[str, str | bytes | Callable[[Path], object]] = {
-    **dict.fromkeys(("mesh.ply", "mesh.obj", "mesh.off", "mesh.stl", "mesh.glb"), partial(write_mesh, BALL)),
+    **dict.fromkeys(
+        ("mesh.ply", "mesh.obj", "mesh.off", "mesh.stl", "mesh.glb"), partial(write_mesh, BALL)
+    ),
     **dict.fromkeys(("cloud.ply", "cloud.pcd", "cloud.xyzn"), partial(write_cloud, CLOUD)),
     "text.ply": ply("ascii", ELEMENTS, (lines(BALL.vertices) + lines(POLYGONS)).encode()),
-    "big_endian.ply": ply("binary_big_endian", ELEMENTS, BALL.vertices.astype(">f4").tobytes(), *BIG_ENDIAN),
+    "big_endian.ply": ply(
+        "binary_big_endian", ELEMENTS, BALL.vertices.astype(">f4").tobytes(), *BIG_ENDIAN
+    ),
     "text.stl": BALL.to_trimesh().export(file_type="stl_ascii"),
     **{
         f"{encoding.value}.pcd": partial(
@@ -85,7 +99,9 @@ SCANS: dict[str, str | bytes | Callable[[Path], object]] = {
     "scene.dae": lambda path: path.write_text(collada(BALL)),
     "scan.las": lambda path: write_las(path, BALL.vertices),
     "scan.laz": lambda path: write_las(path, BALL.vertices, point_format=6),
-    "scan.e57": lambda path: write_e57(path, [{"points": BALL.vertices, "translation": np.arange(3.0)}]),
+    "scan.e57": lambda path: write_e57(
+        path, [{"points": BALL.vertices, "translation": np.arange(3.0)}]
+    ),
     **dict.fromkeys(("depth.png", "depth.tif", "depth.tiff"), DEPTH.save),
     "depth.npy": lambda path: np.save(path, np.asarray(DEPTH)),
     "array.npy": lambda path: np.save(path, BALL.vertices),
@@ -213,11 +229,17 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         write_mesh(egg, scans / f"egg{number}.off")
     (scans / "flat.xyz").write_text("1 2 3\n" * 200)
     labels = {f"egg{number}": f"class{number // 2}" for number in range(6)}
-    (folder / "options.toml").write_text("[surface]\nmode = 'keep'\ncell = 0.01\n[signature]\nn_values = 9\n")
-    (folder / "labels.csv").write_text("file,class\n" + "".join(f"{a},{b}\n" for a, b in labels.items()))
+    (folder / "options.toml").write_text(
+        "[surface]\nmode = 'keep'\ncell = 0.01\n[signature]\nn_values = 9\n"
+    )
+    (folder / "labels.csv").write_text(
+        "file,class\n" + "".join(f"{a},{b}\n" for a, b in labels.items())
+    )
     (folder / "labels.cla").write_text("PSB 1\n2 3\n\ncat 0 2\n5\n6\n\ndog 0 1\n7\n")
     (folder / "scans.txt").write_text("".join(f"scans/egg{number}.off\n" for number in range(6)))
-    (folder / "scans.csv").write_text("path,x\n" + "".join(f"scans/egg{k}.off,\n" for k in range(6)))
+    (folder / "scans.csv").write_text(
+        "path,x\n" + "".join(f"scans/egg{k}.off,\n" for k in range(6))
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cache, "SMALLEST_KEPT", 1)
         for name in ("c.sqlite", "indexed.sqlite"):
@@ -243,7 +265,9 @@ def test_a_whole_file_of_every_kind_is_read(whole: Path) -> None:
         kind.read(Path(shutil.copy(whole / kind.file, whole / f"copy-{kind.file}")))
 
 
-def faults(name: str, whole: Path, content: Callable[[bytes, int], bytes], n_seeds: int = 1) -> list[str]:
+def faults(
+    name: str, whole: Path, content: Callable[[bytes, int], bytes], n_seeds: int = 1
+) -> list[str]:
     """The faults of reading such a file with so many damages."""
     kind = KINDS[name]
     data, path = (whole / kind.file).read_bytes(), whole / f"damaged-{kind.file}"
@@ -258,9 +282,13 @@ def test_a_damaged_file_is_read_or_named(name: str, whole: Path) -> None:
 
 
 @pytest.mark.parametrize("found", FOUND, ids=lambda path: path.stem)
-def test_a_file_that_was_read_wrongly_is_read_or_named(found: Path, whole: Path, tmp_path: Path) -> None:
+def test_a_file_that_was_read_wrongly_is_read_or_named(
+    found: Path, whole: Path, tmp_path: Path
+) -> None:
     if found.parent.name == "scan":
-        path = whole_scan("depth.npy", tmp_path).with_name(found.name)  # beside the file of a camera
+        path = whole_scan("depth.npy", tmp_path).with_name(
+            found.name
+        )  # beside the file of a camera
         assert not read_damaged(path, lambda seed: found.read_bytes(), read_scan, 1, str(path))[1]
     else:
         assert not faults(found.parent.name, whole, lambda data, seed: found.read_bytes())

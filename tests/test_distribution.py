@@ -32,8 +32,12 @@ ONLY_IN_A_CHECKOUT = (".ci/", ".gitignore", ".pre-commit-config.yaml")
 def tracked_files() -> list[str]:
     """The files under version control that are there, relative to the root."""
     if shutil.which("git") is None or not (ROOT / ".git").exists():
-        pytest.skip("not a git checkout: this compares a distribution with the files under version control")
-    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True, text=True)
+        pytest.skip(
+            "not a git checkout: this compares a distribution with the files under version control"
+        )
+    listed = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True, text=True
+    )
     return [name for name in listed.stdout.split("\0") if name and (ROOT / name).is_file()]
 
 
@@ -66,7 +70,9 @@ def test_the_source_distribution_has_every_tracked_file(folder: Path) -> None:
     wanted = {name for name in tracked_files() if not name.startswith(ONLY_IN_A_CHECKOUT)}
     assert {name for name in wanted if not (folder / name).is_file()} == set()
     scripts = [name for name in wanted if name.startswith("scripts/")]
-    assert [name for name in scripts if (ROOT / name).stat().st_mode != (folder / name).stat().st_mode] == []
+    assert [
+        name for name in scripts if (ROOT / name).stat().st_mode != (folder / name).stat().st_mode
+    ] == []
 
 
 @pytest.mark.slow
@@ -80,17 +86,26 @@ def test_the_wheel_has_every_file_of_the_package_and_nothing_else(folder: Path) 
     assert held - compiled == {name for name in tracked_files() if name.startswith("pcretrieve/")}
     # A first scan after the installation compiles nothing, even where not even root can write a file.
     home = ("env", f"HOME={installed}", "XDG_CACHE_HOME=", "NUMBA_CACHE_DIR=")
-    less = ("setpriv", "--bounding-set=-dac_override", "--inh-caps=-dac_override") * (os.geteuid() == 0)
+    less = ("setpriv", "--bounding-set=-dac_override", "--inh-caps=-dac_override") * (
+        os.geteuid() == 0
+    )
     for by in (home, (*home, *less)):
         done = program("lab", "signature", ROOT / "new_scan.ply", cwd=installed, by=by)
         assert "compiling" not in done.stderr
-        assert {str(path.relative_to(installed)) for path in installed.rglob("*.nb?")} == compiled != set()
+        assert (
+            {str(path.relative_to(installed)) for path in installed.rglob("*.nb?")}
+            == compiled
+            != set()
+        )
         subprocess.run(["chmod", "-R", "a-w", installed], check=True)
 
 
 def test_the_version_is_that_of_the_other_files() -> None:
     """The changelog begins with the version that the package has, or will have when it is released."""
-    for name, pattern in (("CITATION.cff", r"^version: (\S+)$"), ("CHANGELOG.md", r"^## \[([\d.]+)\] - ")):
+    for name, pattern in (
+        ("CITATION.cff", r"^version: (\S+)$"),
+        ("CHANGELOG.md", r"^## \[([\d.]+)\] - "),
+    ):
         found = re.findall(pattern, (ROOT / name).read_text(encoding="utf-8"), re.MULTILINE)
         assert found[0] == pcretrieve.__version__, name
 
@@ -103,7 +118,9 @@ def test_no_dependency_has_a_stricter_licence_than_its_users() -> None:
     while waiting:
         package = waiting.pop()
         said = package.metadata.get_all("License-Expression", []) or [
-            line for line in package.metadata.get_all("Classifier", []) if line.startswith("License ::")
+            line
+            for line in package.metadata.get_all("Classifier", [])
+            if line.startswith("License ::")
         ]
         name = canonicalize_name(package.metadata["Name"])
         seen[name] = "; ".join(said)
@@ -113,7 +130,9 @@ def test_no_dependency_has_a_stricter_licence_than_its_users() -> None:
         for text in package.requires or ():
             needed = Requirement(text)
             extras = ("", "remote", "postgresql", "all") if package.name == "pcretrieve" else ("",)
-            if needed.marker is None or any(needed.marker.evaluate({"extra": extra}) for extra in extras):
+            if needed.marker is None or any(
+                needed.marker.evaluate({"extra": extra}) for extra in extras
+            ):
                 with suppress(PackageNotFoundError):
                     if canonicalize_name(needed.name) not in seen:
                         waiting.append(distribution(needed.name))

@@ -16,13 +16,17 @@ import pcretrieve
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 DOCKERFILE = (ROOT / "Dockerfile").read_text(encoding="utf-8")
-DOCUMENTS = sorted([*ROOT.glob("*.md"), ROOT / "scans" / "README.md", *(ROOT / "docs").rglob("*.md")])
+DOCUMENTS = sorted(
+    [*ROOT.glob("*.md"), ROOT / "scans" / "README.md", *(ROOT / "docs").rglob("*.md")]
+)
 ALL = "".join(path.read_text(encoding="utf-8") for path in DOCUMENTS if path.name != "CHANGELOG.md")
 
 
 def prose(document: Path) -> str:
     """The text of a document without its blocks of code."""
-    return re.sub(r"^```.*?^```$", "", document.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    return re.sub(
+        r"^```.*?^```$", "", document.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL
+    )
 
 
 def anchors(document: Path) -> set[str]:
@@ -86,7 +90,9 @@ def test_the_image_is_built_and_makes_signatures() -> None:
         pytest.skip("no Docker runs here")
     docker(["docker", "build", "--network", "host", "-t", "pcretrieve", "."])
     scan = "scans/person-1/person-1_walk.ply"
-    made = docker(["docker", "run", "--rm", "-v", f"{ROOT}:/data:ro", "pcretrieve", "lab", "signature", scan])
+    made = docker(
+        ["docker", "run", "--rm", "-v", f"{ROOT}:/data:ro", "pcretrieve", "lab", "signature", scan]
+    )
     assert "person-1_walk" in made.stdout
 
 

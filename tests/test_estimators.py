@@ -24,9 +24,21 @@ from pcretrieve.estimators import (
     WithinClassWhitening,
 )
 from pcretrieve.options import RetrievalOptions, SignatureOptions
-from pcretrieve.retrieval import DISTANCES, SignatureIndex, coordinates, fit_whitening, pairwise, people
+from pcretrieve.retrieval import (
+    DISTANCES,
+    SignatureIndex,
+    coordinates,
+    fit_whitening,
+    pairwise,
+    people,
+)
 
-WHITENINGS = (NeighbourWhitening(), PCAWhitening(), WithinClassWhitening(), PeopleWhitening("r-bihdm"))
+WHITENINGS = (
+    NeighbourWhitening(),
+    PCAWhitening(),
+    WithinClassWhitening(),
+    PeopleWhitening("r-bihdm"),
+)
 
 
 @pytest.mark.parametrize("estimator", [*WHITENINGS, SignatureNeighbors(n_neighbors=1)], ids=str)
@@ -65,7 +77,9 @@ def test_neighbours_are_those_of_the_index_without_themselves(distance: str) -> 
         found = index.query(np.exp(point), 7)
         assert found.ids == tuple(table.ids[row] for row in nearest)
         np.testing.assert_allclose(found.distances, own, rtol=1e-9)
-    np.testing.assert_array_equal(estimator.kneighbors(logs[:9] + 0.01, 7, return_distance=False), rows)
+    np.testing.assert_array_equal(
+        estimator.kneighbors(logs[:9] + 0.01, 7, return_distance=False), rows
+    )
     own, rows = estimator.kneighbors(n_neighbors=59)
     apart = pairwise(distance, logs, logs)
     for number, (distances, nearest) in enumerate(zip(own, rows, strict=True)):
@@ -78,7 +92,9 @@ def test_the_score_is_the_mean_average_precision_of_new_queries() -> None:
     estimator = SignatureNeighbors().fit(gallery, ["a", "b", "a", "b"])
     # From .4 the order is a b a b, and from 2.9 it is b a b a; no shape of the class c was fitted.
     assert estimator.score([[0.4]], ["a"]) == pytest.approx((1 + 2 / 3) / 2)
-    assert estimator.score([[0.4], [2.9], [0.0]], ["b", "a", "c"]) == pytest.approx((1 / 2 + 2 / 4) / 2)
+    assert estimator.score([[0.4], [2.9], [0.0]], ["b", "a", "c"]) == pytest.approx(
+        (1 / 2 + 2 / 4) / 2
+    )
     with pytest.raises(InputError, match="a score needs queries of fitted classes, got none"):
         estimator.score([[0.4]], ["c"])
     with pytest.raises(InputError, match="give y to fit"):
@@ -90,7 +106,9 @@ def test_what_neighbours_cannot_be_asked() -> None:
     estimator = SignatureNeighbors().fit(logs)
     number: Any
     for number in (0, 61, 2.5, True):
-        with pytest.raises(OptionError, match=f"n_neighbors to be a whole number from 1 to 60, got {number}"):
+        with pytest.raises(
+            OptionError, match=f"n_neighbors to be a whole number from 1 to 60, got {number}"
+        ):
             estimator.kneighbors(logs, number)
     with pytest.raises(OptionError, match="from 1 to 59, got 60"):
         estimator.kneighbors(n_neighbors=60)
@@ -103,7 +121,9 @@ def test_what_neighbours_cannot_be_asked() -> None:
 
 
 def test_what_is_no_sequence_of_scans() -> None:
-    with pytest.raises(InputError, match=r"X must be a sequence of scans, got the path egg\.off: put"):
+    with pytest.raises(
+        InputError, match=r"X must be a sequence of scans, got the path egg\.off: put"
+    ):
         SignatureTransformer().transform("egg.off")
     with pytest.raises(InputError, match="points must have shape"):
         SignatureTransformer().transform(np.zeros((5, 3)))

@@ -21,9 +21,14 @@ N_TASKS = 3
 
 def run(script: str, folder: Path, **variables: str) -> str:
     """Run a script that must succeed, with a command ``pcretrieve`` of this checkout; return its messages."""
-    known = {"PATH": f"{folder}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": os.pathsep.join(sys.path)}
+    known = {
+        "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}",
+        "PYTHONPATH": os.pathsep.join(sys.path),
+    }
     command, environment = ["bash", "-c", script], os.environ | known | variables
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stderr
 

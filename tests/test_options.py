@@ -70,7 +70,9 @@ AFTER = ("signature", "retrieval", "catalogue", "merge")
 
 
 def every_option() -> list[tuple[str, str]]:
-    return [(stage, name) for stage, values in PipelineOptions().model_dump().items() for name in values]
+    return [
+        (stage, name) for stage, values in PipelineOptions().model_dump().items() for name in values
+    ]
 
 
 def test_the_table_above_names_every_option() -> None:
@@ -78,7 +80,9 @@ def test_the_table_above_names_every_option() -> None:
 
 
 @pytest.mark.parametrize("options", [PipelineOptions(), PipelineOptions(**OTHER)])
-def test_described_options_read_back_as_themselves(options: PipelineOptions, tmp_path: Path) -> None:
+def test_described_options_read_back_as_themselves(
+    options: PipelineOptions, tmp_path: Path
+) -> None:
     path = tmp_path / "options.toml"
     path.write_text(describe_options(options), encoding="utf-8")
     assert PipelineOptions.from_toml(path) == options
@@ -125,7 +129,10 @@ BAD: list[tuple[str, dict[str, Any]]] = [
     ("scan", {"max_range": math.inf, "voxel": -0.1, "flood_gap": 1.0}),
     ("scan", {"voxel": 1.0, "box": [[0.0, 0.0, 0.0], [1.0, 0.0, 1.0]]}),
     ("scan", {"voxel": math.nan}),
-    ("surface", {"max_faces": 100, "cell": 0.0, "gap": -0.1, "poisson_depth": 13, "target_faces": 100}),
+    (
+        "surface",
+        {"max_faces": 100, "cell": 0.0, "gap": -0.1, "poisson_depth": 13, "target_faces": 100},
+    ),
     ("surface", {"mode": "Auto", "poisson_depth": 7.5, "max_discarded": -0.1}),
     ("surface", {"poisson_depth": 3}),
     ("remesh", {"edge_length": 0.0, "timeout": 0}),
@@ -139,7 +146,9 @@ BAD: list[tuple[str, dict[str, Any]]] = [
 
 
 def test_values_that_cannot_be() -> None:
-    anywhere = [(stage, {name: "nonsense"}) for stage, name in every_option() if name != "calibration"]
+    anywhere = [
+        (stage, {name: "nonsense"}) for stage, name in every_option() if name != "calibration"
+    ]
     for stage, values in [*BAD, *anywhere]:
         for name, bad in values.items():
             message = rf"in \[{stage}\], {name}: input should .*, got {re.escape(repr(bad))}"
@@ -154,7 +163,9 @@ def test_every_option_that_moves_a_spectrum_has_a_digest_of_its_own() -> None:
     for stage, name in every_option():
         other = OTHER[stage][name]
         changed = options.changed(**{stage: {name: other}})
-        difference = f"{stage}.{name}: {options.model_dump()[stage][name]!r} there, {other!r:.60} here"
+        difference = (
+            f"{stage}.{name}: {options.model_dump()[stage][name]!r} there, {other!r:.60} here"
+        )
         hidden = stage in ("retrieval", "merge")
         assert options_difference(options, changed) == ([] if hidden else [difference])
         digests.add(changed.digest)
@@ -163,7 +174,9 @@ def test_every_option_that_moves_a_spectrum_has_a_digest_of_its_own() -> None:
         # The unit of a signature is `Signature.unit`.
         is_in_no_signature = stage in AFTER[1:] or (stage, name) == ("scan", "unit")
         assert (changed.signature_digest == options.signature_digest) == is_in_no_signature
-    assert len(digests) == 1 + sum(len(values) for stage, values in OTHER.items() if stage not in AFTER)
+    assert len(digests) == 1 + sum(
+        len(values) for stage, values in OTHER.items() if stage not in AFTER
+    )
     assert options == PipelineOptions()  # `changed` returns a copy
 
 
@@ -176,9 +189,15 @@ def test_a_name_is_a_preset_unless_there_is_such_a_file(
     assert PipelineOptions.of("clean-mesh", base) == base.changed(surface={"mode": "keep"})
     Path("clean-mesh").write_text("[signature]\nn_modes = 50\n")
     assert PipelineOptions.of("clean-mesh", base) == base.changed(signature={"n_modes": 50})
-    with pytest.raises(OptionError, match="no preset or file 'nowhere'; the presets are body-scanner"):
+    with pytest.raises(
+        OptionError, match="no preset or file 'nowhere'; the presets are body-scanner"
+    ):
         PipelineOptions.of("nowhere")
-    with pytest.raises(OptionError, match=r"cannot read the options file absent\.toml: No such file"):
+    with pytest.raises(
+        OptionError, match=r"cannot read the options file absent\.toml: No such file"
+    ):
         PipelineOptions.of("absent.toml")
-    with pytest.raises(OptionError, match=r"options must be PipelineOptions, a mapping .*, got int"):
+    with pytest.raises(
+        OptionError, match=r"options must be PipelineOptions, a mapping .*, got int"
+    ):
         PipelineOptions.of(3)  # type: ignore[arg-type]

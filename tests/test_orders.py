@@ -102,8 +102,13 @@ def ingest(
     for name in names:
         numbered = (numbered_id(Path(name).stem, number) for number in range(1, len(ids) + 2))
         ids.setdefault(name, next(one for one in numbered if one not in ids.values()))
-    gone = {held[name].content: name for name in held if name not in names and files.get(name) is None}
-    same = {content: [name for name, row in held.items() if row.content == content] for content in range(N)}
+    gone = {
+        held[name].content: name for name in held if name not in names and files.get(name) is None
+    }
+    same = {
+        content: [name for name, row in held.items() if row.content == content]
+        for content in range(N)
+    }
     queued: dict[int, str] = {}
     for name in names:
         content, earlier = files.get(name), held.get(name)
@@ -115,7 +120,9 @@ def ingest(
             moved[old], held[name], ids[name] = name, held[old], held[old].id
             same[content][same[content].index(old)] = name
             earlier = held[name]
-        there = [one for one in same[content] if one not in names or files.get(one) in (None, content)]
+        there = [
+            one for one in same[content] if one not in names or files.get(one) in (None, content)
+        ]
         if earlier and earlier.content == content and (earlier.is_done or not retries):
             fates[name] = "held"
         elif (content in queued or there) and not (earlier and earlier.content == content):
@@ -124,8 +131,12 @@ def ingest(
             fates[name] = f"copy of {queued.get(content) or there[0]}"
         else:
             queued[content] = name
-            process[name] = Row(ids[name], content, labels.get(name, earlier.label if earlier else None))
-    given = {name: label for name, label in labels.items() if name in held and name in {*fates, *process}}
+            process[name] = Row(
+                ids[name], content, labels.get(name, earlier.label if earlier else None)
+            )
+    given = {
+        name: label for name, label in labels.items() if name in held and name in {*fates, *process}
+    }
     if moved or removed or given:
         yield False
         for old, name in moved.items():
@@ -141,7 +152,9 @@ def ingest(
             fates[name] = "done" if store(table, name, row) else "failed"
 
 
-def ingested(table: Table, files: Files, names: Iterable[str], labels: Mapping[str, str] = EMPTY) -> Fates:
+def ingested(
+    table: Table, files: Files, names: Iterable[str], labels: Mapping[str, str] = EMPTY
+) -> Fates:
     """An ingest from its start to its end."""
     fates: Fates = {}
     for _ in ingest(table, files, names, fates, labels):
@@ -202,8 +215,12 @@ def killed_ingest(made: bytes, location: str, folder: Path, transaction: int) ->
 def started(location: str, folder: Path, transaction: int = -1) -> Any:
     """The process of such an ingest, which nobody kills without a number of a transaction."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["test_orders", "pcretrieve.spectral"])  # scipy once, and not by each
-    process = context.Process(target=killed_ingest, args=(pickle.dumps(MADE), location, folder, transaction))
+    context.set_forkserver_preload(
+        ["test_orders", "pcretrieve.spectral"]
+    )  # scipy once, and not by each
+    process = context.Process(
+        target=killed_ingest, args=(pickle.dumps(MADE), location, folder, transaction)
+    )
     process.start()
     return process
 
@@ -230,7 +247,9 @@ class Orders(RuleBasedStateMachine):
         self.files: Files = {}
         self.table: Table = {}
         self.backups: list[tuple[Path, Table]] = []
-        self.hashes = {hashlib.sha256(data).hexdigest(): number for number, data in contents().items()}
+        self.hashes = {
+            hashlib.sha256(data).hexdigest(): number for number, data in contents().items()
+        }
         for name in NAMES:
             (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
         self.patch = pytest.MonkeyPatch()
@@ -255,7 +274,9 @@ class Orders(RuleBasedStateMachine):
     def close(self) -> None:
         for reader in self.readers:
             if isinstance(reader.database, PostgresqlDatabase):
-                reader.database.execute(f'DROP SCHEMA "{reader.location.partition("=")[2]}" CASCADE')
+                reader.database.execute(
+                    f'DROP SCHEMA "{reader.location.partition("=")[2]}" CASCADE'
+                )
             reader.close()
 
     def teardown(self) -> None:
@@ -267,15 +288,21 @@ class Orders(RuleBasedStateMachine):
         """The rows of a catalogue."""
         with Catalogue.opened(where) as catalogue:
             records = {self.name(record.path): record for record in catalogue.records()}
-        rows = {name: Row(r.id, self.hashes.get(r.content_hash), r.label) for name, r in records.items()}
+        rows = {
+            name: Row(r.id, self.hashes.get(r.content_hash), r.label) for name, r in records.items()
+        }
         assert all(row.is_done == (records[name].status == "done") for name, row in rows.items())
         return rows
 
     def fates(self, summary: Summary) -> Fates:
         found = {
-            record.path: kind for kind in ("done", "failed", "held") for record in getattr(summary, kind)
+            record.path: kind
+            for kind in ("done", "failed", "held")
+            for record in getattr(summary, kind)
         }
-        found |= {path: f"copy of {self.name(original.path)}" for path, original in summary.duplicates}
+        found |= {
+            path: f"copy of {self.name(original.path)}" for path, original in summary.duplicates
+        }
         return {self.name(path): fate for path, fate in found.items()}
 
     def name(self, path: str) -> str:
@@ -306,7 +333,9 @@ class Orders(RuleBasedStateMachine):
         retries=st.booleans(),
         second=st.sampled_from((None, "removes", "ingests")),
     )
-    def add(self, way: str, name: str, labels: dict[str, str], retries: bool, second: str | None) -> None:
+    def add(
+        self, way: str, name: str, labels: dict[str, str], retries: bool, second: str | None
+    ) -> None:
         """While the first scan is processed, a second process may write; readers see each state."""
         readable = sorted(one for one, content in self.files.items() if content is not None)
         failed = sorted((row.id, one) for one, row in self.table.items() if not row.is_done)
@@ -392,7 +421,9 @@ class Orders(RuleBasedStateMachine):
         """Another ingest after that ends with what one after the other ends with; both make another."""
         if self.files:
             new = self.root / f"{uuid4().hex}.sqlite"
-            assert exit_codes([started(one, self.folder) for one in [*self.locations, str(new)] * 2]) == {0}
+            assert exit_codes(
+                [started(one, self.folder) for one in [*self.locations, str(new)] * 2]
+            ) == {0}
             table: Table = {}
             ingested(table, self.files, sorted(self.files))
             assert self.seen(new) == table
@@ -460,11 +491,15 @@ class Orders(RuleBasedStateMachine):
         if self.backups:
             copy, other = data.draw(st.sampled_from(self.backups))
             whole = merged(self.table, other)
-            n_added = sum(row.is_done > self.table.get(name, row).is_done for name, row in other.items())
+            n_added = sum(
+                row.is_done > self.table.get(name, row).is_done for name, row in other.items()
+            )
             n_added += len(other.keys() - self.table.keys())
             for location in self.locations:
                 if isinstance(whole, str):
-                    with pytest.raises(CatalogueError, match=f"with conflicts cannot be merged: .*({whole})"):
+                    with pytest.raises(
+                        CatalogueError, match=f"with conflicts cannot be merged: .*({whole})"
+                    ):
                         pr.merge_catalogues([copy], location)
                 else:
                     found = pr.merge_catalogues([copy, copy], location)

@@ -28,7 +28,10 @@ nowhere = numbers_package:NOWHERE
 lost = package_that_is_nowhere:SEVEN
 ending = ending_package:SEVEN
 """
-MODULES = {"numbers_package": "SEVEN = 7\nWORD = 'seven'\n", "ending_package": "raise SystemExit(0)\n"}
+MODULES = {
+    "numbers_package": "SEVEN = 7\nWORD = 'seven'\n",
+    "ending_package": "raise SystemExit(0)\n",
+}
 
 
 def whole_number(name: str, added: object) -> int:
@@ -66,7 +69,9 @@ def test_a_package_adds_names_and_takes_none(request: pytest.FixtureRequest) -> 
     assert NUMBERS.called("seven") == "the number 'seven' of the package numbers-package"
     assert NUMBERS.called("one") == "the number 'one'"
     assert NUMBERS.names.known("seven") == "seven"
-    with pytest.raises(ValueError, match=r"input should be one of one, two, ending, .*, word, got 'three'"):
+    with pytest.raises(
+        ValueError, match=r"input should be one of one, two, ending, .*, word, got 'three'"
+    ):
         NUMBERS.names.known("three")
 
 
@@ -74,14 +79,22 @@ def test_a_package_adds_names_and_takes_none(request: pytest.FixtureRequest) -> 
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("lost", "cannot be loaded, ModuleNotFoundError: No module named 'package_that_is_nowhere'; upgrade"),
-        ("nowhere", "cannot be loaded, AttributeError: .* has no attribute 'NOWHERE'; upgrade or uninstall"),
+        (
+            "lost",
+            "cannot be loaded, ModuleNotFoundError: No module named 'package_that_is_nowhere'; upgrade",
+        ),
+        (
+            "nowhere",
+            "cannot be loaded, AttributeError: .* has no attribute 'NOWHERE'; upgrade or uninstall",
+        ),
         ("ending", "cannot be loaded, SystemExit: 0; upgrade or uninstall that package"),
         ("word", "must be a whole number, got 'seven'; upgrade or uninstall that package"),
     ],
 )
 def test_what_cannot_be_loaded_is_named_and_disables_nothing_else(name: str, message: str) -> None:
-    with pytest.raises(OptionError, match=f"the number '{name}' of the package numbers-package {message}"):
+    with pytest.raises(
+        OptionError, match=f"the number '{name}' of the package numbers-package {message}"
+    ):
         NUMBERS[name]
     assert NUMBERS["seven"] == 7
 
@@ -98,11 +111,15 @@ def test_of_two_packages_the_first_on_the_path_is_taken(
 @pytest.mark.usefixtures("installed")
 def test_errors_of_a_package_fail_a_shape_or_an_option_and_others_pass() -> None:
     for error in (KeyError("x"), InputError("x"), SystemExit(0)):
-        with pytest.raises(ShapeError, match=r"^\[spectrum\] the number 'seven' of the .* failed, ") as by:
+        with pytest.raises(
+            ShapeError, match=r"^\[spectrum\] the number 'seven' of the .* failed, "
+        ) as by:
             fail("seven", error)
         assert by.value.__cause__ is error
     # Without a stage, an option is at fault; values that do not suit fail a shape even of pcretrieve.
-    with pytest.raises(OptionError, match=r"the number 'seven' of .* failed, KeyError: 'x'; upgrade"):
+    with pytest.raises(
+        OptionError, match=r"the number 'seven' of .* failed, KeyError: 'x'; upgrade"
+    ):
         fail("seven", KeyError("x"), None)
     with pytest.raises(ShapeError, match="the number 'one' failed, InputError: must be positive"):
         fail("one", InputError("must be positive"))

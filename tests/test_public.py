@@ -50,7 +50,11 @@ def imported_by(*arguments: str) -> set[str]:
     done = subprocess.run(
         [sys.executable, "-X", "importtime", *arguments], capture_output=True, text=True, check=True
     )
-    return {line.rsplit("|", 1)[1].strip().split(".")[0] for line in done.stderr.splitlines() if "|" in line}
+    return {
+        line.rsplit("|", 1)[1].strip().split(".")[0]
+        for line in done.stderr.splitlines()
+        if "|" in line
+    }
 
 
 @pytest.mark.parametrize(
@@ -71,4 +75,6 @@ def test_starting_is_light(arguments: tuple[str, ...]) -> None:
 
 @pytest.mark.parametrize("name", ["read_scan", "SignatureIndex", "eigenpairs", "reconstruct"])
 def test_third_parties_wait_until_they_are_needed(name: str) -> None:
-    assert imported_by("-c", f"from pcretrieve import {name}").isdisjoint({"open3d", "pytetwild", "trimesh"})
+    assert imported_by("-c", f"from pcretrieve import {name}").isdisjoint(
+        {"open3d", "pytetwild", "trimesh"}
+    )

@@ -34,7 +34,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("eggs")
     for name in ("stored", "new"):
         (folder / name).mkdir()
-    labels = {f"{kind}{number}": f"kind{kind}" for kind in range(N_KINDS) for number in range(N_EACH)}
+    labels = {
+        f"{kind}{number}": f"kind{kind}" for kind in range(N_KINDS) for number in range(N_EACH)
+    }
     for name in labels:
         pr.write_mesh(egg(int(name[0]), int(name[1])), folder / "stored" / f"{name}.off")
     (folder / "stored" / "broken.off").write_text("OFF\n1 1 0\n")
@@ -81,9 +83,13 @@ def test_what_is_no_query(catalogue: Path, folder: Path) -> None:
             pr.search(catalogue, query)
         with pytest.raises(InputError, match=message):  # before the work
             next(pr.search_many(catalogue, [folder / "new", query]))
-    with pytest.raises(InputError, match=r"a distance matrix ranks shapes .* does not hold .*new0\.off"):
+    with pytest.raises(
+        InputError, match=r"a distance matrix ranks shapes .* does not hold .*new0\.off"
+    ):
         next(pr.search_many(catalogue, ["11", folder / "new"], matrix=pr.matrix(catalogue)))
-    with pytest.raises(InputError, match="is of the class none or nothing; `pcretrieve list` shows"):
+    with pytest.raises(
+        InputError, match="is of the class none or nothing; `pcretrieve list` shows"
+    ):
         pr.search(catalogue, "11", labels=["nothing", "none"])
     with pytest.raises(OptionError, match="labels must be a list, got 'kind1'"):
         pr.search(catalogue, "11", labels="kind1")
@@ -105,7 +111,9 @@ def test_signatures_that_were_computed_are_kept(catalogue: Path, tmp_path: Path)
         other.put(replace(other.record("00"), content_hash="other content"), content)
         statements.clear()
         again = other.signatures(options)
-        read = [text for text in statements if text.startswith('SELECT shape, "spectra", "moments"')]
+        read = [
+            text for text in statements if text.startswith('SELECT shape, "spectra", "moments"')
+        ]
         assert len(read) == 2
     expected = describe(new, options.signature).values.tolist()
     assert again.values.tolist() == [expected, *table.values[1:].tolist(), expected]
@@ -151,11 +159,18 @@ def test_many_queries_are_answered_like_each(catalogue: Path, folder: Path) -> N
 def test_what_is_printed_of_many(catalogue: Path, folder: Path) -> None:
     names = ["11", *(str(folder / "new" / f"new{kind}.off") for kind in range(2))]
     answers = dict(pr.search_many(catalogue, names, k=2))
-    rows = [(name, row) for name, one in answers.items() if isinstance(one, pr.Answer) for row in one.rows()]
+    rows = [
+        (name, row)
+        for name, one in answers.items()
+        if isinstance(one, pr.Answer)
+        for row in one.rows()
+    ]
     lines = run("query", "11", folder / "new", "-c", catalogue, "-k", 2).stdout.splitlines()
     assert lines[::5] == names
     assert {line.split()[4] for line in lines[1::5]} == {"ID"}
-    assert [line.split()[4] for line in lines if line.startswith("   ")] == [row["id"] for _, row in rows]
+    assert [line.split()[4] for line in lines if line.startswith("   ")] == [
+        row["id"] for _, row in rows
+    ]
     assert lines[4::5] == [str(answer) for answer in answers.values()]
     asked = ("query", *names, "-c", catalogue, "-k", 2)
     documents = result(*asked)
@@ -227,7 +242,9 @@ def test_a_question_has_one_answer(catalogue: Path, folder: Path, tmp_path: Path
         assert text == (tmp_path / "command.html").read_text(encoding="utf-8")
         assert all(shape_id in text for shape_id in neighbors.ids)
         pr.write_matrix(pr.matrix(catalogue, options=options), tmp_path / "run.npy")
-        (by_matrix,) = result("query", scan, "-c", catalogue, "-k", 3, "--matrix", tmp_path / "run.npy")
+        (by_matrix,) = result(
+            "query", scan, "-c", catalogue, "-k", 3, "--matrix", tmp_path / "run.npy"
+        )
         assert [row["id"] for row in by_matrix["results"]] == list(neighbors.ids)
 
 
@@ -237,7 +254,9 @@ def test_measures_are_the_same_numbers(catalogue: Path, tmp_path: Path) -> None:
         found = pr.evaluate(catalogue, options={"retrieval": {"whitening": whitening}})
         # A command counts all failures, and measures those of the classes.
         names = {part.name for part in fields(pr.RetrievalMeasures)} - {"n_failed"}
-        assert {name: printed[name] for name in names} == {name: getattr(found, name) for name in names}
+        assert {name: printed[name] for name in names} == {
+            name: getattr(found, name) for name in names
+        }
         assert printed["macro"]["map"] == found.macro.map
         assert [one["label"] for one in printed["classes"]] == [one.label for one in found.classes]
         assert list(printed["interval"]["low"].values()) == found.interval[0].tolist()
@@ -284,9 +303,15 @@ def test_atoms_of_labelled_scans_are_used_in_another_catalogue(
     catalogue: Path, folder: Path, tmp_path: Path
 ) -> None:
     """They travel within the settings: to worker processes, and in the catalogue, without the file."""
-    file, other, egg = tmp_path / "atoms.toml", tmp_path / "other.sqlite", folder / "stored" / "11.off"
+    file, other, egg = (
+        tmp_path / "atoms.toml",
+        tmp_path / "other.sqlite",
+        folder / "stored" / "11.off",
+    )
     shipped = {"signature": {"method": "dl-supervised"}}
-    assert result("lab", "calibrate", "-c", catalogue, "--method", "dl-supervised", "-o", file)["config"]
+    assert result("lab", "calibrate", "-c", catalogue, "--method", "dl-supervised", "-o", file)[
+        "config"
+    ]
     learnt = pr.calibrate(catalogue, tmp_path / "again.toml", options=shipped)
     assert (tmp_path / "again.toml").read_bytes() == file.read_bytes()
     assert pr.PipelineOptions.of(file) == learnt
@@ -294,7 +319,9 @@ def test_atoms_of_labelled_scans_are_used_in_another_catalogue(
     with pr.Catalogue(catalogue) as store:
         stored = store.described("11", pr.PipelineOptions.of(file, store.options)).values
         plain = store.described("11", pr.PipelineOptions.of(shipped, store.options)).values
-    assert result("lab", "signature", "--config", file, egg)[0]["values"] == pytest.approx(stored, abs=1e-9)
+    assert result("lab", "signature", "--config", file, egg)[0]["values"] == pytest.approx(
+        stored, abs=1e-9
+    )
     assert np.abs(stored - plain).max() > 1e-3
     content = file.read_text()
     file.unlink()
@@ -306,12 +333,23 @@ def test_atoms_of_labelled_scans_are_used_in_another_catalogue(
         CatalogueError, match=r"built with other options: .*signature.atoms: \(\(.* there, None"
     ):
         pr.ingest(folder / "stored", other, options=shipped)
-    with pytest.raises(InputError, match="must be made by the same method and options as the table"):
+    with pytest.raises(
+        InputError, match="must be made by the same method and options as the table"
+    ):
         pr.search(other, pr.signature(egg, shipped))
     for bad, message in (
-        (content.replace("atoms = [[", "atoms = [[nan, "), r"atoms.0.0: input should be a finite number"),
-        (content.replace("atoms = [[", "atoms = [[0.1, "), r"atoms.0: tuple should have at most 19 items"),
-        (content.replace("atoms = [[", "atoms = 1 #"), r"atoms: input should be a valid tuple, got 1"),
+        (
+            content.replace("atoms = [[", "atoms = [[nan, "),
+            r"atoms.0.0: input should be a finite number",
+        ),
+        (
+            content.replace("atoms = [[", "atoms = [[0.1, "),
+            r"atoms.0: tuple should have at most 19 items",
+        ),
+        (
+            content.replace("atoms = [[", "atoms = 1 #"),
+            r"atoms: input should be a valid tuple, got 1",
+        ),
     ):
         file.write_text(bad)
         with pytest.raises(OptionError, match=rf"atoms.toml: in \[signature\], {message}"):
@@ -344,7 +382,11 @@ def test_signatures_are_exported(catalogue: Path, tmp_path: Path) -> None:
         elif suffix == ".parquet":
             pandas = pytest.importorskip("pandas")
             frame = pandas.read_parquet(path)
-            ids, labels, values = frame["id"].tolist(), frame["label"].tolist(), frame.iloc[:, 2:].to_numpy()
+            ids, labels, values = (
+                frame["id"].tolist(),
+                frame["label"].tolist(),
+                frame.iloc[:, 2:].to_numpy(),
+            )
         else:
             with path.open(newline="", encoding="utf-8") as text:
                 header, *rows = csv.reader(text)
@@ -353,7 +395,9 @@ def test_signatures_are_exported(catalogue: Path, tmp_path: Path) -> None:
             values = np.array([row[2:] for row in rows], dtype=float)
         assert (ids, labels) == (["11", "00"], ["kind1", "kind0"])
         np.testing.assert_array_equal(values, wanted.values)
-    with pytest.raises(InputError, match=r"must end in one of \.npz \.parquet \.csv, got bodies\.txt"):
+    with pytest.raises(
+        InputError, match=r"must end in one of \.npz \.parquet \.csv, got bodies\.txt"
+    ):
         pr.write_signatures(wanted, tmp_path / "bodies.txt")
     with pytest.raises(InputError, match="there is no signature of the shape 'cat'"):
         wanted.select(["cat"])

@@ -24,7 +24,9 @@ else:
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
-SAMPLES = [f"person-{name}.ply" for name in ("1/person-1_stand", "1/person-1_walk", "2/person-2_run")]
+SAMPLES = [
+    f"person-{name}.ply" for name in ("1/person-1_stand", "1/person-1_walk", "2/person-2_run")
+]
 
 #: Makes the catalogue with which other documents begin.
 INGEST = "pcretrieve ingest scans/ --labels scans/labels.csv --catalogue bodies.sqlite"
@@ -37,7 +39,11 @@ def blocks(document: Path) -> list[tuple[str, str]]:
     return [(language, block) for language, block in found if language != "slurm"]
 
 
-PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.md")]
+PAGES = [
+    *ROOT.glob("*.md"),
+    *(ROOT / "docs").glob("*.md"),
+    *(ROOT / "docs" / "tutorials").glob("*.md"),
+]
 DOCUMENTS = sorted(page for page in PAGES if blocks(page))
 
 
@@ -127,11 +133,15 @@ def test_the_blocks_run_in_order(
 def test_the_first_tutorial_makes_the_catalogue_of_the_others() -> None:
     text = (ROOT / "docs" / "tutorials" / "first_catalogue.md").read_text(encoding="utf-8")
     assert f"\n{INGEST}\n" in text
-    assert {"README", "CONTRIBUTING", "guide", "scanners", "plugin"} <= {page.stem for page in DOCUMENTS}
+    assert {"README", "CONTRIBUTING", "guide", "scanners", "plugin"} <= {
+        page.stem for page in DOCUMENTS
+    }
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
-def test_the_cells_of_notebooks_run_in_order(notebook: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cells_of_notebooks_run_in_order(
+    notebook: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("MPLBACKEND", "agg")
     monkeypatch.chdir(notebook.parent)
     document = json.loads(notebook.read_text(encoding="utf-8"))

@@ -40,29 +40,77 @@ ONE = Signature(np.ones(1), "x")
     [
         (PointCloud, [np.zeros((4, 2))], "points must have shape (n, 3), got (4, 2)"),
         (PointCloud, ["bunny"], "points must be an array of numbers, got one of type <U5"),
-        (PointCloud, [[[1, 2, 3], [4, 5]]], "points must be an array of numbers: setting an array element"),
-        (PointCloud, [[[0, np.nan, np.inf]]], "points must be finite, got 2 values that are NaN or infinite"),
+        (
+            PointCloud,
+            [[[1, 2, 3], [4, 5]]],
+            "points must be an array of numbers: setting an array element",
+        ),
+        (
+            PointCloud,
+            [[[0, np.nan, np.inf]]],
+            "points must be finite, got 2 values that are NaN or infinite",
+        ),
         (PointCloud, [CORNERS, CORNERS[:2]], "normals must have shape (3, 3), got (2, 3)"),
-        (PointCloud, [CORNERS, np.diag([1.0, 2, 0])], "normals must have unit length, got 2 of 3 that have"),
+        (
+            PointCloud,
+            [CORNERS, np.diag([1.0, 2, 0])],
+            "normals must have unit length, got 2 of 3 that have",
+        ),
         (PointCloud, [CORNERS, None, [0, 0]], "viewpoints must have shape (3, 3), got (2,)"),
         (TriangleMesh, [CORNERS, np.zeros((1, 4))], "faces must have shape (n, 3), got (1, 4)"),
         (TriangleMesh, [CORNERS, [[0, 1, 3]]], "faces must name vertices 0 to 2, got 0 to 3"),
         (TriangleMesh, [CORNERS, [[-1, 1, 2]]], "faces must name vertices 0 to 2, got -1 to 2"),
-        (TriangleMesh, [CORNERS, [[0, 0.5, 2**32]]], "faces must be whole numbers below 2³¹, got 2 that are"),
-        (LaplaceBeltrami, [IDENTITY, csc_array((3, 2))], "of one size, got shapes (3, 3) and (3, 2)"),
-        (LaplaceBeltrami, [IDENTITY * np.nan, IDENTITY], "stiffness and mass must be finite, got NaN or inf"),
+        (
+            TriangleMesh,
+            [CORNERS, [[0, 0.5, 2**32]]],
+            "faces must be whole numbers below 2³¹, got 2 that are",
+        ),
+        (
+            LaplaceBeltrami,
+            [IDENTITY, csc_array((3, 2))],
+            "of one size, got shapes (3, 3) and (3, 2)",
+        ),
+        (
+            LaplaceBeltrami,
+            [IDENTITY * np.nan, IDENTITY],
+            "stiffness and mass must be finite, got NaN or inf",
+        ),
         (LaplaceBeltrami, [IDENTITY, 0 * IDENTITY], "mass must sum up to a positive area, got 0"),
         (LaplaceBeltrami, [IDENTITY, IDENTITY, 0, [0, 1]], "nodes must have shape (3), got (2,)"),
-        (Eigenpairs, [np.zeros(2), np.zeros((3, 1)), IDENTITY], "must have shape (3, 2), got (3, 1)"),
-        (ModalSpectrum, [np.zeros(2), np.zeros((2, 3)), 1.0], "moments must have shape (2, 2), got (2, 3)"),
+        (
+            Eigenpairs,
+            [np.zeros(2), np.zeros((3, 1)), IDENTITY],
+            "must have shape (3, 2), got (3, 1)",
+        ),
+        (
+            ModalSpectrum,
+            [np.zeros(2), np.zeros((2, 3)), 1.0],
+            "moments must have shape (2, 2), got (2, 3)",
+        ),
         (Signature, [np.zeros((2, 2)), "x"], "values must have shape (n), got (2, 2)"),
         (Signature, [[1.0, -0.5], "x"], "signature values must be positive, got -0.5"),
-        (Signature, [[1, -1], "x", "", None, "histograms"], "bins of a histogram must not be negative, got"),
-        (Signature, [[1], "x", "", None, "angles"], "metric must be one of logarithms, values, histograms,"),
+        (
+            Signature,
+            [[1, -1], "x", "", None, "histograms"],
+            "bins of a histogram must not be negative, got",
+        ),
+        (
+            Signature,
+            [[1], "x", "", None, "angles"],
+            "metric must be one of logarithms, values, histograms,",
+        ),
         (SignatureTable, [("a", "a"), np.ones((2, 3)), "x"], "ids must be distinct"),
-        (SignatureTable, [("a",), np.ones((2, 3)), "x"], "values must have shape (1, n), got (2, 3)"),
+        (
+            SignatureTable,
+            [("a",), np.ones((2, 3)), "x"],
+            "values must have shape (1, n), got (2, 3)",
+        ),
         (SignatureTable, [("a",), [[1.0, 0.0]], "x"], "signature values must be positive, got 0.0"),
-        (SignatureTable, [("a",), [[1]], "x", "", ("b", "c")], "labels must be as many as ids (1), got 2"),
+        (
+            SignatureTable,
+            [("a",), [[1]], "x", "", ("b", "c")],
+            "labels must be as many as ids (1), got 2",
+        ),
         (ONE.distance, [1], "the other signature must be of the type Signature, got int"),
         (ONE.distance, [Signature(np.ones(1), "y")], "must be made by the same options, got ('x',"),
         (eigenpairs, [CORNERS], "operator must be of the type LaplaceBeltrami, got ndarray"),
@@ -71,10 +119,18 @@ ONE = Signature(np.ones(1), "x")
         (Shape, [()], "a shape must have at least 1 surface, got none"),
         (Neighbors, [("a", "b"), np.zeros(3)], "distances must have shape (2), got (3,)"),
         (Neighbors, [("a", "a"), np.zeros(2)], "ids must be distinct"),
-        (Neighbors, [("a", "b"), [0.0, np.nan]], "distances must be numbers, got 1 values that are NaN"),
+        (
+            Neighbors,
+            [("a", "b"), [0.0, np.nan]],
+            "distances must be numbers, got 1 values that are NaN",
+        ),
         (Neighbors, [("a", "b"), [1.0, 0.5]], "distances must ascend from 0 or more"),
         (Neighbors, [("a", "b"), [-1.0, 0.5]], "distances must ascend from 0 or more"),
-        (Neighbors, [("b", "a"), [0.5, 0.5]], "ids of equally distant shapes must be in alphabetical order"),
+        (
+            Neighbors,
+            [("b", "a"), [0.5, 0.5]],
+            "ids of equally distant shapes must be in alphabetical order",
+        ),
     ],
 )
 def test_refuses(kind: type[Any], arguments: list[Any], message: str) -> None:
@@ -158,7 +214,9 @@ KINDS = [kind for kind in vars(errors).values() if isinstance(kind, type)]
 
 @pytest.mark.parametrize("error", [kind for kind in KINDS if issubclass(kind, PcretrieveError)])
 def test_errors_keep_their_place_through_pickling(error: type[PcretrieveError]) -> None:
-    copy = pickle.loads(pickle.dumps(error("no closed surface", stage=Stage.REMESH, shape_id="T17")))
+    copy = pickle.loads(
+        pickle.dumps(error("no closed surface", stage=Stage.REMESH, shape_id="T17"))
+    )
     assert type(copy) is error
     assert (copy.message, copy.stage, copy.shape_id) == ("no closed surface", Stage.REMESH, "T17")
     assert str(copy) == "[T17 / remesh] no closed surface"
@@ -176,7 +234,9 @@ def test_measures_of_a_tetrahedron() -> None:
     assert mesh.volume == pytest.approx(1 / 6, rel=1e-14)
     assert mesh.diagonal == pytest.approx(np.sqrt(3), rel=1e-14)
     assert PointCloud(np.zeros((0, 3))).diagonal == 0
-    assert TriangleMesh(mesh.vertices, mesh.faces[:, ::-1]).volume == pytest.approx(-1 / 6, rel=1e-14)
+    assert TriangleMesh(mesh.vertices, mesh.faces[:, ::-1]).volume == pytest.approx(
+        -1 / 6, rel=1e-14
+    )
 
 
 @pytest.mark.parametrize(
@@ -211,7 +271,12 @@ def test_flat_faces_have_no_area_to_speak_of_at_any_scale() -> None:
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1e-10, 0], [0.5, 1e-7, 0], [0, 0, 0]])
     faces = np.array([[0, 1, 2], [0, 1, 3], [0, 4, 1], [0, 0, 1]])
     for scale in (1e-6, 1.0, 1e6):
-        assert TriangleMesh(scale * vertices, faces).flat_faces.tolist() == [True, False, True, True]
+        assert TriangleMesh(scale * vertices, faces).flat_faces.tolist() == [
+            True,
+            False,
+            True,
+            True,
+        ]
 
 
 # --- the coordinates that single precision can bear ---------------------------------------------------

@@ -15,7 +15,11 @@ from pcretrieve.simulation import RigOptions, scan as simulated_scan
 rng = np.random.default_rng(0)
 body = simulated_scan(person(1, "stand"), RigOptions(n_points=9000), rng).points
 upright = body[:, np.argsort(np.ptp(body, axis=0))]  # the longest extent is up
-floor = np.column_stack([rng.uniform(-1, 1, (6000, 2)), np.zeros(6000)]) + upright.mean(axis=0) * [1, 1, 0]
+floor = np.column_stack([rng.uniform(-1, 1, (6000, 2)), np.zeros(6000)]) + upright.mean(axis=0) * [
+    1,
+    1,
+    0,
+]
 floor[:, 2] = upright[:, 2].min() + rng.normal(0, 0.002, len(floor))
 scan = pr.PointCloud(np.concatenate([upright, floor]))
 

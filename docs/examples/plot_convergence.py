@@ -25,7 +25,9 @@ for element in ("linear", "cubic"):
     errors = []
     for mesh in meshes:
         pairs = pr.eigenpairs(pr.laplace_beltrami(mesh, element), n_pairs=len(exact))
-        scaled = pairs.eigenvalues * mesh.area / (4 * np.pi)  # of the sphere with the area of the mesh
+        scaled = (
+            pairs.eigenvalues * mesh.area / (4 * np.pi)
+        )  # of the sphere with the area of the mesh
         errors.append(np.abs(scaled[1:] / exact[1:] - 1).max())
     axes.loglog([len(mesh.faces) for mesh in meshes], errors, marker="o", label=element)
 axes.set_xlabel("faces")

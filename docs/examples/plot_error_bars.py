@@ -13,7 +13,13 @@ import pcretrieve as pr
 path = SCANS / "animal-1" / "animal-1_stand.ply"
 options = {"surface": {"reconstructions": 4}, "signature": {"method": "r-bihdm"}}
 shape = pr.process(path, options)
-draw({f"surface {number}": one.mesh for number, one in enumerate(shape.surfaces, start=1) if one.mesh})
+draw(
+    {
+        f"surface {number}": one.mesh
+        for number, one in enumerate(shape.surfaces, start=1)
+        if one.mesh
+    }
+)
 
 # %%
 pr.signature(path, options).plot()

@@ -12,7 +12,14 @@ from sample import SCANS, draw
 
 import pcretrieve as pr
 
-names = ["person-1_stand", "person-1_walk", "person-2_stand", "person-2_run", "hand-1_open", "animal-1_walk"]
+names = [
+    "person-1_stand",
+    "person-1_walk",
+    "person-2_stand",
+    "person-2_run",
+    "hand-1_open",
+    "animal-1_walk",
+]
 paths = [SCANS / name.split("_")[0] / f"{name}.ply" for name in names]
 query = SCANS / "person-2" / "person-2_wave.ply"
 with tempfile.TemporaryDirectory() as folder:

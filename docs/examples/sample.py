@@ -44,7 +44,9 @@ def sphere(rounds: int) -> TriangleMesh:
     triangles = points[corners]  # (m, 3, 3)
     for _ in range(rounds):
         a, b, c = triangles.transpose(1, 0, 2)
-        ab, bc, ca = ((p + q) / np.linalg.norm(p + q, axis=1)[:, None] for p, q in ((a, b), (b, c), (c, a)))
+        ab, bc, ca = (
+            (p + q) / np.linalg.norm(p + q, axis=1)[:, None] for p, q in ((a, b), (b, c), (c, a))
+        )
         parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
         triangles = np.concatenate([np.stack(part, axis=1) for part in parts])
     _, first, vertex = np.unique(
@@ -54,7 +56,8 @@ def sphere(rounds: int) -> TriangleMesh:
 
 
 def draw(
-    bodies: Mapping[str, TriangleMesh | PointCloud], colours: Mapping[str, NDArray[Any]] | None = None
+    bodies: Mapping[str, TriangleMesh | PointCloud],
+    colours: Mapping[str, NDArray[Any]] | None = None,
 ) -> None:
     """Draw bodies in a row, upright and from the front, each with its name; points as those of the last mesh.
 
@@ -68,7 +71,9 @@ def draw(
         front = rotation(AZIMUTH, ELEVATION) @ body_axes(mesh.vertices, mesh.faces, mesh.up)
         (camera,) = cameras_framing(at, [front])
         values = (colours or {}).get(name)
-        shades = np.tile(CLAY, (len(at), 1)) if values is None else viridis(Normalize()(values))[:, :3]
+        shades = (
+            np.tile(CLAY, (len(at), 1)) if values is None else viridis(Normalize()(values))[:, :3]
+        )
         if isinstance(one, TriangleMesh):
             shades = shades[one.faces].mean(axis=1)
             picture = surface_picture(one.vertices, one.faces, shades, camera, size=600)

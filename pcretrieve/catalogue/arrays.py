@@ -73,7 +73,9 @@ def unpacked(blob: bytes) -> list[NDArray[Any]]:
             size = math.prod((*shape, dtype.itemsize))
             if size > max(ANY_SIZE, MOST_RATIO * n_bytes):
                 raise ValueError(f"it declares {size} bytes in {n_bytes}")
-            expanded = zlib.decompressobj().decompress(body, size + 1)  # one more does not fit the shape
+            expanded = zlib.decompressobj().decompress(
+                body, size + 1
+            )  # one more does not fit the shape
             planes = np.frombuffer(expanded, np.uint8).reshape(dtype.itemsize, -1)
             numbers = np.ascontiguousarray(planes.T).view(dtype)
         else:
@@ -169,14 +171,19 @@ def stored_shape(payloads: Mapping[Payload, bytes], provenance: tuple[Step, ...]
     meshes: list[TriangleMesh | None] = [None] * n
     if "moments" in payloads:
         (moments,) = unpacked(payloads["moments"])  # (s, k, k)
-        overlaps = unpacked_symmetric(payloads["overlaps"]) if "overlaps" in payloads else [None] * n
+        overlaps = (
+            unpacked_symmetric(payloads["overlaps"]) if "overlaps" in payloads else [None] * n
+        )
         spectra = [
             ModalSpectrum(values, m, 1.0, o)
             for values, m, o in zip(eigenvalues, moments, overlaps, strict=True)
         ]
     if "meshes" in payloads:
         arrays = unpacked(payloads["meshes"])
-        kept = [TriangleMesh(*parts, provenance) for parts in zip(arrays[::2], arrays[1::2], strict=True)]
+        kept = [
+            TriangleMesh(*parts, provenance)
+            for parts in zip(arrays[::2], arrays[1::2], strict=True)
+        ]
         meshes = [*kept, *meshes[len(kept) :]]
     surfaces = (Surface(*parts) for parts in zip(areas.tolist(), spectra, meshes, strict=True))
     return Shape(tuple(surfaces), provenance=provenance)

@@ -82,7 +82,10 @@ class IndexCache:
         self._last: tuple[str, SignatureIndex] | None = None
 
     def index(
-        self, options: PipelineOptions, revision: str, make: Callable[[], tuple[SignatureIndex, str]]
+        self,
+        options: PipelineOptions,
+        revision: str,
+        make: Callable[[], tuple[SignatureIndex, str]],
     ) -> SignatureIndex:
         """Open the stored index of a state of the catalogue, or compute and store it."""
         name = _name(options, revision)
@@ -151,7 +154,9 @@ def _name(options: PipelineOptions, revision: str) -> str:
     retrieval = options.retrieval
     calibrated = ""
     if retrieval.calibration is not None:
-        calibrated = hashlib.sha256(read_whitening(Path(retrieval.calibration)).matrix.tobytes()).hexdigest()
+        calibrated = hashlib.sha256(
+            read_whitening(Path(retrieval.calibration)).matrix.tobytes()
+        ).hexdigest()
     compared = f"{retrieval.distance} {retrieval.whitening} {retrieval.shrinkage} {calibrated}"
     return f"{_digest(f'{FORMAT} {signatures_digest(options)} {compared}')}-{_digest(revision)}"
 
@@ -171,7 +176,9 @@ def _arrays(folder: Path, checked: float = CHECKED) -> dict[str, NDArray[Any]]:
         size = file.stat().st_size
         if size <= checked and zlib.crc32(file.read_bytes()) != sums[name]:
             raise ValueError(f"{name} was changed")
-        arrays[file.stem] = np.load(file, mmap_mode="r" if size >= MAPPED else None, allow_pickle=False)
+        arrays[file.stem] = np.load(
+            file, mmap_mode="r" if size >= MAPPED else None, allow_pickle=False
+        )
     return arrays
 
 

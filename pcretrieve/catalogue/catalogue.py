@@ -109,7 +109,11 @@ class Catalogue(Rows):
     @classmethod
     @contextmanager
     def opened(
-        cls, catalogue: CatalogueLike, options: PipelineOptions | None = None, *, create: bool = False
+        cls,
+        catalogue: CatalogueLike,
+        options: PipelineOptions | None = None,
+        *,
+        create: bool = False,
     ) -> Iterator[Catalogue]:
         """Open a catalogue that is given by its path, and close it at the end; leave others as they are."""
         if isinstance(catalogue, Catalogue):
@@ -179,7 +183,9 @@ class Catalogue(Rows):
         payloads = payloads_of(shape, self.options)
         if content.thumbnail is not None:
             payloads["thumbnails"] = packed([np.frombuffer(content.thumbnail, np.uint8)])
-        return self.store(records.Entry(record, {records.OWN: packed_values(content.signature)}, payloads))
+        return self.store(
+            records.Entry(record, {records.OWN: packed_values(content.signature)}, payloads)
+        )
 
     def keep_thumbnail(self, record: records.Record, picture: bytes) -> bool:
         """Store the picture of a shape, a PNG file, unless the shape has been replaced since it was read.
@@ -211,7 +217,9 @@ class Catalogue(Rows):
         with self.database.writing():
             self.keep_setting("up", axis)
             if axis is None:
-                self.database.execute("UPDATE arrays SET thumbnails = NULL WHERE meshes IS NOT NULL")
+                self.database.execute(
+                    "UPDATE arrays SET thumbnails = NULL WHERE meshes IS NOT NULL"
+                )
 
     # --- signatures -------------------------------------------------------------------------------------
 
@@ -317,7 +325,9 @@ class Catalogue(Rows):
         table = SignatureTable(tuple(ids), values, *made_by, tuple(labels), descriptor.metric, unit)
         return table, revision
 
-    def _described(self, digest: str, options: PipelineOptions, ids: Sequence[str]) -> list[FloatArray]:
+    def _described(
+        self, digest: str, options: PipelineOptions, ids: Sequence[str]
+    ) -> list[FloatArray]:
         """Compute the signatures (L,) of some shapes, and store them if the catalogue can be written to."""
         from pcretrieve.descriptors import DESCRIPTORS, describe
 

@@ -27,7 +27,10 @@ class Defect:
 
 
 def find_defects(
-    catalogue: Catalogue, *, repair: bool = False, on_shapes: Callable[[int], None] = lambda number: None
+    catalogue: Catalogue,
+    *,
+    repair: bool = False,
+    on_shapes: Callable[[int], None] = lambda number: None,
 ) -> list[Defect]:
     """The defects of the database, of each shape, and of the stored indexes, as `pcretrieve.check` says."""
     found = _database_defects(catalogue, repair=repair)
@@ -80,7 +83,9 @@ def _database_defects(catalogue: Catalogue, *, repair: bool) -> list[Defect]:
                 database.execute(f"DELETE {condition}")
             if number:
                 done = "removed" if repair else None
-                found.append(Defect("orphan", None, f"{number} rows of {table} are of no shape", done))
+                found.append(
+                    Defect("orphan", None, f"{number} rows of {table} are of no shape", done)
+                )
     return found
 
 
@@ -105,7 +110,9 @@ def _shape_defects(catalogue: Catalogue, number: int, *, repair: bool) -> list[D
     # Of a damaged record, not even the path and the id can be relied on, by which an ingest would replace it.
     except ChangedRow:
         try:
-            ((shape_id,),) = catalogue.database.execute("SELECT id FROM shapes WHERE number = ?", [number])
+            ((shape_id,),) = catalogue.database.execute(
+                "SELECT id FROM shapes WHERE number = ?", [number]
+            )
         except ChangedRow:
             shape_id = f"number {number}"
         if repair:

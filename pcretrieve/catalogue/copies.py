@@ -100,7 +100,10 @@ def backup(catalogue: CatalogueLike, file: str | Path) -> int:
     CatalogueError
         If the catalogue cannot be read, or the file exists or cannot be written.
     """
-    target, location = Path(file), catalogue.location if isinstance(catalogue, Catalogue) else catalogue
+    target, location = (
+        Path(file),
+        catalogue.location if isinstance(catalogue, Catalogue) else catalogue,
+    )
     if target.exists():
         raise CatalogueError(f"{target} exists: name a new file for the backup, or remove it first")
     source = file_of(location)
@@ -160,14 +163,18 @@ def _merge(stores: Sequence[Rows]) -> MergedCatalogues:
         for start in range(0, len(ids), STORED_AT_ONCE):
             entries = store.entries(ids[start : start + STORED_AT_ONCE])
             for at, entry in enumerate(entries):
-                label = labels.get(entry.record.path, entry.record.label) or None  # it may have moved
+                label = (
+                    labels.get(entry.record.path, entry.record.label) or None
+                )  # it may have moved
                 if entry.record.label != label:
                     entries[at] = replace(entry, record=replace(entry.record, label=label))
             target.add(entries)
             n_stored += len(entries)
             logger.info("stored: %d of %d shapes", n_stored, n_added)
     held = {path: origin.label or "" for path, (place, origin) in chosen.items() if place == 0}
-    target.revise(labels={path: labels[path] for path, label in held.items() if labels[path] != label})
+    target.revise(
+        labels={path: labels[path] for path, label in held.items() if labels[path] != label}
+    )
     return MergedCatalogues(n_added, len(held))
 
 
@@ -186,9 +193,13 @@ def _chosen(stores: Sequence[Rows]) -> tuple[dict[str, tuple[int, Record]], dict
             places = f"in {stores[earlier].location} and in {store.location}"
             if origin.label != labels.setdefault(path, origin.label or "") and origin.label:
                 if labels[path]:
-                    conflicts.append(f"{path} has the labels {labels[path]!r} and {origin.label!r} {places}")
+                    conflicts.append(
+                        f"{path} has the labels {labels[path]!r} and {origin.label!r} {places}"
+                    )
                 labels[path] = origin.label
-            if {origin.status, other.status} == {"done"} and origin.content_hash != other.content_hash:
+            if {origin.status, other.status} == {
+                "done"
+            } and origin.content_hash != other.content_hash:
                 conflicts.append(f"{path} has different contents {places}")
             if origin.status == "done" and other.status == "failed":
                 chosen[path] = number, origin

@@ -35,7 +35,9 @@ FURTHER = (
     *(f'ALTER TABLE arrays ALTER COLUMN "{name}" SET STORAGE EXTERNAL' for name in PAYLOADS),
 )
 
-FORBIDDEN = "cannot be used by this user of the database: grant the privileges, or give another user"
+FORBIDDEN = (
+    "cannot be used by this user of the database: grant the privileges, or give another user"
+)
 
 # Advice by the SQLSTATE of an error.
 ADVICE = {
@@ -166,7 +168,10 @@ class PostgresqlDatabase:
         try:
             yield
         except psycopg.Error as error:
-            message = ADVICE.get(error.sqlstate or "") or f"cannot be used: {' '.join(str(error).split())}"
+            message = (
+                ADVICE.get(error.sqlstate or "")
+                or f"cannot be used: {' '.join(str(error).split())}"
+            )
             raise CatalogueError(f"{self.location} {message}") from error
 
     def _is_there(self) -> bool:
@@ -189,7 +194,9 @@ class PostgresqlDatabase:
                 )
             # Not IF NOT EXISTS, which needs the privilege to create schemas if the schema exists too.
             if not self.execute("SELECT 1 FROM pg_namespace WHERE nspname = ?", [self._schema]):
-                self._connection.execute(sql.SQL("CREATE SCHEMA {}").format(sql.Identifier(self._schema)))
+                self._connection.execute(
+                    sql.SQL("CREATE SCHEMA {}").format(sql.Identifier(self._schema))
+                )
             for statement, values in created(settings, WORDS, FURTHER):
                 self.execute(statement, values)
 
@@ -201,7 +208,9 @@ def _parsed(url: str) -> tuple[str, str, str]:
         user, _, host = parts.netloc.rpartition("@")
         if "@" in user + parts.path or parts.port == 0:
             raise ValueError(url)
-        query = dict(parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query)))
+        query = dict(
+            parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
+        )
     except ValueError as error:
         raise CatalogueError(
             "the URL of a catalogue must be postgresql://user@host:port/database, got one that cannot be "
@@ -216,5 +225,6 @@ def _parsed(url: str) -> tuple[str, str, str]:
 def _storable(values: Sequence[object]) -> list[object]:
     """Values whose texts have no character 0, which messages may have, and PostgreSQL cannot store."""
     return [
-        value.replace("\0", "\N{SYMBOL FOR NULL}") if isinstance(value, str) else value for value in values
+        value.replace("\0", "\N{SYMBOL FOR NULL}") if isinstance(value, str) else value
+        for value in values
     ]

@@ -132,7 +132,9 @@ def check_version(location: str, settings: Mapping[str, str]) -> None:
 
 def damaged(location: str, how: str) -> CatalogueError:
     """The error for a catalogue with invalid content."""
-    return CatalogueError(f"{location} is damaged ({how}): restore a copy, or ingest into a new catalogue")
+    return CatalogueError(
+        f"{location} is damaged ({how}): restore a copy, or ingest into a new catalogue"
+    )
 
 
 class ChangedRow(CatalogueError):
@@ -258,7 +260,9 @@ REAL = {name for name, kind in TABLES["shapes"].items() if kind == "double preci
 
 def checksum(row: Mapping[str, Any]) -> int:
     """The checksum of the values of a record, by which readers notice changed bits."""
-    values = [float(row[name]) if name in REAL and row[name] is not None else row[name] for name in SUMMED]
+    values = [
+        float(row[name]) if name in REAL and row[name] is not None else row[name] for name in SUMMED
+    ]
     # PostgreSQL cannot store the character 0, in the place of which it has the symbol for it.
     return zlib.crc32(json.dumps(values).replace("\\u0000", "\\u2400").encode())
 
@@ -268,7 +272,9 @@ def row_of(record: Record) -> dict[str, Any]:
     verdict = record.verdict
     # Not by asdict, which copies the steps and takes most of the time of a merge.
     row = {name: getattr(record, name) for name in FIELDS} | {
-        "steps": json.dumps([{name: getattr(step, name) for name in STEP_FIELDS} for step in record.steps]),
+        "steps": json.dumps(
+            [{name: getattr(step, name) for name in STEP_FIELDS} for step in record.steps]
+        ),
         "versions": json.dumps(record.versions),
         "judgement": None if verdict is None else verdict.judgement,
         "uncertainty": None if verdict is None else verdict.uncertainty,
@@ -285,12 +291,16 @@ def record_of(row: Sequence[Any], location: str) -> Record:
     values = dict(zip(SHAPE_COLUMNS + PROVENANCE_COLUMNS, row[1:], strict=True))
     # Without steps, there is no row of its provenance.
     if values["steps"] is None or checksum(values) != values["checksum"]:
-        raise changed_row(location, f"shape {values['id']!r}: its record has changed since it was stored")
+        raise changed_row(
+            location, f"shape {values['id']!r}: its record has changed since it was stored"
+        )
     verdict = None
     if values["judgement"] is not None:
         verdict = Verdict(values["judgement"], values["uncertainty"], json.loads(values["reasons"]))
     decoded = {
-        "steps": tuple(Step(**s | {"notes": tuple(s["notes"])}) for s in json.loads(values["steps"])),
+        "steps": tuple(
+            Step(**s | {"notes": tuple(s["notes"])}) for s in json.loads(values["steps"])
+        ),
         "versions": json.loads(values["versions"]),
         "verdict": verdict,
     }

@@ -177,7 +177,9 @@ class Rows:
 
     def origins(self) -> list[Record]:
         """All records without their provenance, in ascending order of id, which are read much faster."""
-        rows = self._all("SELECT id, path, content_hash, label, status, stamp FROM shapes ORDER BY id")
+        rows = self._all(
+            "SELECT id, path, content_hash, label, status, stamp FROM shapes ORDER BY id"
+        )
         return [Record(row[0], row[1], row[2], row[3], row[4], stamp=row[5]) for row in rows]
 
     def labels(self) -> dict[str, str | None]:
@@ -245,7 +247,9 @@ class Rows:
         signatures: dict[int, dict[str, bytes]] = {}
         arrays: dict[int, dict[Payload, bytes]] = {}
         with self.database.reading():
-            records = {row[0]: record_of(row, self.location) for row in self._each(RECORDS, column, ids)}
+            records = {
+                row[0]: record_of(row, self.location) for row in self._each(RECORDS, column, ids)
+            }
             known = "digest IN (SELECT digest FROM descriptors)"
             query = f"SELECT shape, digest, value FROM signatures WHERE {known} AND"
             for number, digest, value in self._each(query, "shape", records):
@@ -389,13 +393,21 @@ class Rows:
         ((last,),) = self._all("SELECT coalesce(max(number), 0) FROM shapes")
         numbered = list(enumerate(entries, last + 1))
         rows = [(number, row_of(entry.record)) for number, entry in numbered]
-        signatures = [(d, number, value) for number, one in numbered for d, value in one.signatures.items()]
+        signatures = [
+            (d, number, value) for number, one in numbered for d, value in one.signatures.items()
+        ]
         self._add_descriptors({digest for digest, _, _ in signatures})
         for table, stored in (
             ("shapes", [(number, *map(row.__getitem__, SHAPE_COLUMNS)) for number, row in rows]),
-            ("provenance", [(number, *map(row.__getitem__, PROVENANCE_COLUMNS)) for number, row in rows]),
+            (
+                "provenance",
+                [(number, *map(row.__getitem__, PROVENANCE_COLUMNS)) for number, row in rows],
+            ),
             ("signatures", signatures),
-            ("arrays", [(n, *map(one.payloads.get, PAYLOADS)) for n, one in numbered if one.payloads]),
+            (
+                "arrays",
+                [(n, *map(one.payloads.get, PAYLOADS)) for n, one in numbered if one.payloads],
+            ),
         ):
             if stored:
                 self.database.each(inserting(table), stored)
@@ -415,17 +427,23 @@ class Rows:
     def _rewrite(self, name: str, values: Mapping[str, str]) -> None:
         """Change the path or the label of shapes by path; a path that another shape has is not given."""
         rows = {record.path: row_of(record) for record in self._records("path", values)}
-        sums = {path: checksum(rows[path] | {name: values[path]}) for path in values if path in rows}
+        sums = {
+            path: checksum(rows[path] | {name: values[path]}) for path in values if path in rows
+        }
         changes = [(values[path], total, path) for path, total in sums.items()]
         statement = f"UPDATE shapes SET {name} = ?, checksum = ? WHERE path = ?"
         if name == "path":
             taken = "SELECT 1 FROM shapes WHERE path = ?"
-            self.database.each(f"{statement} AND NOT EXISTS ({taken})", [(*one, one[0]) for one in changes])
+            self.database.each(
+                f"{statement} AND NOT EXISTS ({taken})", [(*one, one[0]) for one in changes]
+            )
         else:
             self.database.each(statement, changes)
 
     def _add_descriptors(self, digests: Iterable[str]) -> None:
-        self.database.each(f"{inserting('descriptors')} ON CONFLICT DO NOTHING", [(one,) for one in digests])
+        self.database.each(
+            f"{inserting('descriptors')} ON CONFLICT DO NOTHING", [(one,) for one in digests]
+        )
 
     def _each(self, query: str, column: str, values: Iterable[object]) -> Iterator[Any]:
         """Yield the result of a query for rows whose column has one of some values, a few at a time."""

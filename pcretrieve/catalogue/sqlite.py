@@ -62,7 +62,14 @@ NETWORK: dict[str, tuple[str, ...]] = {
 # Types without locks that other computers see.
 WITHOUT_LOCKS = {
     *("afs", "beegfs", "ncpfs", "smbfs", "vboxsf", "fuse.afs", "fuse.blobfuse", "fuse.blobfuse2"),
-    *("fuse.davfs", "fuse.gcsfuse", "fuse.goofys", "fuse.mountpoint-s3", "fuse.rclone", "fuse.s3fs"),
+    *(
+        "fuse.davfs",
+        "fuse.gcsfuse",
+        "fuse.goofys",
+        "fuse.mountpoint-s3",
+        "fuse.rclone",
+        "fuse.s3fs",
+    ),
     "fuse.sshfs",
 }
 
@@ -152,14 +159,19 @@ class SqliteDatabase:
             rows = self._connection.execute(f"PRAGMA integrity_check({LISTED})").fetchall()
         except sqlite3.DatabaseError as error:
             return [str(error)]
-        lines = [line for (text,) in rows for line in text.splitlines() if not line.startswith("***")]
+        lines = [
+            line for (text,) in rows for line in text.splitlines() if not line.startswith("***")
+        ]
         return [] if lines == ["ok"] else lines
 
     @contextmanager
     def _transaction(self, kind: str) -> Iterator[None]:
         with translated(self._path):
             self._connection.execute(f"BEGIN {kind}")
-            with _without_checkpoints(self._path) if kind == "IMMEDIATE" else nullcontext(), self._connection:
+            with (
+                _without_checkpoints(self._path) if kind == "IMMEDIATE" else nullcontext(),
+                self._connection,
+            ):
                 yield
 
     def _prepare(self, settings: Mapping[str, str]) -> None:
@@ -173,7 +185,9 @@ class SqliteDatabase:
                     break
                 time.sleep(wait)
             with self._transaction("IMMEDIATE"):
-                if not self.execute(PARTS_OF_FILE):  # another process may have created them in the meantime
+                if not self.execute(
+                    PARTS_OF_FILE
+                ):  # another process may have created them in the meantime
                     unique = "CREATE UNIQUE INDEX shapes_by_path ON shapes (path)"
                     words = {"text": "text", "octets": "blob", "ordered": " WITHOUT ROWID"}
                     for statement, values in created(settings, words, [unique]):
@@ -189,9 +203,13 @@ def check_tables(path: Path, connection: sqlite3.Connection) -> None:
     with translated(path):
         parts = {*connection.execute(PARTS_OF_FILE)}
     if not {("table", "meta"), ("table", "shapes")} <= parts:
-        raise CatalogueError(f"{path} is an SQLite file, but no catalogue: give another --catalogue")
+        raise CatalogueError(
+            f"{path} is an SQLite file, but no catalogue: give another --catalogue"
+        )
     if acting := ", ".join(sorted(f"{kind} {name!r}" for kind, name in parts if kind != "table")):
-        raise CatalogueError(f"{path} has the {acting}, which no catalogue has, and which may change others")
+        raise CatalogueError(
+            f"{path} has the {acting}, which no catalogue has, and which may change others"
+        )
 
 
 @contextmanager
@@ -217,7 +235,9 @@ def connect(path: Path, *, create: bool) -> sqlite3.Connection:
     if not size and not create:
         raise CatalogueError(f"there is no catalogue {path}: make one with `pcretrieve ingest`")
     if not path.parent.is_dir():
-        raise CatalogueError(f"there is no folder {path.parent} to put a catalogue into: make it first")
+        raise CatalogueError(
+            f"there is no folder {path.parent} to put a catalogue into: make it first"
+        )
     if create and _journal(path) is None:
         raise CatalogueError(
             f"{path} is on a file system of the type {_file_system(path)[0]}, whose locks other computers do "
@@ -226,8 +246,12 @@ def connect(path: Path, *, create: bool) -> sqlite3.Connection:
         )
     log = Path(f"{os.path.realpath(path)}-wal")
     with suppress(OSError), log.open("rb") as file:
-        if (head := file.read(LOG_BYTES)) and not (len(head) == LOG_BYTES and head.startswith(LOG_MAGIC)):
-            logger.warning("%s is damaged: what was stored last, and not in %s yet, is lost", log, path.name)
+        if (head := file.read(LOG_BYTES)) and not (
+            len(head) == LOG_BYTES and head.startswith(LOG_MAGIC)
+        ):
+            logger.warning(
+                "%s is damaged: what was stored last, and not in %s yet, is lost", log, path.name
+            )
     with translated(path):
         if not size or _is_writable(path):
             return _connected(path, "rwc" if create else "rw")
@@ -273,7 +297,9 @@ def _is_writable(path: Path) -> bool:
 
 
 def _connected(path: Path, mode: str) -> sqlite3.Connection:
-    connection = sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, timeout=LOCK_TIMEOUT)
+    connection = sqlite3.connect(
+        f"{path.absolute().as_uri()}?mode={mode}", uri=True, timeout=LOCK_TIMEOUT
+    )
     # A transaction that has ended is on the disk, and its journal is not; a schema calls nothing that acts.
     statements = ["PRAGMA synchronous = EXTRA", "PRAGMA trusted_schema = OFF"]
     if mode.startswith("rw") and _journal(path) == "DELETE":
@@ -315,8 +341,12 @@ def _file_system(path: Path) -> tuple[str, set[str]]:
     place, found, depth = Path(os.path.realpath(path)), ("", set[str]()), 0
     for line in lines:
         before, _, after = line.partition(" - ")
-        point = Path(re.sub(r"\\([0-7]{3})", lambda code: chr(int(code[1], 8)), before.split(" ")[4]))
-        if place.is_relative_to(point) and len(point.parts) >= depth:  # the last of several at one place
+        point = Path(
+            re.sub(r"\\([0-7]{3})", lambda code: chr(int(code[1], 8)), before.split(" ")[4])
+        )
+        if (
+            place.is_relative_to(point) and len(point.parts) >= depth
+        ):  # the last of several at one place
             kind, _, options = after.split(" ", 2)
             found, depth = (kind, set(options.split(","))), len(point.parts)
     return found

@@ -69,7 +69,10 @@ class Findings:
 
 
 def findings_of(
-    cloud: PointCloud | None, mesh: TriangleMesh | None, marks: SurfaceMarks | None, shape: Shape | None
+    cloud: PointCloud | None,
+    mesh: TriangleMesh | None,
+    marks: SurfaceMarks | None,
+    shape: Shape | None,
 ) -> Findings:
     """Check the results of the stages of a scan, up to some stage.
 
@@ -86,7 +89,9 @@ def findings_of(
         spacing = float(np.median(distance[:, 1]))
         checks += stages.point_checks(cloud, spacing=spacing)
         if cloud.normals is not None:
-            checks += stages.normal_checks(cloud.normals, cloud.normals[some], near[:, 1:])  # itself first
+            checks += stages.normal_checks(
+                cloud.normals, cloud.normals[some], near[:, 1:]
+            )  # itself first
         if mesh is not None:
             base = np.zeros((0, 3)) if marks is None else marks.base
             filled, fit = _fit(cloud, mesh, places, spacing, base)
@@ -132,7 +137,9 @@ def _fit(
     lost = gap > FILLED * spacing
     far = np.flatnonzero(bare & (areas > 0))
     normals = vectors[far] / areas[far, np.newaxis]
-    seen = RayScene(mesh.vertices - origin, mesh.faces[~bare])  # dents that close a hole hide nothing
+    seen = RayScene(
+        mesh.vertices - origin, mesh.faces[~bare]
+    )  # dents that close a hole hide nothing
     light = _openness(seen, middles[far] - origin + ABOVE * diagonal * normals, normals)
     ends = 0.0
     if cloud.normals is not None:
@@ -144,7 +151,9 @@ def _fit(
             end, cap = far[is_near & is_turned], vectors[far[is_near & is_closing]].sum(axis=0)
             if len(end):
                 rim, middle = np.unique(near[far[is_near]]), np.average(middles[end], 0, areas[end])
-                likeness = _rim(cloud.normals[rim], cloud.points[rim] - middle, vectors[end].sum(axis=0))
+                likeness = _rim(
+                    cloud.normals[rim], cloud.points[rim] - middle, vectors[end].sum(axis=0)
+                )
                 ends = max(ends, max(likeness, SHEET) * float(np.linalg.norm(cap) / area))
     is_hole = (light > OPEN) & (apart[far] > FAR_OFF * diagonal)
     # The points round a hole lie beside it; those of a thin part, round which the surface is too wide, below.
@@ -191,7 +200,9 @@ def _openness(scene: RayScene, places: FloatArray, normals: FloatArray) -> Float
     directions = np.sign(cosines)[:, :, np.newaxis] * rays
     distance = scene.cast(np.repeat(places, N_RAYS, axis=0), directions.reshape(-1, 3))[0]
     light = np.abs(cosines)
-    return np.asarray((light * np.isinf(distance).reshape(light.shape)).sum(axis=1) / light.sum(axis=1))
+    return np.asarray(
+        (light * np.isinf(distance).reshape(light.shape)).sum(axis=1) / light.sum(axis=1)
+    )
 
 
 def _places(cells: FloatArray, reach: float) -> FloatArray:

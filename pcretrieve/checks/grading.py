@@ -27,6 +27,9 @@ GROSS = 1.0
 # Checks that say that a part is missing or invented, or that there are two bodies, whatever the error.
 GRAVE = ("Closed surface", "Welds", "Closed base", "One body")
 
+# Largest share of the surface that closes ends where noise and small holes are, and no limb is missing.
+ENDS_OF_NOISE = 0.0003
+
 # Smallest part in the squared uncertainty of a check that is named as a reason.
 REASON = 0.1
 
@@ -108,7 +111,7 @@ MEASURES = {
         "The orange surface is interpolated, because there are no points: scan these places too.",
     ),
     "Closed ends": Measure(
-        (0.0003, 0.0003),
+        (ENDS_OF_NOISE, ENDS_OF_NOISE),
         "Points lie on the ends of the limbs.",
         "The surface was closed across a limb that ends in a hole: scan the part that is missing.",
     ),
@@ -166,7 +169,9 @@ MEASURES = {
 }
 
 
-def graded(name: str, value: float | None, shown: str, *, is_good: bool = False, error: float = 0.0) -> Check:
+def graded(
+    name: str, value: float | None, shown: str, *, is_good: bool = False, error: float = 0.0
+) -> Check:
     """The check of a measurement, which is `shown` with its unit; `is_good` counts if there are no limits."""
     limits, passed, poor = MEASURES[name]
     verdict: Outcome
@@ -193,11 +198,15 @@ def verdict_of(checks: Sequence[Check], *, spread: float | None = None) -> Verdi
     squared = float(sum(check.error**2 for check in checks))
     uncertainty = max(float(np.sqrt(squared)), spread or 0.0)
     failed = [
-        one for one in checks if one.verdict == "failed" or (one.name in GRAVE and one.verdict == "look")
+        one
+        for one in checks
+        if one.verdict == "failed" or (one.name in GRAVE and one.verdict == "look")
     ]
     if not failed and uncertainty <= GROSS:
         return Verdict("good", uncertainty)
-    grave = [check for check in checks if check in failed or check.error**2 > REASON * uncertainty**2]
+    grave = [
+        check for check in checks if check in failed or check.error**2 > REASON * uncertainty**2
+    ]
     grave.sort(key=lambda check: (check not in failed, -check.error))
     reasons = [f"{check.name.lower()}: {check.shown}" for check in grave]
     if spread and spread**2 > squared and all(check.name != "Signature" for check in failed):

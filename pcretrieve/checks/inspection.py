@@ -9,7 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.checks.grading import Check, Outcome, verdict_of
-from pcretrieve.values import Failure, FloatArray, PointCloud, Signature, Step, TriangleMesh, Verdict
+from pcretrieve.values import (
+    Failure,
+    FloatArray,
+    PointCloud,
+    Signature,
+    Step,
+    TriangleMesh,
+    Verdict,
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,17 +8,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.checks.grading import Check, graded, percent
+from pcretrieve.checks.grading import ENDS_OF_NOISE, Check, graded, percent
 from pcretrieve.surface import defects
 from pcretrieve.values import FloatArray, PointCloud, Shape, Step, TriangleMesh
 
 # Log-signature error for each unit of these measurements; that of gaps is for their square, that of ends for
-# what exceeds the ends that noise and small holes give.
+# what exceeds `ENDS_OF_NOISE`.
 ERROR_OF_FILLED = 2.0
 ERROR_OF_LOST = 5.0
 ERROR_OF_NOISE = 100.0
 ERROR_OF_ENDS = 200.0
-ENDS_OF_NOISE = 0.0003
 ERROR_OF_GAPS = 2900.0
 
 # Log-signature error of a base if the ground was not seen: a limb may end there, unless it is a mere sole.
@@ -56,14 +55,23 @@ def point_checks(cloud: PointCloud, *, spacing: float) -> list[Check]:
     """
     share = spacing / cloud.diagonal
     cleanings = [step.sizes for step in cloud.provenance if step.stage == "clean"]
-    n_kept = int(cleanings[-1]["points_in"] - cleanings[-1]["outliers"]) if cleanings else len(cloud.points)
+    n_kept = (
+        int(cleanings[-1]["points_in"] - cleanings[-1]["outliers"])
+        if cleanings
+        else len(cloud.points)
+    )
     averaged = "" if n_kept == len(cloud.points) else f", averaged to {len(cloud.points):,}"
     shown = f"{n_kept:,} points{averaged}, {percent(share)} of the diagonal apart"
     checks = [graded("Points", share, shown)]
     for cropped in [step for step in cloud.provenance if step.stage == "crop" and step.notes]:
-        n_in, n_cut = cropped.sizes["points_in"], cropped.sizes["points_in"] - cropped.sizes["points"]
+        n_in, n_cut = (
+            cropped.sizes["points_in"],
+            cropped.sizes["points_in"] - cropped.sizes["points"],
+        )
         shown = f"{n_cut:,.0f} of {n_in:,.0f} points cut away, {percent(n_cut / n_in)}"
-        checks.append(Check("Background", "passed", n_cut / n_in, shown, f"{'; '.join(cropped.notes)}."))
+        checks.append(
+            Check("Background", "passed", n_cut / n_in, shown, f"{'; '.join(cropped.notes)}.")
+        )
     for cleaned in cleanings:
         outliers = 1 - cleaned["points"] / cleaned["points_thinned"]
         dropped = f"{cleaned['outliers']:,.0f} of {cleaned['points_in']:,.0f} points dropped"
@@ -71,7 +79,9 @@ def point_checks(cloud: PointCloud, *, spacing: float) -> list[Check]:
     return [*checks, _sensor_check(cloud)]
 
 
-def normal_checks(normals: FloatArray, some: FloatArray, neighbors: NDArray[np.intp]) -> list[Check]:
+def normal_checks(
+    normals: FloatArray, some: FloatArray, neighbors: NDArray[np.intp]
+) -> list[Check]:
     """Check the consistency of the normals of a cloud, and whether they point to all sides.
 
     normals: (n, 3) float64, unit normals.
@@ -94,7 +104,11 @@ def _sensor_check(cloud: PointCloud) -> Check:
     notes = [note for step in cloud.provenance if step.stage == "orient" for note in step.notes]
     is_known = cloud.viewpoints is not None
     guessed = not is_known and any("leaked" in note for note in notes)
-    shown = "sensor positions in the file" if is_known else (notes or ["found by flood fill from outside"])[0]
+    shown = (
+        "sensor positions in the file"
+        if is_known
+        else (notes or ["found by flood fill from outside"])[0]
+    )
     return graded("Outside", None, shown, is_good=not guessed)
 
 
@@ -138,12 +152,21 @@ def fit_checks(
     beyond_noise = max(0.0, ends - ENDS_OF_NOISE)
     off = f"{percent(lost)} of the points lie off the surface"
     return [
-        graded("Filled in", filled, f"{percent(filled)} of the surface", error=ERROR_OF_FILLED * filled),
-        graded("Closed ends", ends, f"{percent(ends)} of the surface", error=ERROR_OF_ENDS * beyond_noise),
+        graded(
+            "Filled in", filled, f"{percent(filled)} of the surface", error=ERROR_OF_FILLED * filled
+        ),
+        graded(
+            "Closed ends",
+            ends,
+            f"{percent(ends)} of the surface",
+            error=ERROR_OF_ENDS * beyond_noise,
+        ),
         graded("Gaps", gaps, near, error=ERROR_OF_GAPS * gaps**2),
         graded("Largest hole", hole, f"{percent(hole)} of the surface"),
         graded("Left out", lost, off, error=ERROR_OF_LOST * lost),
-        graded("Noise", noise, f"{percent(noise)} of the diagonal (rms)", error=ERROR_OF_NOISE * noise),
+        graded(
+            "Noise", noise, f"{percent(noise)} of the diagonal (rms)", error=ERROR_OF_NOISE * noise
+        ),
     ]
 
 
@@ -151,25 +174,33 @@ def base_check(area: float, on_ground: bool) -> Check:
     """Check how much of the surface is the base on which the body stood, which no sensor sees."""
     is_good = on_ground or area < LEAST_BASE
     error = ERROR_OF_FILLED * area + (0.0 if is_good else ERROR_OF_BASE)
-    return graded("Closed base", area, f"{percent(area)} of the surface", is_good=is_good, error=error)
+    return graded(
+        "Closed base", area, f"{percent(area)} of the surface", is_good=is_good, error=error
+    )
 
 
 def marks_check(n_cuts: int, n_bridges: int) -> Check:
     """Check how often the topology of the surface was changed."""
     n = n_cuts + n_bridges
     shown = f"{_counted(n_cuts, 'cut')}, {_counted(n_bridges, 'bridge')}"
-    return graded("Cuts and bridges", float(n), shown, is_good=not n, error=ERROR_OF_CUT * math.sqrt(n))
+    return graded(
+        "Cuts and bridges", float(n), shown, is_good=not n, error=ERROR_OF_CUT * math.sqrt(n)
+    )
 
 
 def spectrum_checks(shape: Shape) -> list[Check]:
     """Check whether the surface is that of one body, and whether all surfaces of the scan agree."""
-    logs = np.log([surface.spectrum.eigenvalues[1:] for surface in shape.surfaces if surface.spectrum])
+    logs = np.log(
+        [surface.spectrum.eigenvalues[1:] for surface in shape.surfaces if surface.spectrum]
+    )
     checks = []
     if logs.size and logs.shape[1] > 1:
         ratio = float(np.exp(logs[0, 0] - logs[0, 1]))
         shown, narrow = f"the first eigenvalue is {ratio:.2g} of the second", ratio < NECK
         checks.append(
-            graded("One body", ratio, shown, is_good=not narrow, error=NECK_ERROR if narrow else 0.0)
+            graded(
+                "One body", ratio, shown, is_good=not narrow, error=NECK_ERROR if narrow else 0.0
+            )
         )
     if len(logs) > 1:
         apart = float(np.linalg.norm(logs[:, :N_COMPARED].std(axis=0, ddof=1)))

@@ -38,25 +38,36 @@ QUOTED = 5
 @opt.limit_options
 @opt.rare_option("--scheduler ADDRESS", "Process the scans on the Dask cluster of this scheduler.")
 @opt.rare_option(
-    "--scheduler-file FILE", "The same, by the file that `dask scheduler --scheduler-file` writes.", opt.PATH
+    "--scheduler-file FILE",
+    "The same, by the file that `dask scheduler --scheduler-file` writes.",
+    opt.PATH,
 )
 @opt.option("--retry-failed", "Process failed scans again too.")
 @opt.rare_option(
     "--retries N", "Try failing scans again, at most N times, with changes.", opt.NUMBER, default=0
 )
 @opt.rare_option(
-    "--max-failures N", "Stop after N scans have failed. The same command goes on from there.", opt.COUNT
+    "--max-failures N",
+    "Stop after N scans have failed. The same command goes on from there.",
+    opt.COUNT,
 )
 @opt.rare_option("--dry-run", "Show what would be done, and do nothing.")
 @opt.progress_option
 @opt.rare_option("--quiet -q", "Print warnings and failures only.")
-@opt.rare_option("--log-file FILE", "Append each stage of each scan, and each repair, to a file.", opt.PATH)
+@opt.rare_option(
+    "--log-file FILE", "Append each stage of each scan, and each repair, to a file.", opt.PATH
+)
 @opt.rare_option(
     "--shard I/N",
     "Process only part I of N, as one task of a job array; `catalogue merge` joins the catalogues.",
 )
 def ingest_command(
-    paths: tuple[str, ...], catalogue: str, progress: str, quiet: bool, log_file: Path | None, **values: Any
+    paths: tuple[str, ...],
+    catalogue: str,
+    progress: str,
+    quiet: bool,
+    log_file: Path | None,
+    **values: Any,
 ) -> out.Result:
     """Process scans, and store them in a catalogue.
 
@@ -112,7 +123,9 @@ def _advance(shown: messages.Progress, record: pr.Record) -> None:
     """Count a scan that a catalogue has now, and show it."""
     facts = {"status": record.status, "seconds": round(record.seconds, 3)} | _facts(record)
     is_failed = record.status == "failed"
-    shown.advance(facts, messages.failure_line(record.id, record, record.path) if is_failed else None)
+    shown.advance(
+        facts, messages.failure_line(record.id, record, record.path) if is_failed else None
+    )
 
 
 def _facts(record: pr.Record) -> dict[str, object]:
@@ -209,7 +222,11 @@ def _progress_lines(found: pr.BatchStatus) -> list[str]:
     if found.state == "none":
         return ["no ingest into it is known on this computer"]
     n_finished = found.n_done + found.n_failed + found.n_skipped
-    left = "" if found.seconds_left is None else f", about {messages.duration(found.seconds_left)} left"
+    left = (
+        ""
+        if found.seconds_left is None
+        else f", about {messages.duration(found.seconds_left)} left"
+    )
     lines = [
         f"ingest {found.state}: {n_finished} of {found.n_scans} scans: {found.n_done} done, "
         f"{found.n_failed} failed, {found.n_skipped} known already or duplicates",
@@ -246,7 +263,9 @@ def _say_summary(summary: pr.Summary, catalogue: str, labels: str | None = None)
         messages.say(f"{len(incomplete)} incomplete: {listed} gives the reasons")
 
 
-def _result(summary: pr.Summary, catalogue: str, options: pr.PipelineOptions | None = None) -> out.Result:
+def _result(
+    summary: pr.Summary, catalogue: str, options: pr.PipelineOptions | None = None
+) -> out.Result:
     """What an ingest did, or would do; its options are those of the catalogue, if there is one."""
     if not summary.planned:
         with suppress(CatalogueError), pr.Catalogue(catalogue) as store:
@@ -295,18 +314,29 @@ def demo_command(folder: Path) -> None:
 
     scans, catalogue = folder / "scans", folder / "bodies.sqlite"
     n = len(DEMO_SAMPLES)
-    messages.say(f"Simulating {n} scans of five bodies in {scans}, and a new scan of one of the bodies.")
+    messages.say(
+        f"Simulating {n} scans of five bodies in {scans}, and a new scan of one of the bodies."
+    )
     messages.stop_waiting()
-    with messages.bar(total=n + 1, unit="scan", desc="simulate", disable=None, leave=False) as shown:
+    with messages.bar(
+        total=n + 1, unit="scan", desc="simulate", disable=None, leave=False
+    ) as shown:
         try:
             write_samples(scans, DEMO_SAMPLES, on_scan=lambda path: shown.update())
-            (new,) = write_samples(folder / "new", [DEMO_QUERY], on_scan=lambda path: shown.update())
+            (new,) = write_samples(
+                folder / "new", [DEMO_QUERY], on_scan=lambda path: shown.update()
+            )
         except OSError as error:
-            raise InputError(f"cannot write scans into {folder}: {error.strerror}; name another") from error
+            raise InputError(
+                f"cannot write scans into {folder}: {error.strerror}; name another"
+            ) from error
 
     inside, page = ("--catalogue", catalogue), folder / "index.html"
     steps: list[tuple[str, list[str | Path]]] = [
-        ("Store the signature of each scan.", ["ingest", scans, "--labels", scans / "labels.csv", *inside]),
+        (
+            "Store the signature of each scan.",
+            ["ingest", scans, "--labels", scans / "labels.csv", *inside],
+        ),
         ("Find whom the new scan shows.", ["query", *inside, folder / "new" / new, "-k", "5"]),
         ("Measure how well scans of one body find each other: 1 is best.", ["evaluate", *inside]),
         ("Write the results with pictures on an HTML page.", ["report", *inside, "--output", page]),

@@ -94,20 +94,26 @@ def show_command(shape_id: str, catalogue: str) -> out.Result:
 def _show(record: pr.Record, stored: dict[str, int]) -> None:
     shown = asdict(record) | {
         "path": shown_path(record.path),
-        "versions": ", ".join(f"{package} {version}" for package, version in record.versions.items()),
+        "versions": ", ".join(
+            f"{package} {version}" for package, version in record.versions.items()
+        ),
         "verdict": None if record.status == "failed" else str(record.verdict or "not judged"),
         "steps": None,
     }
     rows = [(name, str(value)) for name, value in shown.items() if value is not None]
     parts = ", ".join(f"{name} {size / 1000:.1f}" for name, size in stored.items() if size)
-    rows.append(("stored", f"{sum(stored.values()) / 1000:.1f} kB" + (f": {parts}" if parts else "")))
+    rows.append(
+        ("stored", f"{sum(stored.values()) / 1000:.1f} kB" + (f": {parts}" if parts else ""))
+    )
     out.write_table({"": "text", " ": "words"}, rows)
     out.print_text("")
     out.write_steps(record.steps)
 
 
 @opt.command("remove")
-@click.argument("shape_ids", nargs=-1, required=True, metavar="ID...", shell_complete=opt.complete_ids)
+@click.argument(
+    "shape_ids", nargs=-1, required=True, metavar="ID...", shell_complete=opt.complete_ids
+)
 @opt.catalogue_option
 def remove_command(shape_ids: tuple[str, ...], catalogue: str) -> out.Result:
     """Remove shapes from a catalogue. Their files stay.
@@ -174,7 +180,9 @@ def check_command(catalogue: str, sample: int, repair: bool) -> out.Result:
         shown.start(len(store) + sum(store.failures().values()))
         result = pr.check(store, sample=sample, repair=repair, on_shapes=advance)
         options = store.options
-    document = {"catalogue": without_password(catalogue), "is_whole": result.is_whole} | asdict(result)
+    document = {"catalogue": without_password(catalogue), "is_whole": result.is_whole} | asdict(
+        result
+    )
     show = partial(_write_check, catalogue, result)
     return out.Result(document, options, show, failed=not result.is_whole, exit_code=out.EXIT_ERROR)
 
@@ -182,10 +190,15 @@ def check_command(catalogue: str, sample: int, repair: bool) -> out.Result:
 def _write_check(catalogue: str, result: pr.Check) -> None:
     out.write_table(
         {"SHAPE": "text", "DEFECT": "words", "REPAIR": "words"},
-        ((one.shape_id or "-", one.message, one.repair or "not repaired") for one in result.defects),
+        (
+            (one.shape_id or "-", one.message, one.repair or "not repaired")
+            for one in result.defects
+        ),
     )
     if any(defect.kind == "database" and not defect.repair for defect in result.defects):
-        say("the file is damaged, and cannot be repaired: restore a backup, or ingest into a new one")
+        say(
+            "the file is damaged, and cannot be repaired: restore a backup, or ingest into a new one"
+        )
     n_defects, n_left = len(result.defects), sum(defect.repair is None for defect in result.defects)
     out.write_words(
         f"{catalogue}: {result.n_shapes} shapes, {result.n_failed} failed, {result.n_recomputed} signatures "

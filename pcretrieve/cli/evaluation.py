@@ -71,7 +71,9 @@ def evaluate_command(
     if catalogue is not None:
         store = opt.opened(catalogue)
         options = opt.compared(store, values)
-        found = pr.evaluate(store, options=options, labels=labels, matrix=matrix, good_only=good_only)
+        found = pr.evaluate(
+            store, options=options, labels=labels, matrix=matrix, good_only=good_only
+        )
     elif matrix is None or labels is None:
         raise click.UsageError("give --catalogue, or both --matrix and --labels")
     elif good_only:
@@ -90,7 +92,10 @@ def evaluate_command(
 
 
 def _how(
-    found: pr.Evaluation, options: pr.PipelineOptions | None, matrix: Path | None, rerank: str | None
+    found: pr.Evaluation,
+    options: pr.PipelineOptions | None,
+    matrix: Path | None,
+    rerank: str | None,
 ) -> dict[str, Any]:
     """How shapes were ranked."""
     if options is None or found.ranked.table is None:
@@ -108,7 +113,9 @@ def _how(
     }
 
 
-def _evaluation_document(found: pr.Evaluation, how: dict[str, Any], per_class: bool) -> dict[str, object]:
+def _evaluation_document(
+    found: pr.Evaluation, how: dict[str, Any], per_class: bool
+) -> dict[str, object]:
     """The JSON document of an evaluation."""
     low, high = found.interval.tolist()
     macro = found.macro
@@ -139,7 +146,10 @@ def _rows(found: pr.Evaluation, rerank: str, per_class: bool) -> list[tuple[str,
     if rerank != "none":
         means[:1] = [(found.plain, "micro-average, plain"), (found, f"micro-average, {rerank}")]
     rows = [(*_numbers(getattr(one, name) for name in MEASURES), words) for one, words in means]
-    rows[-1:-1] = [(*_numbers(low), f"  {found.level:.0%} interval from"), (*_numbers(high), "  to")]
+    rows[-1:-1] = [
+        (*_numbers(low), f"  {found.level:.0%} interval from"),
+        (*_numbers(high), "  to"),
+    ]
     for one in found.classes if per_class else ():
         others = ", ".join(f"{label or 'no class'} {n}" for label, n in one.confused)
         nearest = f"; nearest {others}" if others else ""
@@ -147,7 +157,9 @@ def _rows(found: pr.Evaluation, rerank: str, per_class: bool) -> list[tuple[str,
     return rows
 
 
-def _write_evaluation(found: pr.Evaluation, how: dict[str, Any], per_class: bool, is_verbose: bool) -> None:
+def _write_evaluation(
+    found: pr.Evaluation, how: dict[str, Any], per_class: bool, is_verbose: bool
+) -> None:
     columns = {name: kind for name, kind in COLUMNS.items() if is_verbose or name not in RARE}
     kept = [name in columns for name in COLUMNS]
     rows = _rows(found, str(how["rerank"]), per_class)
@@ -162,7 +174,9 @@ def _write_evaluation(found: pr.Evaluation, how: dict[str, Any], per_class: bool
     )
     if "missed_at" in how:
         missed = ", ".join(f"{share:.2%} at {rate}" for rate, share in how["missed_at"].items())
-        say(f"pairs: equal error rate {how['equal_error_rate']:.2%}; missed at a false-match rate: {missed}")
+        say(
+            f"pairs: equal error rate {how['equal_error_rate']:.2%}; missed at a false-match rate: {missed}"
+        )
     if whitening and is_verbose:
         say(f"whitening: {whitening}")
     if found.protocol:
@@ -179,7 +193,11 @@ def _numbers(values: Iterable[float], form: str = ".4f") -> list[str]:
 @click.argument("second", type=opt.CATALOGUE, metavar="B")
 @opt.labels_option
 @opt.option(
-    "--changes N", "List so many of the most changed shapes.", opt.NUMBER, into="n_changes", default=5
+    "--changes N",
+    "List so many of the most changed shapes.",
+    opt.NUMBER,
+    into="n_changes",
+    default=5,
 )
 @opt.comparison_options
 def compare_command(
@@ -213,10 +231,14 @@ def _write_comparison(found: pr.Comparison, n_changes: int, names: tuple[str, st
     changed = [one for one in found.changes[:n_changes] if one.first != one.second]
     if changed:
         out.write_lines("average precision of the most changed shapes:")
-        rows = ((one.shape_id, one.label, f"{one.first:.4f}", f"{one.second:.4f}") for one in changed)
+        rows = (
+            (one.shape_id, one.label, f"{one.first:.4f}", f"{one.second:.4f}") for one in changed
+        )
         out.write_table(PRECISIONS, rows)
     n_first, n_second = len(found.only_first), len(found.only_second)
-    left = f"; left out are {n_first} in A only and {n_second} in B only" if n_first + n_second else ""
+    left = (
+        f"; left out are {n_first} in A only and {n_second} in B only" if n_first + n_second else ""
+    )
     say(f"{len(found.changes)} queries in both{left}")
 
 
@@ -224,8 +246,12 @@ def _options_of(values: dict[str, tuple[Any, ...]], number: int) -> dict[str, di
     """What the flags change for one of both results, over the options of its catalogue."""
     for name, given in values.items():
         if len(given) > 2:
-            raise click.UsageError(f"--{name.replace('_', '-')} is given at most twice, got {len(given)}")
-    return opt.changes({name: (*given, *given[-1:], None, None)[number] for name, given in values.items()})
+            raise click.UsageError(
+                f"--{name.replace('_', '-')} is given at most twice, got {len(given)}"
+            )
+    return opt.changes(
+        {name: (*given, *given[-1:], None, None)[number] for name, given in values.items()}
+    )
 
 
 def _comparison_document(found: pr.Comparison, n_changes: int) -> dict[str, object]:
@@ -283,7 +309,11 @@ def calibrate_command(store: pr.Catalogue, options: pr.PipelineOptions, output: 
 @opt.catalogue_option
 @opt.option("--output -o PAGE", "Write this HTML page.", opt.PATH, required=True)
 @opt.option(
-    "--queries N", "Show at most N queries, the worst first.", opt.COUNT, into="n_queries", default=1000
+    "--queries N",
+    "Show at most N queries, the worst first.",
+    opt.COUNT,
+    into="n_queries",
+    default=1000,
 )
 @opt.option("-k N", "Number of results of each query.", opt.COUNT, into="k", default=5)
 @opt.option(

@@ -15,7 +15,16 @@ from pcretrieve.cli.scans import each_scan
 
 # What JSON has of an inspection, beside the files and the signature.
 FOUND = (
-    *("verdict", "summary", "shape_verdict", "checks", "cuts", "bridges", "rescan_deviation", "spread"),
+    *(
+        "verdict",
+        "summary",
+        "shape_verdict",
+        "checks",
+        "cuts",
+        "bridges",
+        "rescan_deviation",
+        "spread",
+    ),
     *("failure", "steps"),
 )
 
@@ -52,7 +61,9 @@ def inspect_command(scan: Path, output: Path | None, png: Path | None, **run: An
     """
     is_alone = not scan.is_dir()
     if not is_alone and (output is None or png is not None):
-        raise click.UsageError("name a folder for the pages of the scans with -o, and leave out --png")
+        raise click.UsageError(
+            "name a folder for the pages of the scans with -o, and leave out --png"
+        )
     options = opt.load_options(run)
     asked = {"options": options, "n_rescans": run.pop("n_rescans"), "png": png}
     run |= {"output": output or Path(scan.stem + ".html"), "suffix": ".html", "is_alone": is_alone}
@@ -94,7 +105,9 @@ def _say_checks(found: dict[str, Any]) -> None:
 @opt.option("--with-scan", "Pack the scan too.")
 @opt.settings_options
 @opt.limit_options
-def report_problem_command(scan: Path, output: Path | None, with_scan: bool, **limits: Any) -> out.Result:
+def report_problem_command(
+    scan: Path, output: Path | None, with_scan: bool, **limits: Any
+) -> out.Result:
     """Pack one file to send to us when a scan fails. It does not contain the scan.
 
     The scan is processed once more. The ZIP file has versions, settings, the error, the log, and name, size,
@@ -111,5 +124,9 @@ def report_problem_command(scan: Path, output: Path | None, with_scan: bool, **l
         say(f"failed in {failure['stage']}: {failure['message']}")
     else:
         say("the scan does not fail with these options; give those with which it failed")
-    say(f"attach this file to your report; it has {'the' if with_scan else 'no'} points of the scan")
-    return out.Result({"file": output, "failure": failure}, options, lambda: out.write_lines(str(output)))
+    say(
+        f"attach this file to your report; it has {'the' if with_scan else 'no'} points of the scan"
+    )
+    return out.Result(
+        {"file": output, "failure": failure}, options, lambda: out.write_lines(str(output))
+    )

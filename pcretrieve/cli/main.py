@@ -80,14 +80,19 @@ class _LazyGroup(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         # A script may call a command of a group by its name alone.
-        tables = self._table, *(found for found, _ in self._table.values() if isinstance(found, dict))
+        tables = (
+            self._table,
+            *(found for found, _ in self._table.values() if isinstance(found, dict)),
+        )
         table = next((one for one in tables if cmd_name in one), None)
         if table is None:
             return None
         module, text = table[cmd_name]
         if isinstance(module, dict):
             return _LazyGroup(module, name=cmd_name, help=f"{text}.")
-        found = getattr(import_module(f"pcretrieve.cli.{module}"), f"{cmd_name.replace('-', '_')}_command")
+        found = getattr(
+            import_module(f"pcretrieve.cli.{module}"), f"{cmd_name.replace('-', '_')}_command"
+        )
         command: click.Command = found
         return command
 
@@ -102,11 +107,15 @@ class _LazyGroup(click.Group):
         is_known = name.startswith("-") or self.get_command(ctx, name) is not None
         if not is_known and not ctx.resilient_parsing:
             with errors_as_json(ctx, JSON_FLAG in args):
-                raise click.UsageError(f"there is no command {name!r}{did_you_mean(name, self._table)}", ctx)
+                raise click.UsageError(
+                    f"there is no command {name!r}{did_you_mean(name, self._table)}", ctx
+                )
         return super().resolve_command(ctx, args)
 
 
-@click.group(cls=_LazyGroup, table=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=_LazyGroup, table=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]}
+)
 @click.version_option(__version__, prog_name="pcretrieve")
 @click.pass_context
 def cli(context: click.Context) -> None:
@@ -131,7 +140,9 @@ def main() -> NoReturn:
     # Pydantic would look for plug-ins of its own in all packages: a twentieth of a short command.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "true")
     for number in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is signal.SIG_DFL:  # not if the signal is ignored, as under nohup
+        if (
+            signal.getsignal(number) is signal.SIG_DFL
+        ):  # not if the signal is ignored, as under nohup
             signal.signal(number, _stop)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupt)

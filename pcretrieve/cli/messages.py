@@ -155,7 +155,9 @@ def log_to(path: Path) -> None:
     try:
         handler = logging.FileHandler(path, encoding="utf-8")
     except OSError as error:
-        raise InputError(f"cannot write the log file {path}: {error.strerror}; name another") from error
+        raise InputError(
+            f"cannot write the log file {path}: {error.strerror}; name another"
+        ) from error
     handler.setFormatter(_OneLine("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     click.get_current_context().with_resource(_heard(handler))
 
@@ -184,7 +186,10 @@ def _tell(command: str) -> None:
     with _heard(latest):
         if _answered.wait(FIRST_WORD):
             return
-        with suppress(OSError), bar(bar_format="{desc}", leave=False) as line:  # the terminal may be closed
+        with (
+            suppress(OSError),
+            bar(bar_format="{desc}", leave=False) as line,
+        ):  # the terminal may be closed
             while not _answered.is_set():
                 text = f"{command}: {latest.message}, {time.monotonic() - started:.0f} s"
                 printable = "".join(sign if sign.isprintable() else "?" for sign in text)

@@ -93,9 +93,13 @@ class Command(click.Command):
                 return super().parse_args(ctx, args)
             except click.UsageError as error:
                 stray = [word for word in given if word.endswith(".sqlite")]
-                takes_one = {"-c", "--catalogue"} & {name for one in self.params for name in one.opts}
+                takes_one = {"-c", "--catalogue"} & {
+                    name for one in self.params for name in one.opts
+                }
                 if stray and takes_one and not takes_one & {*given}:
-                    raise click.UsageError(f"write -c before a catalogue: -c {stray[0]}", ctx) from error
+                    raise click.UsageError(
+                        f"write -c before a catalogue: -c {stray[0]}", ctx
+                    ) from error
                 raise
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -131,7 +135,13 @@ def option(
         kind.name = KINDS[type(kind)]
     names += [into] if into else []
     return click.option(
-        *names, cls=Option, type=chosen, metavar=metavar, is_flag=is_flag or None, help=text, **settings
+        *names,
+        cls=Option,
+        type=chosen,
+        metavar=metavar,
+        is_flag=is_flag or None,
+        help=text,
+        **settings,
     )
 
 
@@ -147,7 +157,11 @@ def _show_all(context: click.Context, parameter: click.Parameter, is_given: bool
 
 
 _JSON = click.Option(
-    [JSON_FLAG], is_flag=True, expose_value=False, callback=choose_json, help="Print one JSON document."
+    [JSON_FLAG],
+    is_flag=True,
+    expose_value=False,
+    callback=choose_json,
+    help="Print one JSON document.",
 )
 _HELP_ALL = click.Option(
     ["--help-all"],
@@ -164,10 +178,14 @@ _HELP_ALL = click.Option(
 Completion = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 
 
-def _completion(names: Callable[[click.Context], Iterable[str]], *, or_files: bool = False) -> Completion:
+def _completion(
+    names: Callable[[click.Context], Iterable[str]], *, or_files: bool = False
+) -> Completion:
     """What completes one of these names; if none begins with what is typed, a file."""
 
-    def complete(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    def complete(
+        ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
         # Without control characters, of which the shell would make further lines.
         found = [name for name in names(ctx) if name.startswith(incomplete) and name.isprintable()]
         return [*map(CompletionItem, found)] or [CompletionItem(incomplete, type="file")] * or_files
@@ -200,7 +218,9 @@ complete_labels = _completion(
 complete_methods = _completion(lambda context: DESCRIPTOR_NAMES.all())
 
 
-def classes_of(context: click.Context, parameter: click.Parameter, conditions: tuple[str, ...]) -> list[str]:
+def classes_of(
+    context: click.Context, parameter: click.Parameter, conditions: tuple[str, ...]
+) -> list[str]:
     """The classes of conditions ``label=CLASS`` on the shapes that are searched."""
     for condition in conditions:
         if not condition.startswith(LABEL):
@@ -234,7 +254,9 @@ progress_option = rare_option(
 verbose_option = option(
     "--verbose -v", "Print how shapes were compared, and all measures.", into="is_verbose"
 )
-labels_option = option("--labels CSV|LAYOUT", "Use these classes, not the stored ones; see `ingest --help`.")
+labels_option = option(
+    "--labels CSV|LAYOUT", "Use these classes, not the stored ones; see `ingest --help`."
+)
 up_option = rare_option(
     "--up",
     "Turn pictures so that this axis of the files points up.  [default: found for each shape]",
@@ -281,7 +303,10 @@ def settings_options(command: Decorated) -> Decorated:
 
 def load_options(values: dict[str, Any]) -> pr.PipelineOptions:
     """Take ``--config``, ``--surface`` and ``--unit`` from the values of a command."""
-    given = {"surface": {"mode": values.pop("surface", None)}, "scan": {"unit": values.pop("unit", None)}}
+    given = {
+        "surface": {"mode": values.pop("surface", None)},
+        "scan": {"unit": values.pop("unit", None)},
+    }
     changed = {table: chosen for table, chosen in given.items() if None not in chosen.values()}
     return pr.PipelineOptions.of(values.pop("config")).changed(**changed)
 
@@ -289,7 +314,9 @@ def load_options(values: dict[str, Any]) -> pr.PipelineOptions:
 # --- options of commands that compare shapes -----------------------------------------------------------
 
 matrix_option = rare_option(
-    "--matrix FILE", "Rank by the distances in this file, which `pcretrieve lab matrix` writes.", PATH
+    "--matrix FILE",
+    "Rank by the distances in this file, which `pcretrieve lab matrix` writes.",
+    PATH,
 )
 method_option = rare_option(
     "--method NAME",
@@ -360,7 +387,9 @@ def on_catalogue(command: Callable[..., Result]) -> Callable[..., Result]:
 
 def opened(catalogue: str, *, any_numbers: bool = False) -> pr.Catalogue:
     """A catalogue, which is closed when the result of the command is printed."""
-    return click.get_current_context().with_resource(pr.Catalogue(catalogue, any_numbers=any_numbers))
+    return click.get_current_context().with_resource(
+        pr.Catalogue(catalogue, any_numbers=any_numbers)
+    )
 
 
 def compared(store: pr.Catalogue, values: dict[str, Any]) -> pr.PipelineOptions:

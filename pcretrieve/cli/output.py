@@ -70,7 +70,9 @@ def write_words(text: str) -> None:
 def write_csv(text: str) -> None:
     """Print the text of a CSV file: as it is for a program, escaped for a terminal."""
     shown = text.translate(ESCAPES_IN_JSON) if sys.stdout.isatty() else text
-    print_text(shown, nl=False, color=True)  # otherwise click removes what looks like codes of a terminal
+    print_text(
+        shown, nl=False, color=True
+    )  # otherwise click removes what looks like codes of a terminal
 
 
 # The headings of a table, each with the kind of its cells: text, number, path or words.
@@ -154,7 +156,9 @@ def _width(text: str) -> int:
     """The number of columns of a terminal that a text takes."""
     if text.isascii():
         return len(text)
-    return sum(0 if combining(sign) else 2 if east_asian_width(sign) in "WF" else 1 for sign in text)
+    return sum(
+        0 if combining(sign) else 2 if east_asian_width(sign) in "WF" else 1 for sign in text
+    )
 
 
 def _shortened(text: str, width: int) -> str:
@@ -209,7 +213,9 @@ def print_result(result: Result) -> None:
         for element in value:
             if BEGUN not in context.meta:
                 context.meta[BEGUN] = True
-                print_text(_text(_head(context, result.options))[: -len("\n}")] + ',\n  "result": [')
+                print_text(
+                    _text(_head(context, result.options))[: -len("\n}")] + ',\n  "result": ['
+                )
             else:
                 print_text(",")
             print_text(textwrap.indent(_text(element), "    "), nl=False)
@@ -241,7 +247,9 @@ def exit_code(error: PcretrieveError | click.ClickException) -> int:
     return EXIT_USAGE if isinstance(error, OptionError) else EXIT_ERROR
 
 
-def failure_facts(failure: PcretrieveError | click.ClickException | pr.Record | Failure) -> dict[str, Any]:
+def failure_facts(
+    failure: PcretrieveError | click.ClickException | pr.Record | Failure,
+) -> dict[str, Any]:
     """What failed, for JSON: the name of the exception, the stage, if there is one, and the message."""
     kind = type(failure).__name__ if isinstance(failure, Exception) else failure.error
     return {"error": kind, "stage": getattr(failure, "stage", None), "message": failure.message}
@@ -264,7 +272,9 @@ def _head(context: click.Context, options: pr.PipelineOptions | None) -> dict[st
 
 
 def _text(document: object) -> str:
-    return json.dumps(document, indent=2, ensure_ascii=False, default=_plain).translate(ESCAPES_IN_JSON)
+    return json.dumps(document, indent=2, ensure_ascii=False, default=_plain).translate(
+        ESCAPES_IN_JSON
+    )
 
 
 def _plain(value: object) -> object:

@@ -61,7 +61,9 @@ def each_scan(
 
 @opt.command("merge")
 @click.argument("paths", nargs=-1, metavar="VIEWS...")
-@opt.option("--output -o CLOUD", "Write this point cloud: .ply, .pcd or .xyzn.", opt.PATH, required=True)
+@opt.option(
+    "--output -o CLOUD", "Write this point cloud: .ply, .pcd or .xyzn.", opt.PATH, required=True
+)
 @opt.option("--refine/--no-refine", "Refine known poses, or use them as they are.", default=None)
 @opt.option(
     "--sensor",
@@ -70,7 +72,9 @@ def each_scan(
     ("front", "origin"),
 )
 @opt.option("--max-range LENGTH", "Remove points farther from the sensor.", float)
-@opt.option("--background", "Remove floors and walls (planes).  [default: none]", ("none", "planes"))
+@opt.option(
+    "--background", "Remove floors and walls (planes).  [default: none]", ("none", "planes")
+)
 @opt.option("--keep-largest", "Keep the largest piece of each view.", default=None)
 @opt.config_option
 @partial(opt.limit_options, unit="view")
@@ -101,7 +105,9 @@ def merge_command(paths: tuple[str, ...], output: Path, **values: Any) -> out.Re
         say(f"{'placed' if placed else 'left out':<8}  {share:>7}  {error:>10}  {name}")
         pose = merged.poses[number] if placed else None
         overlap = float(merged.shares[number])
-        views.append({"path": name, "placed": placed, "pose": pose, "overlap": overlap, "rms": _number(rms)})
+        views.append(
+            {"path": name, "placed": placed, "pose": pose, "overlap": overlap, "rms": _number(rms)}
+        )
     for note in step.notes:
         say(note)
     say(
@@ -138,12 +144,16 @@ def _number(value: float) -> float | None:
     opt.PATH,
     required=True,
 )
-@opt.option("--suffix SUFFIX", "Format of the meshes of a folder of scans.  [default: .ply]", MESH_SUFFIXES)
+@opt.option(
+    "--suffix SUFFIX", "Format of the meshes of a folder of scans.  [default: .ply]", MESH_SUFFIXES
+)
 @opt.option("--report", "Print each step, with what was repaired.")
 @opt.config_option
 @opt.surface_option
 @opt.process_options
-def reconstruct_command(scan: Path, output: Path, suffix: str | None, report: bool, **run: Any) -> out.Result:
+def reconstruct_command(
+    scan: Path, output: Path, suffix: str | None, report: bool, **run: Any
+) -> out.Result:
     """Turn a scan into a closed surface, and write it to a mesh file.
 
     The surface is oriented and manifold. Each scan of a folder gets a mesh of the same name.
@@ -168,8 +178,13 @@ def reconstruct_command(scan: Path, output: Path, suffix: str | None, report: bo
                 out.write_lines(shown_path(facts["path"]))
             out.write_steps(facts["steps"])
         if is_alone:
-            facts = {name: value for name, value in found[0].items() if name not in ("path", "steps")}
-            texts = (f"{value:.6g}" if isinstance(value, float) else str(value) for value in facts.values())
+            facts = {
+                name: value for name, value in found[0].items() if name not in ("path", "steps")
+            }
+            texts = (
+                f"{value:.6g}" if isinstance(value, float) else str(value)
+                for value in facts.values()
+            )
             say("  ".join(f"{name} {text}" for name, text in zip(facts, texts, strict=True)))
 
     return out.Result(found[0] if is_alone else found, options, show, len(found) - len(made))
@@ -196,11 +211,15 @@ def _reconstructed(scan: Path, file: Path, options: pr.PipelineOptions) -> dict[
 @opt.command("signature")
 @click.argument("paths", nargs=-1, metavar="[PATH|ID]...")
 @opt.option(
-    "--from-catalogue FILE|URL", "Take shapes of a catalogue by id, or all of them, not scans.", opt.CATALOGUE
+    "--from-catalogue FILE|URL",
+    "Take shapes of a catalogue by id, or all of them, not scans.",
+    opt.CATALOGUE,
 )
 @opt.method_option
 @opt.n_values_option
-@opt.rare_option("--n-modes M", "Number of modes of the surface.  [default: 60]", click.IntRange(min=2))
+@opt.rare_option(
+    "--n-modes M", "Number of modes of the surface.  [default: 60]", click.IntRange(min=2)
+)
 @opt.scale_option
 @opt.size_weight_option
 @opt.settings_options
@@ -219,7 +238,9 @@ def signature_command(
     """
     changes = {"signature": opt.taken(values, "n_modes", *opt.SIGNATURE_FLAGS)}
     if from_catalogue is not None:
-        opt.refuse("a catalogue has options of its own", "config", "surface", "unit", "workers", "memory")
+        opt.refuse(
+            "a catalogue has options of its own", "config", "surface", "unit", "workers", "memory"
+        )
         store = opt.opened(from_catalogue)
         options = store.options.changed(**changes)
         rows = _of_catalogue(store, paths, options)
@@ -260,7 +281,11 @@ def _described(path: Path, options: pr.PipelineOptions) -> dict[str, Any]:
 def _facts(signature: pr.Signature) -> dict[str, Any]:
     """What JSON has of a signature."""
     facts = {"kind": signature.kind, "unit": signature.unit, "values": signature.values.tolist()}
-    return facts if signature.deviation is None else facts | {"deviation": signature.deviation.tolist()}
+    return (
+        facts
+        if signature.deviation is None
+        else facts | {"deviation": signature.deviation.tolist()}
+    )
 
 
 def _of_catalogue(

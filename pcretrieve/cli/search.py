@@ -41,7 +41,11 @@ PAIR = {"DISTANCE": "number", "LIMIT": "number", "FIRST": "text", "SECOND": "tex
 
 @opt.command("query")
 @click.argument(
-    "queries", nargs=-1, required=True, metavar="SCAN|FOLDER|ID...", shell_complete=opt.complete_queries
+    "queries",
+    nargs=-1,
+    required=True,
+    metavar="SCAN|FOLDER|ID...",
+    shell_complete=opt.complete_queries,
 )
 @opt.catalogue_option
 @opt.option("-k N", "Number of results.", opt.COUNT, into="k", default=10)
@@ -56,7 +60,9 @@ PAIR = {"DISTANCE": "number", "LIMIT": "number", "FIRST": "text", "SECOND": "tex
 )
 @opt.rare_option("--exclude-self", "Leave stored queries out of their results.")
 @opt.option(
-    "--min-score SHARE", 'Hide results below this score; "no match" if none is left.', click.FloatRange(0, 1)
+    "--min-score SHARE",
+    'Hide results below this score; "no match" if none is left.',
+    click.FloatRange(0, 1),
 )
 @opt.rare_option(
     "--far RATE",
@@ -68,7 +74,9 @@ PAIR = {"DISTANCE": "number", "LIMIT": "number", "FIRST": "text", "SECOND": "tex
 @opt.unit_option
 @opt.limit_options
 @opt.rare_option("--csv", "Print one table of all results, as CSV.", into="as_csv")
-@opt.option("--html PAGE", "Write an HTML page of all queries too, with pictures.", opt.PATH, into="page")
+@opt.option(
+    "--html PAGE", "Write an HTML page of all queries too, with pictures.", opt.PATH, into="page"
+)
 @opt.verbose_option
 @opt.up_option
 def query_command(
@@ -118,10 +126,16 @@ def query_command(
         if is_verbose and asked["matrix"] is None:
             index = store.index(options)
             say(f"whitening: {store.whitening(options).reason}")
-            score = index.scores.reason if index.scores else "none, because labels and shapes are too few"
+            score = (
+                index.scores.reason
+                if index.scores
+                else "none, because labels and shapes are too few"
+            )
             say(f"score: {score}")
 
-    return out.Result(_documents(outcomes, store, options, asked["matrix"]), options, show, failures)
+    return out.Result(
+        _documents(outcomes, store, options, asked["matrix"]), options, show, failures
+    )
 
 
 def _told(failures: list[ShapeError], is_alone: bool, found: Outcome) -> Outcome:
@@ -133,12 +147,18 @@ def _told(failures: list[ShapeError], is_alone: bool, found: Outcome) -> Outcome
         failures.append(outcome)
         say(f"failed: {outcome}")
     else:
-        verdict = getattr(outcome.query, "verdict", None)  # of a scan that the catalogue does not have
+        verdict = getattr(
+            outcome.query, "verdict", None
+        )  # of a scan that the catalogue does not have
         if verdict and not verdict.is_good:
             say(f"{shown_path(name)} is {verdict}")
         n_faces = getattr(outcome.query, "n_faces", None)
         others = [record.n_faces for record in outcome.records if record.n_faces]
-        if n_faces and others and max(ratio := n_faces / statistics.median(others), 1 / ratio) > FINER:
+        if (
+            n_faces
+            and others
+            and max(ratio := n_faces / statistics.median(others), 1 / ratio) > FINER
+        ):
             say(
                 f"{shown_path(name)} has {ratio:.2g} times the faces of the results: distances are less exact"
             )
@@ -148,7 +168,10 @@ def _told(failures: list[ShapeError], is_alone: bool, found: Outcome) -> Outcome
 
 
 def _documents(
-    outcomes: Outcomes, store: pr.Catalogue, options: pr.PipelineOptions, matrix: pr.DistanceMatrix | None
+    outcomes: Outcomes,
+    store: pr.Catalogue,
+    options: pr.PipelineOptions,
+    matrix: pr.DistanceMatrix | None,
 ) -> Iterator[dict[str, Any]]:
     """The outcome of each query, for JSON, with how shapes are compared: by no distance if by a matrix."""
     how: dict[str, str | None] = {"distance": None, "whitening": None}
@@ -191,7 +214,10 @@ def _write_csv(outcomes: Outcomes) -> None:
 @opt.command("matrix")
 @opt.catalogue_option
 @opt.option(
-    "--output -o FILE", "Write the distances to this file: .npy, or plain text.", opt.PATH, required=True
+    "--output -o FILE",
+    "Write the distances to this file: .npy, or plain text.",
+    opt.PATH,
+    required=True,
 )
 @opt.option("--matcher", "Compare pairs of surfaces, not signatures.", opt.MATCHERS)
 @opt.on_catalogue
@@ -231,7 +257,9 @@ def matrix_command(
     click.FloatRange(min=0),
 )
 @opt.on_catalogue
-@opt.option("--html PAGE", "Write an HTML page too, with both shapes of each pair.", opt.PATH, into="page")
+@opt.option(
+    "--html PAGE", "Write an HTML page too, with both shapes of each pair.", opt.PATH, into="page"
+)
 def duplicates_command(
     store: pr.Catalogue, options: pr.PipelineOptions, threshold: float | None, page: Path | None
 ) -> out.Result:
@@ -250,14 +278,20 @@ def duplicates_command(
         say(f"page: {shown_path(str(written))}", indent=None)
     rows = ((f"{one.distance:#.4g}", f"{one.limit:#.4g}", one.first, one.second) for one in pairs)
     say(f"{len(pairs)} {'pair' if len(pairs) == 1 else 'pairs'}")
-    return out.Result([pair._asdict() for pair in pairs], options, partial(out.write_table, PAIR, rows))
+    return out.Result(
+        [pair._asdict() for pair in pairs], options, partial(out.write_table, PAIR, rows)
+    )
 
 
 @opt.command("cluster")
 @opt.catalogue_option
-@opt.option("--min-size N", "Least number of shapes of a cluster.", click.IntRange(min=2), default=3)
 @opt.option(
-    "--output -o CSV", "Write this file.  [default: standard output; a terminal shows a table]", opt.PATH
+    "--min-size N", "Least number of shapes of a cluster.", click.IntRange(min=2), default=3
+)
+@opt.option(
+    "--output -o CSV",
+    "Write this file.  [default: standard output; a terminal shows a table]",
+    opt.PATH,
 )
 @opt.on_catalogue
 def cluster_command(
@@ -277,7 +311,9 @@ def cluster_command(
     if output is not None:
         write_file(output, text.encode())
     n_none = sum(label is None for label in labels.values())
-    say(f"{len({*labels.values()} - {None})} clusters of {len(labels)} shapes, {n_none} of them in none")
+    say(
+        f"{len({*labels.values()} - {None})} clusters of {len(labels)} shapes, {n_none} of them in none"
+    )
 
     def show() -> None:
         if output is None and sys.stdout.isatty():
@@ -286,7 +322,9 @@ def cluster_command(
         elif output is None:
             out.write_csv(text)
 
-    return out.Result([{"id": name, "label": label} for name, label in labels.items()], options, show)
+    return out.Result(
+        [{"id": name, "label": label} for name, label in labels.items()], options, show
+    )
 
 
 @opt.command("map")
@@ -294,7 +332,9 @@ def cluster_command(
 @opt.option("--output -o PNG|HTML", "Write this picture or this page.", opt.PATH, required=True)
 @opt.up_option
 @opt.on_catalogue
-def map_command(store: pr.Catalogue, options: pr.PipelineOptions, output: Path, up: str | None) -> out.Result:
+def map_command(
+    store: pr.Catalogue, options: pr.PipelineOptions, output: Path, up: str | None
+) -> out.Result:
     """Plot a 2-D map of shapes: similar ones lie near each other.
 
     A page (.html) shows name and thumbnail of the shape under the pointer. A picture (.png) needs matplotlib.
@@ -308,7 +348,9 @@ def map_command(store: pr.Catalogue, options: pr.PipelineOptions, output: Path, 
 
 @opt.command("serve", has_json=False)
 @opt.catalogue_option
-@opt.option("--port N", "Port at 127.0.0.1; 0 for any free one.", click.IntRange(0, 65535), default=8765)
+@opt.option(
+    "--port N", "Port at 127.0.0.1; 0 for any free one.", click.IntRange(0, 65535), default=8765
+)
 @opt.option("--read-only", "Take no scans from browsers.")
 @opt.option(
     "--keep FOLDER",

@@ -102,7 +102,9 @@ def _vocabulary(n_words: int, scale_invariant: bool) -> Vocabulary:
     return clustered(shipped(SAMPLE)[int(scale_invariant)], n_words)  # of (s, 6)
 
 
-def _bag(name: str, spread: float, *, spatial: bool = False, scale_invariant: bool = False) -> Descriptor:
+def _bag(
+    name: str, spread: float, *, spatial: bool = False, scale_invariant: bool = False
+) -> Descriptor:
     return Descriptor(
         name=name,
         make=lambda shape, o: hks_bow(
@@ -153,7 +155,9 @@ def clustered(sample: FloatArray, n_words: int) -> Vocabulary:
 
     most = len(sample) // POINTS_PER_WORD
     if not 2 <= n_words <= most:
-        raise OptionError(f"n_values must be between 2 and {most} for a bag of words, got {n_words}")
+        raise OptionError(
+            f"n_values must be between 2 and {most} for a bag of words, got {n_words}"
+        )
     start = np.random.default_rng(0).choice(len(sample), n_words, replace=False)
     words, _ = kmeans2(sample, sample[start], iter=50, minit="matrix")
     gaps = cdist(words, words)

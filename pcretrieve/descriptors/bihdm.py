@@ -17,7 +17,11 @@ from pcretrieve.values import Eigenpairs, FloatArray, ModalSpectrum, Shape, Sign
 
 
 def bihdm(
-    pairs: Eigenpairs | ModalSpectrum, n_values: int = 23, n_modes: int = 60, *, scale: Scale = "area"
+    pairs: Eigenpairs | ModalSpectrum,
+    n_values: int = 23,
+    n_modes: int = 60,
+    *,
+    scale: Scale = "area",
 ) -> Signature:
     """The BiHDM signature of a surface: equation (8), with the sum over m modes.
 
@@ -61,7 +65,9 @@ def _bihdm_sampled(shape: Shape, o: SignatureOptions) -> Signature:
     return replace(made, values=made.values * shape.area**2) if o.scale == "absolute" else made
 
 
-BIHDM_SAMPLED = Descriptor(name="bihdm-sampled", make=_bihdm_sampled, needs=("eigenvectors",), spread=1.01)
+BIHDM_SAMPLED = Descriptor(
+    name="bihdm-sampled", make=_bihdm_sampled, needs=("eigenvectors",), spread=1.01
+)
 
 
 def sampled_matrix(pairs: Eigenpairs, n_modes: int = 60) -> FloatArray:
@@ -75,7 +81,9 @@ def sampled_matrix(pairs: Eigenpairs, n_modes: int = 60) -> FloatArray:
     inner = slice(1, n_modes + 1)
     places = pairs.eigenvectors[:, inner] / pairs.eigenvalues[inner]  # (n, m): V
     green = (places**2).sum(axis=1)  # (n,): g
-    _, factor = np.linalg.qr(np.column_stack([np.ones_like(green), green, places]))  # (m + 2, m + 2)
+    _, factor = np.linalg.qr(
+        np.column_stack([np.ones_like(green), green, places])
+    )  # (m + 2, m + 2)
     middle = np.diag([0.0, 0.0] + [-2.0] * n_modes)  # (m + 2, m + 2): C
     middle[0, 1] = middle[1, 0] = 1
     matrix = factor @ middle @ factor.T * (pairs.area / len(green))
@@ -103,7 +111,9 @@ def full_matrix(pairs: Eigenpairs | ModalSpectrum, n_modes: int = 60) -> FloatAr
     weights = spectrum.eigenvalues[inner] ** -2  # (m,): 1/λ_i²
     in_modes = weights @ spectrum.moments[inner, : n_modes + 1]  # (m + 1,): ⟨g, φ_j⟩
     squared = weights @ spectrum.known_overlaps()[inner, inner] @ weights  # ⟨g, g⟩
-    left = np.sqrt(np.maximum(squared - in_modes @ in_modes, 0))  # clipped: rounding can make it negative
+    left = np.sqrt(
+        np.maximum(squared - in_modes @ in_modes, 0)
+    )  # clipped: rounding can make it negative
     matrix[0, -1] = matrix[-1, 0] = np.sqrt(spectrum.area) * left
     return matrix
 

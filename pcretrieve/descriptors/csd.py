@@ -37,7 +37,9 @@ def csd(pairs: Eigenpairs, n_values: int = 23, n_modes: int = 60) -> Signature:
        recognition", CVPR 2010.
     """
     if not HEAT_SHARE <= n_values <= MOST_VALUES:
-        raise OptionError(f"n_values must be between {HEAT_SHARE} and {MOST_VALUES} for csd, got {n_values}")
+        raise OptionError(
+            f"n_values must be between {HEAT_SHARE} and {MOST_VALUES} for csd, got {n_values}"
+        )
     n_frequencies = n_values // HEAT_SHARE
     weights = wave_kernel_weights(pairs.eigenvalues, n_values - n_frequencies, n_modes)  # (e, m)
     lowest = pairs.lowest(n_modes + 1)

@@ -67,7 +67,18 @@ DESCRIPTORS: Registry[Descriptor] = _Descriptors(
         record.name: record
         for record in (
             *(R_BIHDM, BIHDM, BIHDM_SAMPLED, SHAPE_DNA, SHAPE_DNA_NORM1, SHAPE_DNA_VALUES),
-            *(SD_GDM, SD_GDM_SAMPLED, *HEAT_KERNEL_BAGS, DL, DL_SUPERVISED, WKS, CSD, ISPM, HAPT, MOMENTS),
+            *(
+                SD_GDM,
+                SD_GDM_SAMPLED,
+                *HEAT_KERNEL_BAGS,
+                DL,
+                DL_SUPERVISED,
+                WKS,
+                CSD,
+                ISPM,
+                HAPT,
+                MOMENTS,
+            ),
         )
     },
     _checked,
@@ -116,7 +127,9 @@ def describe(shape: Shape, options: SignatureOptions) -> Signature:
     rows = np.array([signature.values for signature in made])  # (s, L)
     if descriptor.metric == "logarithms":
         logs = np.log(rows)
-        return replace(made[0], values=np.exp(logs.mean(axis=0)), deviation=logs.std(axis=0, ddof=1))
+        return replace(
+            made[0], values=np.exp(logs.mean(axis=0)), deviation=logs.std(axis=0, ddof=1)
+        )
     return replace(made[0], values=rows.mean(axis=0), deviation=rows.std(axis=0, ddof=1))
 
 
@@ -131,7 +144,9 @@ def _unit_of_sizes(shape: Shape) -> SizeUnit:
 
 def _check_size(descriptor: Descriptor, options: SignatureOptions) -> None:
     if options.scale == "absolute" and not descriptor.has_size:
-        raise OptionError(f"scale must be area or relative for {options.method}, which has no size to keep")
+        raise OptionError(
+            f"scale must be area or relative for {options.method}, which has no size to keep"
+        )
     if options.size_weight and descriptor.metric == "histograms":
         raise OptionError(
             f"size_weight must be 0 for {options.method}, whose values are a histogram, got "
@@ -150,7 +165,9 @@ def _described(descriptor: Descriptor, part: Shape, options: SignatureOptions) -
     elif len(made.values) != length:
         wrong = f"{length} values, as its record declares, got {len(made.values)}"
     if wrong:
-        raise ShapeError(f"{DESCRIPTORS.called(options.method)} must give {wrong}", stage=Stage.SIGNATURE)
+        raise ShapeError(
+            f"{DESCRIPTORS.called(options.method)} must give {wrong}", stage=Stage.SIGNATURE
+        )
     if not options.size_weight:
         return made
     logarithm = options.size_weight * np.log(part.area)

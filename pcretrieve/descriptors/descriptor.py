@@ -65,7 +65,9 @@ class Descriptor:
             ("metric", {self.metric}, get_args(Metric)),
         ):
             if wrong := sorted(given.difference(known)):
-                raise OptionError(f"{what} of a descriptor must be of {', '.join(known)}, got {wrong[0]!r}")
+                raise OptionError(
+                    f"{what} of a descriptor must be of {', '.join(known)}, got {wrong[0]!r}"
+                )
         if not self.spread > 0:
             raise OptionError(f"spread of a descriptor must be positive, got {self.spread:g}")
 

@@ -63,9 +63,13 @@ def dl(pairs: Eigenpairs, *, supervised: bool = False, atoms: Atoms | None = Non
        shape descriptors using sparse coding", Computer Graphics Forum 33 (2014).
     """
     used = np.array(atoms) if supervised and atoms else shipped(ATOMS)[int(supervised)]
-    digest = f"m={len(pairs.eigenvalues) - 1}, atoms {hashlib.sha256(used.tobytes()).hexdigest()[:16]}"
+    digest = (
+        f"m={len(pairs.eigenvalues) - 1}, atoms {hashlib.sha256(used.tobytes()).hexdigest()[:16]}"
+    )
     kind = "dl-supervised" if supervised else "dl"
-    return Signature(atom_shares(surface_points(pairs), used), kind=kind, digest=digest, metric="histograms")
+    return Signature(
+        atom_shares(surface_points(pairs), used), kind=kind, digest=digest, metric="histograms"
+    )
 
 
 def surface_points(pairs: Eigenpairs) -> SurfacePoints:
@@ -84,7 +88,9 @@ def atom_shares(points: SurfacePoints, atoms: FloatArray) -> FloatArray:
     return np.asarray(pooled / total if total else np.full(len(atoms), 1 / len(atoms)))
 
 
-def sparse_codes(features: FloatArray, atoms: FloatArray, n_iterations: int = N_ITERATIONS) -> FloatArray:
+def sparse_codes(
+    features: FloatArray, atoms: FloatArray, n_iterations: int = N_ITERATIONS
+) -> FloatArray:
     """(n, L) codes z near the minimisers of ½ ‖x − zᵀ D‖² + λ ‖z‖₁, most entries of which are zero.
 
     By FISTA (Beck and Teboulle, SIAM Journal on Imaging Sciences 2, 2009, section 4), for point descriptors x
@@ -125,7 +131,9 @@ CHANGE = {"rate": 0.001, "margin": 1.0}
 RIDGE = SMALLEST = 1e-4
 
 
-def learned_atoms(meshes: Iterable[TriangleMesh], labels: Sequence[str], n_modes: int) -> FloatArray:
+def learned_atoms(
+    meshes: Iterable[TriangleMesh], labels: Sequence[str], n_modes: int
+) -> FloatArray:
     """(32, 19): the shipped atoms of ``dl-supervised``, changed by the labels of meshes."""
     rng = np.random.default_rng(0)
 
@@ -155,7 +163,9 @@ def supervised_dictionary(
     classes = [np.flatnonzero(names == name) for name in sorted(set(labels))]
     classes = [members for members in classes if len(members) > 1]
     if len(classes) < 2:
-        raise InputError(f"learning needs two classes of two shapes or more, got {len(classes)}: label more")
+        raise InputError(
+            f"learning needs two classes of two shapes or more, got {len(classes)}: label more"
+        )
     surfaces = list(surfaces)
     apart = _squares_apart(np.sqrt([atom_shares(surface, atoms) for surface in surfaces]))
     apart[names[:, np.newaxis] == names] = np.inf
@@ -197,7 +207,9 @@ def triplet_loss(
     n_surfaces, n_points, length = points.shape
     features = points.reshape(-1, length)  # (n, d)
     codes = sparse_codes(features, atoms, n_iterations)  # (n, L)
-    pooled = (np.abs(codes) * (1 / n_points)).reshape(n_surfaces, n_points, -1).sum(axis=1)  # (S, L)
+    pooled = (
+        (np.abs(codes) * (1 / n_points)).reshape(n_surfaces, n_points, -1).sum(axis=1)
+    )  # (S, L)
     totals = np.maximum(pooled.sum(axis=1, keepdims=True), np.finfo(float).tiny)
     roots = np.sqrt(pooled / totals + SMALLEST)  # (S, L): h
 
@@ -205,7 +217,9 @@ def triplet_loss(
     hinges = margin + apart[:, :, np.newaxis] - apart[:, np.newaxis]  # (q, p, n)
     counted = (alike & ~np.eye(n_surfaces, dtype=bool))[:, :, np.newaxis] & ~alike[:, np.newaxis]
     active = (hinges > 0) & counted
-    weights = active.sum(axis=2) - active.sum(axis=1)  # (S, S): the derivative by the squared distances
+    weights = active.sum(axis=2) - active.sum(
+        axis=1
+    )  # (S, S): the derivative by the squared distances
     weights = (weights + weights.T) / counted.sum()
 
     by_roots = 2 * (weights.sum(axis=1, keepdims=True) * roots - weights @ roots)
@@ -213,13 +227,17 @@ def triplet_loss(
     by_pooled = (by_shares - (by_shares * pooled / totals).sum(axis=1, keepdims=True)) / totals
     by_codes = np.sign(codes) / n_points * np.repeat(by_pooled, n_points, axis=0)  # (n, L)
     # The k active atoms of each code come first, and those behind them are left out of the equations.
-    first = np.argsort(codes == 0, axis=1, kind="stable")[:, : (codes != 0).sum(axis=1).max()]  # (n, k)
+    first = np.argsort(codes == 0, axis=1, kind="stable")[
+        :, : (codes != 0).sum(axis=1).max()
+    ]  # (n, k)
     used = np.take_along_axis(codes != 0, first, axis=1)
     gram = (atoms @ atoms.T)[first[:, :, np.newaxis], first[:, np.newaxis]]  # (n, k, k)
     gram *= used[:, :, np.newaxis] & used[:, np.newaxis]
     gram += np.eye(first.shape[1]) * np.where(used, RIDGE, 1.0)[:, np.newaxis]
     right, solved = np.take_along_axis(by_codes, first, axis=1), np.zeros_like(codes)
-    np.put_along_axis(solved, first, np.linalg.solve(gram, right[:, :, np.newaxis])[:, :, 0], axis=1)  # β
+    np.put_along_axis(
+        solved, first, np.linalg.solve(gram, right[:, :, np.newaxis])[:, :, 0], axis=1
+    )  # β
     gradient = solved.T @ (features - codes @ atoms) - codes.T @ (solved @ atoms)
     return float((hinges * active).sum() / counted.sum()), gradient
 
@@ -238,7 +256,9 @@ def _drawn(surface: SurfacePoints, rng: np.random.Generator, number: int) -> Flo
 def _record(name: str, spread: float, *, supervised: bool) -> Descriptor:
     return Descriptor(
         name=name,
-        make=lambda shape, options: dl(shape.eigenpairs, supervised=supervised, atoms=options.atoms),
+        make=lambda shape, options: dl(
+            shape.eigenpairs, supervised=supervised, atoms=options.atoms
+        ),
         needs=("eigenvectors",),
         has_size=False,
         length=lambda _: N_ATOMS,

@@ -139,12 +139,16 @@ def _samples(mesh: TriangleMesh, grid: Grid) -> FloatArray:
             f"hapt needs a surface of at most {MOST_POINTS:,} sample points, got {n_points:,.0f}: some "
             "triangles are too long; remesh it"
         )
-    values = np.column_stack([grid.coordinates(mesh.vertices), _vertex_normals(mesh.vertices, mesh.faces)])
+    values = np.column_stack(
+        [grid.coordinates(mesh.vertices), _vertex_normals(mesh.vertices, mesh.faces)]
+    )
     return _centres(values, mesh.faces, mesh.face_areas, n_parts.astype(np.intp))
 
 
 @njit(cache=True)
-def _centres(values: FloatArray, faces: IntArray, areas: FloatArray, parts: NDArray[np.intp]) -> FloatArray:
+def _centres(
+    values: FloatArray, faces: IntArray, areas: FloatArray, parts: NDArray[np.intp]
+) -> FloatArray:
     """The samples, of which all but the area are interpolated from those of the vertices."""
     samples = np.empty(((parts**2).sum(), 7))
     point = 0

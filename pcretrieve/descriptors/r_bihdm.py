@@ -38,7 +38,11 @@ from pcretrieve.values import Eigenpairs, FloatArray, ModalSpectrum, Signature
 
 
 def r_bihdm(
-    pairs: Eigenpairs | ModalSpectrum, n_values: int = 23, n_modes: int = 60, *, scale: Scale = "area"
+    pairs: Eigenpairs | ModalSpectrum,
+    n_values: int = 23,
+    n_modes: int = 60,
+    *,
+    scale: Scale = "area",
 ) -> Signature:
     """The R-BiHDM signature of a surface, equation (10).
 
@@ -92,13 +96,19 @@ def reduced_matrix(pairs: Eigenpairs | ModalSpectrum, n_modes: int = 60) -> Floa
     m = n_modes
     check_modes(m, len(spectrum.eigenvalues))
     lam = spectrum.eigenvalues[1 : m + 1]  # (m,): λ_1 … λ_m
-    green = lam**-2 @ spectrum.moments[1 : m + 1, 1 : m + 1]  # (m,): ∫ g φ_j = Σ_i ⟨φ_i², φ_j⟩ / λ_i²
-    matrix = np.diag(np.concatenate([[np.sum(2 / lam**2)], -2 / lam**2]))  # (m + 1, m + 1): a_0, −2/λ_j²
+    green = (
+        lam**-2 @ spectrum.moments[1 : m + 1, 1 : m + 1]
+    )  # (m,): ∫ g φ_j = Σ_i ⟨φ_i², φ_j⟩ / λ_i²
+    matrix = np.diag(
+        np.concatenate([[np.sum(2 / lam**2)], -2 / lam**2])
+    )  # (m + 1, m + 1): a_0, −2/λ_j²
     matrix[0, 1:] = matrix[1:, 0] = np.sqrt(spectrum.area) * green  # a_j
     return matrix
 
 
-def leading(matrix: FloatArray, n_values: int, n_modes: int, scale: Scale, area: float) -> FloatArray:
+def leading(
+    matrix: FloatArray, n_values: int, n_modes: int, scale: Scale, area: float
+) -> FloatArray:
     """The signature values of a biharmonic distance matrix, equation (10).
 
     matrix: (n, n) float64, the matrix of R-BiHDM (n = m + 1) or of BiHDM (n = m + 2), symmetric, unit

@@ -51,7 +51,9 @@ class Person(NamedTuple):
 
     def upwards(self, vertices: FloatArray) -> FloatArray:
         """(3,) the mean of the directions from the feet to the pelvis, and from the pelvis to the chest."""
-        chest, pelvis = (vertices[ways.max(axis=0).argmin()] for ways in (self.from_hands, self.from_feet))
+        chest, pelvis = (
+            vertices[ways.max(axis=0).argmin()] for ways in (self.from_hands, self.from_feet)
+        )
         parts = np.stack([chest - pelvis, pelvis - vertices[self.feet].mean(axis=0)])
         parts /= np.linalg.norm(parts, axis=1, keepdims=True)
         return np.asarray(parts.sum(axis=0) / np.linalg.norm(parts.sum(axis=0)))
@@ -73,7 +75,9 @@ def person_of(vertices: FloatArray, faces: IntArray) -> Person | None:
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     near = [ways[pair].min(axis=0)[faces[:, 0]] < END * apart.max() for pair in pairs]
-    (arms, hands), (legs, feet) = sorted(zip([areas[one].sum() for one in near], pairs, strict=True))
+    (arms, hands), (legs, feet) = sorted(
+        zip([areas[one].sum() for one in near], pairs, strict=True)
+    )
     across = apart[np.ix_(feet, hands)]
     foot_to_foot, hand_to_hand = (apart[tuple(pair)] / across.mean() for pair in (feet, hands))
     if (
@@ -95,7 +99,11 @@ def _ends(vertices: FloatArray, faces: IntArray, n: int) -> tuple[IntArray, Floa
     lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
     graph = csr_array((lengths, edges.T), shape=(len(vertices),) * 2)
     middle = np.linalg.norm(vertices - vertices.mean(axis=0), axis=1).argmin()
-    far, ends, rows = dijkstra(graph, directed=False, indices=[middle])[0], list[int](), list[FloatArray]()
+    far, ends, rows = (
+        dijkstra(graph, directed=False, indices=[middle])[0],
+        list[int](),
+        list[FloatArray](),
+    )
     for _ in range(n):
         ends.append(int(far.argmax()))
         rows.append(dijkstra(graph, directed=False, indices=ends[-1:])[0])
@@ -109,8 +117,14 @@ def _above_feet(vertices: FloatArray, faces: IntArray) -> FloatArray | None:
     apart = ways[:, numbers]
     if not (longest := apart.max()) < np.inf:
         return None  # several parts
-    unlike = np.abs(apart[:, None] - apart).sum(axis=2) - 2 * apart  # without the ways within a pair
-    pairs = [two for two in combinations(combinations(range(N_ENDS), 2), 2) if len({*two[0], *two[1]}) == 4]
+    unlike = (
+        np.abs(apart[:, None] - apart).sum(axis=2) - 2 * apart
+    )  # without the ways within a pair
+    pairs = [
+        two
+        for two in combinations(combinations(range(N_ENDS), 2), 2)
+        if len({*two[0], *two[1]}) == 4
+    ]
     first, second = min(pairs, key=lambda two: unlike[two[0]] + unlike[two[1]])
     narrow, wide = sorted((apart[first], apart[second]))
     upwards = vertices.mean(axis=0) - vertices[numbers[[*first, *second]]].mean(axis=0)
@@ -137,7 +151,9 @@ def body_axes(vertices: FloatArray, faces: IntArray, up: FloatArray | None = Non
     return axes * [[-1.0], [1.0], [-1.0]] if turned else axes
 
 
-def principal_axes(points: FloatArray, weights: FloatArray, up: FloatArray | None = None) -> FloatArray:
+def principal_axes(
+    points: FloatArray, weights: FloatArray, up: FloatArray | None = None
+) -> FloatArray:
     """The axes of a camera in front of a body, by the principal axes of weighted points.
 
     The direction of view is the axis of least variance, of those that are perpendicular to up. If up is not
@@ -150,7 +166,9 @@ def principal_axes(points: FloatArray, weights: FloatArray, up: FloatArray | Non
     points = points - weights @ points
     variance = weights @ (points**2).sum(axis=1)
     points = points / np.sqrt(variance if variance > 0 else 1.0)  # total variance 1
-    covariance = (weights[:, np.newaxis] * points).T @ points + TIE * np.diag([1.0, 2.0, 0.0])  # (3, 3)
+    covariance = (weights[:, np.newaxis] * points).T @ points + TIE * np.diag(
+        [1.0, 2.0, 0.0]
+    )  # (3, 3)
     if up is None:
         towards, *others = np.linalg.eigh(covariance)[1].T
         middle, longest = ((_skewness(points, weights, axis), axis) for axis in others)

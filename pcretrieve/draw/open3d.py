@@ -64,12 +64,18 @@ def _vectors(values: FloatArray) -> Any:
     return library().utility.Vector3dVector(np.array(values, dtype=np.float64))
 
 
-def open3d_cloud(points: FloatArray, normals: FloatArray | None = None, *, tensor: bool = False) -> Any:
+def open3d_cloud(
+    points: FloatArray, normals: FloatArray | None = None, *, tensor: bool = False
+) -> Any:
     """A point cloud of Open3D, with (n, 3) points and normals; of tensors on request."""
     cloud = library().geometry.PointCloud(_vectors(points))
     if normals is not None:
         cloud.normals = _vectors(normals)
-    return library().t.geometry.PointCloud.from_legacy(cloud, library().core.float64) if tensor else cloud
+    return (
+        library().t.geometry.PointCloud.from_legacy(cloud, library().core.float64)
+        if tensor
+        else cloud
+    )
 
 
 def open3d_mesh(vertices: FloatArray, faces: IntArray, *, tensor: bool = False) -> Any:
@@ -92,7 +98,9 @@ class RayScene:
             o3d.core.Tensor(np.asarray(faces, dtype=np.uint32)),
         )
 
-    def cast(self, origins: FloatArray, directions: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
+    def cast(
+        self, origins: FloatArray, directions: FloatArray
+    ) -> tuple[FloatArray, FloatArray, IntArray]:
         """The first intersection of each ray with the surface.
 
         origins, directions: (k, 3); the directions may have any length.

@@ -103,7 +103,9 @@ def visible_faces(vertices: FloatArray, faces: IntArray, size: int) -> IntArray:
     rows = slice(*np.searchsorted(ticks, [-high, -low]))
     x, y = np.meshgrid(ticks[columns], -ticks[rows])
     origins = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, max(top, 0) + 1)])  # (k, 3)
-    _, _, face = RayScene(vertices, faces).cast(origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape))
+    _, _, face = RayScene(vertices, faces).cast(
+        origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape)
+    )
     seen[rows, columns] = face.reshape(x.shape)
     return seen
 
@@ -136,7 +138,9 @@ def depth_picture(
     points: FloatArray, colour: Colour, camera: Camera, *, width: float, size: int
 ) -> Image.Image:
     """A picture of points of one colour, which are darker at the far end."""
-    bright = DARKEST + (1 - DARKEST) * (np.clip(camera.seen(points)[:, 2:], -1, 1) + 1) / 2  # (n, 1)
+    bright = (
+        DARKEST + (1 - DARKEST) * (np.clip(camera.seen(points)[:, 2:], -1, 1) + 1) / 2
+    )  # (n, 1)
     return point_picture(points, bright * colour, camera, width=width, size=size)
 
 

@@ -47,7 +47,9 @@ def plot_signature(
     bars = None
     if deviation is not None:
         bars = [values - values * np.exp(-deviation), values * np.exp(deviation) - values]
-    axes.errorbar(numbers, values, yerr=bars, marker="o", markersize=3, linewidth=1, capsize=2, label=kind)
+    axes.errorbar(
+        numbers, values, yerr=bars, marker="o", markersize=3, linewidth=1, capsize=2, label=kind
+    )
     axes.set(xlabel="number of the value", ylabel=kind)
     if (values > 0).all():
         axes.set_yscale("log")
@@ -68,7 +70,9 @@ def draw_places(groups: Sequence[tuple[str | None, FloatArray, str]], *, title: 
         label = "class unknown" if name is None else name
         marker = "os^Dv"[number // 8 % 5]  # of more classes than colours
         x, y = places.T
-        axes.scatter(x, y, s=30, c=colour, marker=marker, edgecolors="white", linewidths=0.5, label=label)
+        axes.scatter(
+            x, y, s=30, c=colour, marker=marker, edgecolors="white", linewidths=0.5, label=label
+        )
     axes.set_aspect("equal")
     axes.set(xticks=[], yticks=[], title=title)
     columns = -(-len(groups) // KEY_ROWS)

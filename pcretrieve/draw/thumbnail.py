@@ -37,7 +37,11 @@ N_LEVELS = 255 // N_COVERAGES
 
 
 def thumbnail(
-    vertices: FloatArray, faces: IntArray, *, up: FloatArray | None = None, size: int = THUMBNAIL_PIXELS
+    vertices: FloatArray,
+    faces: IntArray,
+    *,
+    up: FloatArray | None = None,
+    size: int = THUMBNAIL_PIXELS,
 ) -> bytes | None:
     """A picture of a surface from its front, which fills the picture up to `MARGIN`; None without area.
 
@@ -74,7 +78,9 @@ def resized(picture: bytes, size: int) -> bytes:
         pixels = np.asarray(image.convert("RGBA"), np.float64) / 255  # (n, n, 4)
     coverage = pixels[:, :, 3].astype(np.float32)
     shade = (coverage * pixels[:, :, 0] / pictures.CLAY[0]).astype(np.float32)
-    smaller = [Image.fromarray(a).resize((size, size), Image.Resampling.BOX) for a in (shade, coverage)]
+    smaller = [
+        Image.fromarray(a).resize((size, size), Image.Resampling.BOX) for a in (shade, coverage)
+    ]
     shade, coverage = (np.asarray(each) for each in smaller)
     return _png(shade.astype(np.float64), coverage.astype(np.float64), direction_upwards(picture))
 
@@ -113,7 +119,9 @@ def _png(shade: FloatArray, coverage: FloatArray, up: FloatArray | None) -> byte
     brightness = shade / np.where(coverage > 0, coverage, 1)
     step = np.round(coverage * N_COVERAGES)
     level = np.round(brightness * (N_LEVELS - 1))
-    number = np.where(step > 0, 1 + (step - 1) * N_LEVELS + level, 0)  # (size, size), row of the palette
+    number = np.where(
+        step > 0, 1 + (step - 1) * N_LEVELS + level, 0
+    )  # (size, size), row of the palette
     levels = np.linspace(0, 255, N_LEVELS)[:, np.newaxis] * pictures.CLAY  # (N_LEVELS, 3)
     colours = np.concatenate([np.zeros((1, 3)), np.tile(levels, (N_COVERAGES, 1))])
     alphas = np.concatenate([[0], np.repeat(np.linspace(0, 255, N_COVERAGES + 1)[1:], N_LEVELS)])

@@ -46,7 +46,9 @@ def rank_shapes(
 ) -> RankedShapes:
     """Rank shapes for each labelled shape among them."""
     if isinstance(shapes, SignatureTable):
-        return RankedShapes(*rank_table(shapes, PipelineOptions.of(options).retrieval), table=shapes)
+        return RankedShapes(
+            *rank_table(shapes, PipelineOptions.of(options).retrieval), table=shapes
+        )
     if isinstance(shapes, DistanceMatrix):
         if labels is None:
             raise BenchmarkError("a distance matrix has no classes: give labels, a file of classes")
@@ -82,13 +84,17 @@ def _of_catalogue(
         if left:
             matrix = matrix.select([shape_id for shape_id in matrix.ids if shape_id not in left])
         ranked_ids = set(matrix.ids)
-        missing = {shape_id: classes[shape_id] for shape_id in records if shape_id not in ranked_ids}
+        missing = {
+            shape_id: classes[shape_id] for shape_id in records if shape_id not in ranked_ids
+        }
         return _of_matrix(matrix, classes, missing, options.retrieval.rerank)
     table = catalogue.signatures(options)
     if left:
         table = table.select([shape_id for shape_id in table.ids if shape_id not in left])
     table = replace(table, labels=tuple(classes[shape_id] for shape_id in table.ids))
-    failed = {record.id: classes[record.id] for record in records.values() if record.status == "failed"}
+    failed = {
+        record.id: classes[record.id] for record in records.values() if record.status == "failed"
+    }
     retrieval = options.retrieval.without_labels
     whitening = None
     if retrieval.whitening == "within-class" and retrieval.calibration is None:
@@ -128,8 +134,12 @@ def _of_matrix(
             f"re-ranking needs finite distances, got {np.isinf(matrix.values).sum()} that are infinite: "
             "rank without it"
         )
-    everything = Subset(np.arange(len(matrix)), [DistanceBlock(np.arange(len(matrix)), matrix.values)])
-    return RankedShapes(*rank_subsets([everything], matrix.ids, labels, again=again, failed=missing))
+    everything = Subset(
+        np.arange(len(matrix)), [DistanceBlock(np.arange(len(matrix)), matrix.values)]
+    )
+    return RankedShapes(
+        *rank_subsets([everything], matrix.ids, labels, again=again, failed=missing)
+    )
 
 
 def _classes_of_ids(file: str | Path, ids: Set[str]) -> dict[str, str | None]:
@@ -144,11 +154,16 @@ def _classes_of_ids(file: str | Path, ids: Set[str]) -> dict[str, str | None]:
     return _classes(file, named, {shape_id: f"/{shape_id}" for shape_id in ids})
 
 
-def _classes(file: str | Path, labels: Mapping[str, str], paths: Mapping[str, str]) -> dict[str, str | None]:
+def _classes(
+    file: str | Path, labels: Mapping[str, str], paths: Mapping[str, str]
+) -> dict[str, str | None]:
     """The classes of shapes by the labels in a file; names in it that fit no shape are logged."""
     matched, unknown = match_labels(labels, paths)
     if unknown:
         logger.warning(
-            "%s names %d shapes that are not among those ranked, such as %s", file, len(unknown), unknown[0]
+            "%s names %d shapes that are not among those ranked, such as %s",
+            file,
+            len(unknown),
+            unknown[0],
         )
     return {shape_id: matched.get(shape_id) for shape_id in paths}

@@ -78,7 +78,8 @@ def compare_scores(first: measures.QueryScores, second: measures.QueryScores) ->
             f"{', '.join(differing[:3])}: give both the same labels"
         )
     changes = [
-        Change(first.ids[a], first.labels[a], float(first.ap[a]), float(second.ap[b])) for a, b in pairs
+        Change(first.ids[a], first.labels[a], float(first.ap[a]), float(second.ap[b]))
+        for a, b in pairs
     ]
     changes.sort(key=lambda change: (-abs(change.second - change.first), change.shape_id))
     rows, others = map(list, zip(*pairs, strict=True))
@@ -116,13 +117,19 @@ def write_evaluation(ranked: Rankings, folder: str | Path) -> tuple[Path, ...]:
         ),
         "classes.csv": (
             ("label", "n_queries", *measures.MEASURES),
-            ((one.label, one.n_queries, *one.means.tolist()) for one in measures.class_measures(ranked)),
+            (
+                (one.label, one.n_queries, *one.means.tolist())
+                for one in measures.class_measures(ranked)
+            ),
         ),
         "confusion.csv": (
             ("label", *(label or "" for label in confused.nearest)),
             zip(confused.labels, *confused.counts.T.tolist(), strict=True),
         ),
-        "precision_recall.csv": (curve._fields, zip(*(column.tolist() for column in curve), strict=True)),
+        "precision_recall.csv": (
+            curve._fields,
+            zip(*(column.tolist() for column in curve), strict=True),
+        ),
     }
     if rates := measures.verification(ranked.genuine, ranked.impostor):
         files["det.csv"] = (rates._fields, zip(*(column.tolist() for column in rates), strict=True))
@@ -149,14 +156,18 @@ def read_scores(path: str | Path) -> measures.QueryScores:
             f"evaluate --csv` ({error!r})"
         ) from error
     if not ids or len(set(ids)) != len(ids):
-        raise InputError(f"{path} must have each query once, got {len(ids)} rows of {len(set(ids))} queries")
+        raise InputError(
+            f"{path} must have each query once, got {len(ids)} rows of {len(set(ids))} queries"
+        )
     if not all(((column >= 0) & (column <= 1)).all() for column in columns):
         raise InputError(f"the measures in {path} must lie between 0 and 1, got others")
     return measures.QueryScores(ids, labels, *columns)
 
 
 def result_scores(
-    result: CatalogueLike | DistanceMatrix, options: OptionsLike = None, labels: str | Path | None = None
+    result: CatalogueLike | DistanceMatrix,
+    options: OptionsLike = None,
+    labels: str | Path | None = None,
 ) -> tuple[measures.QueryScores, PipelineOptions | None]:
     """The measures of each query, and the options by which a catalogue was ranked; None for files."""
     if isinstance(result, (str, Path)) and Path(result).suffix.lower() == ".csv":

@@ -22,7 +22,9 @@ from pcretrieve.retrieval.distances import pairwise_blocks, table_coordinates
 from pcretrieve.values import SignatureTable
 
 
-def grouped_folds(labels: Iterable[str | None], options: RetrievalOptions) -> tuple[tuple[str, ...], ...]:
+def grouped_folds(
+    labels: Iterable[str | None], options: RetrievalOptions
+) -> tuple[tuple[str, ...], ...]:
     """Assign classes, with all their shapes, to folds."""
     n_folds = options.n_folds
     sizes = Counter(label for label in labels if label is not None)
@@ -69,7 +71,9 @@ def within_class_subsets(
     for queries, whitening in within_class_folds(table, options):
         members = queries if among_fold else np.arange(len(table))
         rows = np.arange(len(queries)) if among_fold else queries
-        yield Subset(members, pairwise_blocks(options.distance, whitening.apply(logs[members]), rows))
+        yield Subset(
+            members, pairwise_blocks(options.distance, whitening.apply(logs[members]), rows)
+        )
 
 
 def rank_table(

@@ -12,7 +12,12 @@ from pcretrieve.descriptors.dl import learned_atoms
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation import measures
 from pcretrieve.evaluation.catalogue import RankedShapes, rank_shapes
-from pcretrieve.evaluation.comparison import Comparison, compare_scores, result_scores, write_evaluation
+from pcretrieve.evaluation.comparison import (
+    Comparison,
+    compare_scores,
+    result_scores,
+    write_evaluation,
+)
 from pcretrieve.ingestion.labels import LAYOUTS
 from pcretrieve.matching import DistanceMatrix, Matcher, known_matcher, match_all
 from pcretrieve.options import OptionsLike, PipelineOptions, describe_options
@@ -121,7 +126,9 @@ def evaluate(
     """
     ranked = rank_shapes(shapes, options, labels, matrix=matrix, good_only=good_only)
     return Evaluation(
-        **asdict(measures.evaluate_rankings(ranked.rankings)), ranked=ranked, layout=str(labels or "")
+        **asdict(measures.evaluate_rankings(ranked.rankings)),
+        ranked=ranked,
+        layout=str(labels or ""),
     )
 
 
@@ -165,7 +172,10 @@ def compare(
     """
     (one, one_options), (two, two_options) = (
         (one.scores, None) if isinstance(one, Evaluation) else result_scores(one, chosen, labels)
-        for one, chosen in ((first, options), (second, options if second_options is None else second_options))
+        for one, chosen in (
+            (first, options),
+            (second, options if second_options is None else second_options),
+        )
     )
     return replace(compare_scores(one, two), first_options=one_options, second_options=two_options)
 
@@ -209,8 +219,12 @@ def calibrate(
     with Catalogue.opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
         if chosen.signature.method == "dl-supervised" and chosen.signature.atoms is None:
-            labels = {one.id: one.label for one in store.records(status="done") if one.label is not None}
-            atoms = learned_atoms(map(store.mesh, labels), [*labels.values()], chosen.signature.n_modes)
+            labels = {
+                one.id: one.label for one in store.records(status="done") if one.label is not None
+            }
+            atoms = learned_atoms(
+                map(store.mesh, labels), [*labels.values()], chosen.signature.n_modes
+            )
             learned = chosen.changed(signature={"atoms": atoms.round(6).tolist()})
             write_file(Path(path), describe_options(learned, "signature").encode())
             return learned
@@ -265,5 +279,7 @@ def matrix(
             made = DistanceMatrix(tuple(index.ids), index.between(index.ids))
         else:
             method = known_matcher(matcher)
-            made = match_all(method, labels, lambda name: store.shape(name, method.needs), on_failure)
+            made = match_all(
+                method, labels, lambda name: store.shape(name, method.needs), on_failure
+            )
         return replace(made, labels=tuple(labels[shape_id] for shape_id in made.ids))

@@ -120,7 +120,9 @@ def query_scores(ranked: Rankings) -> QueryScores:
 
     def per_query(value: NDArray[np.generic]) -> FloatArray:
         """(Q,) sums over the relevant shapes in the ranked list of each query."""
-        return np.asarray(np.bincount(query, weights=value, minlength=len(n_relevant)), dtype=np.float64)
+        return np.asarray(
+            np.bincount(query, weights=value, minlength=len(n_relevant)), dtype=np.float64
+        )
 
     return QueryScores(
         ids=ranked.ids,
@@ -135,7 +137,9 @@ def query_scores(ranked: Rankings) -> QueryScores:
     )
 
 
-def evaluate_rankings(ranked: Rankings, *, average: Literal["micro", "macro"] = "micro") -> RetrievalMeasures:
+def evaluate_rankings(
+    ranked: Rankings, *, average: Literal["micro", "macro"] = "micro"
+) -> RetrievalMeasures:
     """The average of each measure."""
     columns = query_scores(ranked).columns
     if average == "macro":
@@ -163,7 +167,9 @@ def precision_recall(ranked: Rankings, *, n_points: int = 11) -> PrecisionRecall
     total = np.zeros(n_points)
     for query, n_relevant in enumerate(ranked.n_relevant):
         own = precision[first[query] : first[query + 1]]
-        best_from = np.append(np.maximum.accumulate(own[::-1])[::-1], np.zeros(n_relevant - len(own)))
+        best_from = np.append(
+            np.maximum.accumulate(own[::-1])[::-1], np.zeros(n_relevant - len(own))
+        )
         # Number of relevant shapes, at least 1, at recall i / (n_points − 1): the ceiling, in integers.
         needed = np.maximum(1, -(-levels * n_relevant // (n_points - 1)))
         total += best_from[needed - 1]
@@ -192,7 +198,9 @@ class Verification(NamedTuple):
 
     def missed(self, rate: float) -> float:
         """The share of pairs of one class that is refused at a false-match rate."""
-        return float(self.false_non_match[np.searchsorted(self.false_match, rate, side="right") - 1])
+        return float(
+            self.false_non_match[np.searchsorted(self.false_match, rate, side="right") - 1]
+        )
 
 
 def verification(genuine: FloatArray, impostor: FloatArray) -> Verification | None:
@@ -239,7 +247,9 @@ def bootstrap_interval(values: FloatArray, *, level: float = LEVEL) -> FloatArra
         rng.multinomial(n, np.full(n, 1 / n), size=min(rows, N_RESAMPLES - start)) @ values / n
         for start in range(0, N_RESAMPLES, rows)
     ]
-    ends: FloatArray = np.quantile(np.concatenate(means), [(1 - level) / 2, (1 + level) / 2], axis=0)
+    ends: FloatArray = np.quantile(
+        np.concatenate(means), [(1 - level) / 2, (1 + level) / 2], axis=0
+    )
     return ends
 
 
@@ -272,7 +282,11 @@ class Confusion(NamedTuple):
 
 def class_measures(ranked: Rankings) -> tuple[ClassMeasures, ...]:
     """The measures of each class."""
-    columns, labels, table = query_scores(ranked).columns, np.array(ranked.labels), confusion(ranked)
+    columns, labels, table = (
+        query_scores(ranked).columns,
+        np.array(ranked.labels),
+        confusion(ranked),
+    )
     found = []
     for label, counts in zip(table.labels, table.counts.tolist(), strict=True):
         near = zip(table.nearest, counts, strict=True)
@@ -291,7 +305,9 @@ def confusion(ranked: Rankings) -> Confusion:
     known = sorted({*labels, *(label for label in ranked.nearest_labels if label is not None)})
     nearest = (*known, None)
     counts = np.zeros((len(labels), len(nearest)), dtype=np.intp)
-    for label, near, of_class in zip(ranked.labels, ranked.nearest, ranked.nearest_labels, strict=True):
+    for label, near, of_class in zip(
+        ranked.labels, ranked.nearest, ranked.nearest_labels, strict=True
+    ):
         if near is not None:
             counts[labels.index(label), nearest.index(of_class)] += 1
     return Confusion(labels, nearest, counts)

@@ -100,7 +100,10 @@ def rank_subsets(
                 asked = members[block.queries]
                 some = paired[asked]
                 one = asked[some, np.newaxis]
-                is_pair, is_same = labelled[members] & (members != one), codes[members] == codes[one]
+                is_pair, is_same = (
+                    labelled[members] & (members != one),
+                    codes[members] == codes[one],
+                )
                 for found, kind in zip(pairs, (is_same, ~is_same), strict=True):
                     found.append(block.distances[some][is_pair & kind])
                 yield asked, members[order]
@@ -131,7 +134,9 @@ def _by_distance(block: DistanceBlock, ids: Sequence[str]) -> Positions:
     Returns (q, N) intp: positions: first the query itself, then the nearest shapes, equal distances by id.
     """
     by_id = np.array(sorted(range(len(ids)), key=ids.__getitem__), dtype=np.intp)  # (N,)
-    columns = block.distances[:, by_id]  # (q, N): a stable sort then orders equal distances by identifier
+    columns = block.distances[
+        :, by_id
+    ]  # (q, N): a stable sort then orders equal distances by identifier
     columns[block.queries[:, np.newaxis] == by_id] = -np.inf
     return np.asarray(by_id[np.argsort(columns, axis=1, kind="stable")])
 
@@ -155,10 +160,16 @@ def _rank_sorted(
             "large; label more shapes"
         )
     answered = [position for position, label in enumerate(labels) if label in shared]
-    missed = {shape_id: label for shape_id, label in failed.items() if label is not None and label in shared}
+    missed = {
+        shape_id: label
+        for shape_id, label in failed.items()
+        if label is not None and label in shared
+    }
 
     code_of = {label: code for code, label in enumerate(sorted(sizes))}
-    codes = np.array([-1 if label is None else code_of[label] for label in labels], dtype=np.intp)  # (N,)
+    codes = np.array(
+        [-1 if label is None else code_of[label] for label in labels], dtype=np.intp
+    )  # (N,)
     number = np.full(len(ids), -1)  # (N,) of each shape as a query
     number[answered] = np.arange(len(answered))
     hits = [np.empty((2, 0), dtype=np.intp)]
@@ -184,7 +195,10 @@ def _rank_sorted(
         genuine=np.zeros(0),
         impostor=np.zeros(0),
         nearest=(*(None if near < 0 else ids[near] for near in nearest), *(None for _ in missed)),
-        nearest_labels=(*(None if near < 0 else labels[near] for near in nearest), *(None for _ in missed)),
+        nearest_labels=(
+            *(None if near < 0 else labels[near] for near in nearest),
+            *(None for _ in missed),
+        ),
         n_gallery=len(ids),
         n_failed=len(missed),
         n_single=sum(size for size in sizes.values() if size == 1),

@@ -63,13 +63,17 @@ def read_npz(path: Path) -> RawScan:
 
         found = array(POINTS if len(members) != 1 else tuple(members))
         if found is None:
-            raise ScanReadError(f"it must hold an array 'points', got {', '.join(members) or 'no arrays'}")
+            raise ScanReadError(
+                f"it must hold an array 'points', got {', '.join(members) or 'no arrays'}"
+            )
         faces, normals, viewpoints = array(FACES), array(NORMALS), array(VIEWPOINTS)
     scan = _scan_of(found)
     n = len(scan.points)
     if faces is not None:
         if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
-            raise ScanReadError(f"faces must be whole numbers (m, 3), got {faces.dtype} {faces.shape}")
+            raise ScanReadError(
+                f"faces must be whole numbers (m, 3), got {faces.dtype} {faces.shape}"
+            )
         return RawScan(scan.points, faces.astype(np.int64))
     if normals is not None:
         scan = scan._replace(normals=_vectors(normals, "normals", ((n, 3),)))
@@ -78,7 +82,9 @@ def read_npz(path: Path) -> RawScan:
     return without_zeros(scan)
 
 
-def _vectors(array: NDArray[Any], name: str, shapes: tuple[tuple[int, ...], ...]) -> NDArray[np.float64]:
+def _vectors(
+    array: NDArray[Any], name: str, shapes: tuple[tuple[int, ...], ...]
+) -> NDArray[np.float64]:
     if array.shape not in shapes or array.dtype.kind not in "fiu":
         expected = " or ".join(str(shape) for shape in shapes)
         raise ScanReadError(f"{name} must be numbers {expected}, got {array.dtype} {array.shape}")
@@ -174,9 +180,15 @@ def _array(file: IO[bytes], n_bytes: int) -> NDArray[Any]:
 
 def _header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], bool]:
     """Shape and type of an array, and whether it is stored by columns."""
-    head = io.BytesIO(file.read(1 << 16))  # more than NumPy reads, which would allocate what is declared
+    head = io.BytesIO(
+        file.read(1 << 16)
+    )  # more than NumPy reads, which would allocate what is declared
     version = np.lib.format.read_magic(head)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    read = (
+        np.lib.format.read_array_header_1_0
+        if version == (1, 0)
+        else np.lib.format.read_array_header_2_0
+    )
     shape, in_columns, dtype = read(head)
     file.seek(head.tell())
     return shape, dtype, in_columns

@@ -68,12 +68,16 @@ def read_poses(path: Path) -> list[tuple[Path, Rotation, FloatArray]]:
                 raise ValueError(f"got {' '.join(words[2:]) or 'none'}")
             rotation = Rotation.from_quat(pose[3:]).inv()
         except ValueError as error:
-            raise ScanReadError(f"line {number} must read {LINE}, seven finite numbers: {error}") from error
+            raise ScanReadError(
+                f"line {number} must read {LINE}, seven finite numbers: {error}"
+            ) from error
         view = path.parent / words[1]
         # The real path, so that a view is found again under another name.
         earlier = named.setdefault(os.path.realpath(view), number)
         if earlier != number:
-            raise ScanReadError(f"each view must be named once, lines {earlier} and {number} name {words[1]}")
+            raise ScanReadError(
+                f"each view must be named once, lines {earlier} and {number} name {words[1]}"
+            )
         if len(named) > MOST_VIEWS:
             raise ScanReadError(
                 f"a .conf file must name at most {MOST_VIEWS} views: merge parts of the scan first"
@@ -145,7 +149,9 @@ def trajectory_file(images: Sequence[Path]) -> Path | None:
         return None
     files = [folder.parent / name for name in TRAJECTORIES]
     # Associations of colour with depth images, of four words, have no poses.
-    return next((file for file in files if file.is_file() and any(map(_has_pose, _lines(file)))), None)
+    return next(
+        (file for file in files if file.is_file() and any(map(_has_pose, _lines(file)))), None
+    )
 
 
 def image_poses(images: Sequence[Path], file: Path) -> list[FloatArray | None]:

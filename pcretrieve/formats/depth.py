@@ -97,7 +97,14 @@ def camera_of(file: Path) -> Camera:
         text = file.read_text(encoding="utf-8")
         tree = json.loads(text) if file.suffix == ".json" else tomllib.loads(text)
         return _camera(tree.get("intrinsic", tree))
-    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
+    except (
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        RecursionError,
+        TypeError,
+        ValueError,
+    ) as error:
         raise ScanReadError(
             f"the camera file {file.name} must have intrinsic_matrix as Open3D writes it, or fx fy cx cy: "
             f"{type(error).__name__} {error}"
@@ -114,7 +121,9 @@ def _camera(tree: Any) -> Camera:
         fx, fy, cx, cy = (float(tree[name]) for name in ("fx", "fy", "cx", "cy"))
     scale = None if tree.get("depth_scale") is None else float(tree["depth_scale"])
     if not (
-        np.isfinite([fx, fy, cx, cy, scale or 1]).all() and min(fx, fy) > 0 and (scale is None or scale > 0)
+        np.isfinite([fx, fy, cx, cy, scale or 1]).all()
+        and min(fx, fy) > 0
+        and (scale is None or scale > 0)
     ):
         raise ValueError("focal lengths and the depth scale must be positive")
     size = (int(tree["width"]), int(tree["height"])) if {"width", "height"} <= tree.keys() else None
@@ -143,7 +152,9 @@ def depth_scan(path: Path, depth: NDArray[Any]) -> RawScan:
     measured = np.isfinite(depth) & (depth > 0)
     if whole:
         measured &= depth != NO_ANSWER
-    z = np.where(measured, depth, 0) / (camera.depth_scale or (MILLIMETRES if whole else METRES))  # (h, w)
+    z = np.where(measured, depth, 0) / (
+        camera.depth_scale or (MILLIMETRES if whole else METRES)
+    )  # (h, w)
     x = (np.arange(width) - camera.center[0]) / camera.focal[0]  # (w,)
     y = (np.arange(height) - camera.center[1]) / camera.focal[1]  # (h,)
     grid = np.stack([x[None] * z, y[:, None] * z, z], axis=2)  # (h, w, 3)

@@ -144,7 +144,9 @@ def check_file(path: Path) -> None:
     if stat.S_ISDIR(status.st_mode):
         raise ScanReadError(f"{path} is a folder, not a scan")
     if not stat.S_ISREG(status.st_mode):
-        raise ScanReadError(f"{path} must be a regular file, not a pipe or a device: save the scan to a file")
+        raise ScanReadError(
+            f"{path} must be a regular file, not a pipe or a device: save the scan to a file"
+        )
     if not status.st_size:
         raise ScanReadError("the file is empty: scan or export it again")
 
@@ -192,7 +194,9 @@ def fans(polygons: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
         for corners in polygons
         for k in range(1, corners.shape[1] - 1)
     ]
-    return np.concatenate([np.empty((0, 3), np.int64), *triangles], dtype=np.int64, casting="unsafe")
+    return np.concatenate(
+        [np.empty((0, 3), np.int64), *triangles], dtype=np.int64, casting="unsafe"
+    )
 
 
 def are_normals(vectors: NDArray[Any]) -> bool:
@@ -226,10 +230,16 @@ def joined(scans: Sequence[RawScan]) -> RawScan:
     if len(scans) == 1:
         return scans[0]
     starts = np.cumsum([0, *(len(scan.points) for scan in scans)])
-    faces = [scan.faces + start for scan, start in zip(scans, starts, strict=False) if scan.faces is not None]
+    faces = [
+        scan.faces + start
+        for scan, start in zip(scans, starts, strict=False)
+        if scan.faces is not None
+    ]
     normals = [scan.normals for scan in scans if scan.normals is not None]
     sensors = [
-        np.broadcast_to(scan.viewpoints, scan.points.shape) for scan in scans if scan.viewpoints is not None
+        np.broadcast_to(scan.viewpoints, scan.points.shape)
+        for scan in scans
+        if scan.viewpoints is not None
     ]
     return RawScan(
         np.concatenate([scan.points for scan in scans]),
@@ -253,13 +263,19 @@ def scan_of_fields(
 
     points = table(POINT_FIELDS)
     if points is None:
-        raise ScanReadError(f"a scan must have the fields {POINT_FIELDS}, this one has {' '.join(names)}")
+        raise ScanReadError(
+            f"a scan must have the fields {POINT_FIELDS}, this one has {' '.join(names)}"
+        )
     return RawScan(points, None, table(normals), table(SENSOR_FIELDS))
 
 
 def fields_of(cloud: PointCloud, normals: str = NORMAL_FIELDS) -> tuple[list[str], FloatArray]:
     """The names of the columns of a table, and the arrays of a cloud as one (n, c) table."""
-    arrays = ((POINT_FIELDS, cloud.points), (normals, cloud.normals), (SENSOR_FIELDS, cloud.viewpoints))
+    arrays = (
+        (POINT_FIELDS, cloud.points),
+        (normals, cloud.normals),
+        (SENSOR_FIELDS, cloud.viewpoints),
+    )
     given = [(names, array) for names, array in arrays if array is not None]
     table = np.concatenate([array for _, array in given], axis=1)
     return " ".join(names for names, _ in given).split(), table

@@ -39,7 +39,10 @@ def gltf_scene(path: Path) -> Scene:
     tree, buffers, n_bytes = _document(path)
     placed = _placed(tree, n_bytes)
     nodes, meshes = tree["nodes"], tree["meshes"]
-    labels = (nodes[node].get("name") or meshes[placed[node][0]].get("name") or "" for node in sorted(placed))
+    labels = (
+        nodes[node].get("name") or meshes[placed[node][0]].get("name") or ""
+        for node in sorted(placed)
+    )
     names = zip(distinct_names(map(str, labels)), sorted(placed), strict=True)
 
     @cache
@@ -57,7 +60,9 @@ def buffer_files(path: Path) -> tuple[Part, ...]:
     """The files that hold the buffers of a glTF file."""
     check_file(path)
     uris = [str(buffer["uri"]) for buffer in json.loads(path.read_bytes()).get("buffers", [])]
-    return tuple(map(Part, dict.fromkeys(_file(path, uri) for uri in uris if not uri.startswith("data:"))))
+    return tuple(
+        map(Part, dict.fromkeys(_file(path, uri) for uri in uris if not uri.startswith("data:")))
+    )
 
 
 def _document(path: Path) -> tuple[Any, list[bytes], int]:
@@ -72,7 +77,9 @@ def _document(path: Path) -> tuple[Any, list[bytes], int]:
     for buffer in tree.get("buffers", []):
         if is_glb and not str(buffer.get("uri", "data:")).startswith("data:"):
             raise Damaged("its values lie outside of it: export it with everything in one file")
-        buffers.append(binary if is_glb and "uri" not in buffer else _buffer(path, str(buffer["uri"])))
+        buffers.append(
+            binary if is_glb and "uri" not in buffer else _buffer(path, str(buffer["uri"]))
+        )
     return tree, buffers, len(data) + (0 if is_glb else sum(map(len, buffers)))
 
 
@@ -169,7 +176,9 @@ def _accessors(tree: Any, mesh: int) -> list[int]:
 
 def _primitive(tree: Any, contents: list[bytes], primitive: Any) -> RawScan:
     """The vertices of a primitive, in the frame of its mesh, and its triangles."""
-    vertices = _values(tree, contents, primitive["attributes"]["POSITION"], "VEC3").astype(np.float64)
+    vertices = _values(tree, contents, primitive["attributes"]["POSITION"], "VEC3").astype(
+        np.float64
+    )
     mode = primitive.get("mode", TRIANGLES)
     if mode not in (TRIANGLES, STRIP, FAN):
         return RawScan(vertices)
@@ -197,14 +206,20 @@ def _values(tree: Any, contents: list[bytes], accessor: int, kind: str) -> NDArr
     if not 0 <= view["buffer"] < len(contents):
         raise Damaged("its values lie outside of it: export it with everything in one file")
     binary = contents[view["buffer"]]
-    count, width, dtype = declared["count"], WIDTHS[kind], np.dtype(COMPONENTS[declared["componentType"]])
+    count, width, dtype = (
+        declared["count"],
+        WIDTHS[kind],
+        np.dtype(COMPONENTS[declared["componentType"]]),
+    )
     stride = view.get("byteStride", width * dtype.itemsize)
     start = view.get("byteOffset", 0)
     first = start + declared.get("byteOffset", 0)
     stop = first + (count - 1) * stride + width * dtype.itemsize
     if not 0 <= start <= first <= stop <= start + view["byteLength"] <= len(binary):
         raise Damaged(f"its binary part is too short for {count} values")
-    values: NDArray[Any] = np.ndarray((count, width), dtype, binary, first, (stride, dtype.itemsize))
+    values: NDArray[Any] = np.ndarray(
+        (count, width), dtype, binary, first, (stride, dtype.itemsize)
+    )
     if declared.get("normalized", False) and dtype.kind != "f":
         return np.maximum(values / np.iinfo(dtype).max, -1)
     return values

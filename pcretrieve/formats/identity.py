@@ -80,7 +80,9 @@ def stamp_of(file: Path) -> Stamp | None:
         found = _of_each_file(file, lambda opened: os.fstat(opened.fileno()))
     except ScanReadError:
         return None
-    text = "; ".join(f"{one.st_size} {one.st_mtime_ns} {one.st_ctime_ns} {one.st_ino}" for one in found)
+    text = "; ".join(
+        f"{one.st_size} {one.st_mtime_ns} {one.st_ctime_ns} {one.st_ino}" for one in found
+    )
     return Stamp(text, max(max(one.st_mtime, one.st_ctime) for one in found))
 
 
@@ -99,5 +101,7 @@ def _of_each_file(file: Path, look: Callable[[IO[bytes]], Found]) -> list[Found]
         raise ScanReadError(f"{part}: {error.message}") from error
     # A path with a zero byte, from a binary file in place of a manifest, raises a ValueError.
     except (OSError, ValueError) as error:
-        raise ScanReadError(f"cannot read {part}: {getattr(error, 'strerror', None) or error}") from error
+        raise ScanReadError(
+            f"cannot read {part}: {getattr(error, 'strerror', None) or error}"
+        ) from error
     return found

@@ -64,7 +64,9 @@ def read_las(path: Path) -> RawScan:
     data = path.read_bytes()
     _check_records(data)
     try:
-        with laspy.open(io.BytesIO(data), laz_backend=laspy.LazBackend.Lazrs, read_evlrs=False) as reader:
+        with laspy.open(
+            io.BytesIO(data), laz_backend=laspy.LazBackend.Lazrs, read_evlrs=False
+        ) as reader:
             _check_points(data, reader.header)
             records = [*reader.chunk_iterator(AT_ONCE)]
     except BaseException as error:
@@ -73,11 +75,15 @@ def read_las(path: Path) -> RawScan:
         raise
     n_points = sum(map(len, records))
     if n_points != reader.header.point_count:
-        raise Damaged(f"its header declares {reader.header.point_count} points, it holds {n_points}")
+        raise Damaged(
+            f"its header declares {reader.header.point_count} points, it holds {n_points}"
+        )
     if not records:
         return RawScan(np.empty((0, 3)), unit="m")
     points = np.concatenate([np.column_stack([part.x, part.y, part.z]) for part in records])
-    noise = np.isin(np.concatenate([np.asarray(part.classification) for part in records]), NOISE)  # (n,)
+    noise = np.isin(
+        np.concatenate([np.asarray(part.classification) for part in records]), NOISE
+    )  # (n,)
     if not noise.any():
         return RawScan(points, unit="m")
     note = f"dropped {int(noise.sum())} of {len(points)} points that the file classifies as noise"
@@ -156,7 +162,9 @@ def _check_chunks(data: bytes, start: int, record: bytes, n_bytes: int) -> None:
 def read_e57(path: Path, name: str | None = None) -> RawScan:
     """Read the scans in an E57 file as one, or the scan of a name."""
     with _opened(path) as (file, names):
-        return joined([_scan(file, number) for number, own in enumerate(names) if name in (None, own)])
+        return joined(
+            [_scan(file, number) for number, own in enumerate(names) if name in (None, own)]
+        )
 
 
 def e57_names(path: Path) -> tuple[str, ...]:
@@ -183,7 +191,9 @@ def _opened(path: Path) -> Iterator[tuple[Any, list[str]]]:
                 raise Damaged(f"it declares {header.point_count} points in {n_bytes} bytes")
             if header.has_pose() and not np.isfinite(header.translation).all():
                 raise Damaged("the position of a sensor is not finite")
-        named = (header["name"].value() if header.node.isDefined("name") else "" for header in headers)
+        named = (
+            header["name"].value() if header.node.isDefined("name") else "" for header in headers
+        )
         yield file, distinct_names(map(str, named))
 
 
@@ -192,7 +202,9 @@ def _scan(file: Any, number: int) -> RawScan:
     header, data = file.get_header(number), file.read_scan(number, ignore_missing_fields=True)
     points = np.column_stack([data[f"cartesian{axis}"] for axis in "XYZ"]).astype(np.float64)
     # The default pose, at the origin, is that of a sensor if the points are the grid that it measured.
-    position = np.asarray(header.translation, dtype=np.float64) if header.has_pose() else np.zeros(3)
+    position = (
+        np.asarray(header.translation, dtype=np.float64) if header.has_pose() else np.zeros(3)
+    )
     is_grid = header.has_pose() and {"rowIndex", "columnIndex"} <= {*header.point_fields}
     return without_zeros(
         RawScan(points, viewpoints=position if is_grid or position.any() else None, unit="m")
@@ -214,4 +226,6 @@ def _check_xml(path: Path) -> None:
     if not UTF_8.match(xml):
         raise Damaged("its XML part is not UTF-8")
     if re.search(rb"<!(doctype|entity)", xml, re.IGNORECASE):
-        raise ScanReadError("its XML part has a document type, which E57 does not allow: export it again")
+        raise ScanReadError(
+            "its XML part has a document type, which E57 does not allow: export it again"
+        )

@@ -25,7 +25,14 @@ from pcretrieve.values import FloatArray, TriangleMesh, unit_of
 LARGEST_NUMBER = 2**40
 
 # Names of units in 3MF files; the last is that of trimesh, where a file names none.
-UNITS = {"micron": "um", "millimeter": "mm", "centimeter": "cm", "meter": "m", "inch": "in", "foot": "ft"}
+UNITS = {
+    "micron": "um",
+    "millimeter": "mm",
+    "centimeter": "cm",
+    "meter": "m",
+    "inch": "in",
+    "foot": "ft",
+}
 UNITS |= {"millimeters": "mm", "meters": "m"}
 
 # Largest compression ratio of an archive of markup as a whole, and number of bytes to which any may expand.
@@ -37,7 +44,13 @@ ANY_MARKUP = 10_000_000
 # Elements of 3MF and of COLLADA files: scenes, nodes, and what refers to a node or to a mesh.
 SCENES = ("{*}build", "{*}visual_scene")
 NODES = ("{*}object", "{*}node")
-USES = ("{*}item", "{*}component", "{*}instance_node", "{*}instance_geometry", "{*}instance_controller")
+USES = (
+    "{*}item",
+    "{*}component",
+    "{*}instance_node",
+    "{*}instance_geometry",
+    "{*}instance_controller",
+)
 
 # A mesh is repeated in a scene for each node that refers to it. The number of vertices and indices in the
 # scene is limited to the number of bytes of the file, or to this number if the file is smaller.
@@ -100,10 +113,14 @@ def read_by_trimesh(path: Path) -> RawScan:
 
 def _of_trimesh(mesh: Any) -> RawScan:
     faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
-    return RawScan(np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3), faces if len(faces) else None)
+    return RawScan(
+        np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3), faces if len(faces) else None
+    )
 
 
-def welded(points: NDArray[Any], faces: NDArray[np.integer]) -> tuple[NDArray[Any], NDArray[np.integer]]:
+def welded(
+    points: NDArray[Any], faces: NDArray[np.integer]
+) -> tuple[NDArray[Any], NDArray[np.integer]]:
     """Merge the vertices that coincide at the ends of open edges, which have one face.
 
     STL repeats the vertices of each triangle, other formats those at seams of normals and textures. Vertices
@@ -113,7 +130,10 @@ def welded(points: NDArray[Any], faces: NDArray[np.integer]) -> tuple[NDArray[An
     from scipy.sparse.csgraph import connected_components
 
     n = len(points)
-    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=-1) @ (n, 1)  # (m, 3), one number for each edge
+    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=-1) @ (
+        n,
+        1,
+    )  # (m, 3), one number for each edge
     edges, use = np.unique(sides, return_counts=True)
     ends = np.column_stack(np.divmod(edges[use == 1], n))  # (s, 2)
     if not len(ends):
@@ -127,7 +147,9 @@ def welded(points: NDArray[Any], faces: NDArray[np.integer]) -> tuple[NDArray[An
     end = n + 2 * edge[:, None] + (at == at.max(axis=1, keepdims=True))  # (s, 2)
     pairs, size = (ends.ravel(), end.ravel()), int(end.max()) + 1
     graph = coo_array((np.ones(ends.size, np.int8), pairs), shape=(size, size))
-    merged = connected_components(graph, directed=False)[1][:n]  # (n,), numbered in the order of the file
+    merged = connected_components(graph, directed=False)[1][
+        :n
+    ]  # (n,), numbered in the order of the file
     first = np.flatnonzero(np.diff(np.maximum.accumulate(merged), prepend=-1))
     return points[first], merged[faces]
 
@@ -167,14 +189,19 @@ def moved(mesh: RawScan, motion: FloatArray) -> RawScan:
     points, faces = mesh.points, mesh.faces
     if faces is not None and np.linalg.det(motion[:3, :3]) < 0:
         faces = faces[:, ::-1]
-    return RawScan(trimesh.transform_points(points, motion).reshape(-1, 3) if len(points) else points, faces)
+    return RawScan(
+        trimesh.transform_points(points, motion).reshape(-1, 3) if len(points) else points, faces
+    )
 
 
 def three_mf_scene(path: Path) -> Scene:
     """The bodies of a 3MF file."""
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
-        size, packed = sum(info.file_size for info in members), sum(info.compress_size for info in members)
+        size, packed = (
+            sum(info.file_size for info in members),
+            sum(info.compress_size for info in members),
+        )
         if size > max(ANY_MARKUP, MARKUP_RATIO * packed):
             raise Damaged(f"its members declare {size} bytes in {packed}")
         for info in members:
@@ -189,7 +216,9 @@ def three_mf_scene(path: Path) -> Scene:
 
 def collada_scene(path: Path) -> Scene:
     """The bodies of a COLLADA file."""
-    _check_instances(io.BytesIO(path.read_bytes()))  # lxml refuses names of files that are not UTF-8
+    _check_instances(
+        io.BytesIO(path.read_bytes())
+    )  # lxml refuses names of files that are not UTF-8
     bodies, said = _markup(path, "dae", path.stat().st_size)
     if said is None:
         return _scene(bodies, None)
@@ -204,8 +233,12 @@ def _check_instances(file: IO[bytes]) -> None:
     """Check how many bodies markup has, of which trimesh makes one for each way from its scene to a mesh."""
     from lxml import etree  # type: ignore[import-untyped,unused-ignore]
 
-    uses: dict[str, list[str]] = {}  # of other nodes and of meshes, by the name of a node; "": by the scene
-    for _, node in etree.iterparse(file, tag=SCENES + NODES, resolve_entities=False, huge_tree=True):
+    uses: dict[
+        str, list[str]
+    ] = {}  # of other nodes and of meshes, by the name of a node; "": by the scene
+    for _, node in etree.iterparse(
+        file, tag=SCENES + NODES, resolve_entities=False, huge_tree=True
+    ):
         named = [one.get("objectid") or one.get("url", "")[1:] for one in node.iter(*USES)]
         is_scene = node.tag.endswith(("build", "visual_scene"))
         uses.setdefault("" if is_scene else node.get("id"), []).extend(named)
@@ -217,7 +250,9 @@ def _check_instances(file: IO[bytes]) -> None:
     check_bodies(count(""))
 
 
-def _markup(path: Path, file_type: str, n_bytes: int) -> tuple[list[tuple[str, RawScan]], str | None]:
+def _markup(
+    path: Path, file_type: str, n_bytes: int
+) -> tuple[list[tuple[str, RawScan]], str | None]:
     """The bodies in so many bytes of markup with their names, and the unit as trimesh names it."""
     import trimesh
 

@@ -44,13 +44,17 @@ def organised_scan(grid: FloatArray, measured: NDArray[np.bool_], sensor: FloatA
     )  # (h, w, 3)
     kept = normals.any(axis=2)  # (h, w)
     if not kept.any():
-        raise ScanReadError(f"none of its {n_measured} readings has three neighbours on the same surface")
+        raise ScanReadError(
+            f"none of its {n_measured} readings has three neighbours on the same surface"
+        )
     points, normals = grid[kept], normals[kept]
     away = np.einsum("ij,ij->i", normals, sensor - points) < 0
     normals[away] *= -1
     notes = []
     if n_measured < n_readings:
-        notes.append(f"dropped {n_readings - n_measured} of {n_readings} readings without an answer")
+        notes.append(
+            f"dropped {n_readings - n_measured} of {n_readings} readings without an answer"
+        )
     if len(points) < n_measured:
         notes.append(
             f"dropped {n_measured - len(points)} of {n_measured} points without three neighbours on a surface"
@@ -84,7 +88,9 @@ def _shifted(array: NDArray[Any], axis: int) -> tuple[NDArray[Any], NDArray[Any]
     return (array[:-1], array[1:]) if axis == 0 else (array[:, :-1], array[:, 1:])
 
 
-def _normals(grid: FloatArray, measured: NDArray[np.bool_], spacing: FloatArray, band: slice) -> FloatArray:
+def _normals(
+    grid: FloatArray, measured: NDArray[np.bool_], spacing: FloatArray, band: slice
+) -> FloatArray:
     """(b, w, 3) unit normals of a band of rows, by the covariance of neighbours; zero where there are few."""
     start, stop, _ = band.indices(len(grid))
     height, width = measured.shape
@@ -106,7 +112,9 @@ def _normals(grid: FloatArray, measured: NDArray[np.bool_], spacing: FloatArray,
         outer = slice(top + down, bottom + down), slice(left + right, end + right)
         apart = [plane[outer] - plane[own] for plane in planes]  # three (b', w')
         squares = apart[0] * apart[0] + apart[1] * apart[1] + apart[2] * apart[2]
-        near = (squares <= (MOST_APART * np.hypot(down, right) * spacing[own]) ** 2) & measured[outer]
+        near = (squares <= (MOST_APART * np.hypot(down, right) * spacing[own]) ** 2) & measured[
+            outer
+        ]
         count[inner] += near
         for k in range(3):
             apart[k] = np.where(near, apart[k], 0)

@@ -66,12 +66,16 @@ def _header(text: str) -> tuple[np.dtype[np.void], int, tuple[float, ...]]:
     fields: list[Any] = []
     for name, kind, size, count in zip(names, values["TYPE"], values["SIZE"], counts, strict=True):
         if int(size) not in SIZES[kind] or count < 1:
-            raise Damaged(f"its header declares {name} of the type {kind}, {size} bytes, {count} times")
+            raise Damaged(
+                f"its header declares {name} of the type {kind}, {size} bytes, {count} times"
+            )
         fields.append((name, f"{KINDS[kind]}{int(size)}", *([(count,)] if count > 1 else [])))
     (n_points,) = map(int, values["POINTS"])
     viewpoint = tuple(map(float, values.get("VIEWPOINT", NO_VIEWPOINT)))
     if n_points < 0 or len(viewpoint) != len(NO_VIEWPOINT):
-        raise Damaged(f"its header declares {n_points} points, and {len(viewpoint)} numbers of VIEWPOINT")
+        raise Damaged(
+            f"its header declares {n_points} points, and {len(viewpoint)} numbers of VIEWPOINT"
+        )
     return np.dtype(fields), n_points, viewpoint
 
 

@@ -114,7 +114,9 @@ def _header(data: bytes) -> tuple[str, list[Element], int]:
                     # float, because int raises an exception for a number of thousands of digits.
                     n_rows, n_bytes = float(number), len(data) - last.end()
                     if n_rows > n_bytes:  # a row has at least one byte
-                        raise Damaged(f"its header declares {n_rows:.0f} of {name}, {n_bytes} bytes follow")
+                        raise Damaged(
+                            f"its header declares {n_rows:.0f} of {name}, {n_bytes} bytes follow"
+                        )
                     elements.append(Element(name, int(n_rows), []))
                 case ["property", "list", length, kind, name] if TYPES[length][0] != "f":
                     elements[-1].properties.append(Property(name, TYPES[kind], TYPES[length]))
@@ -139,7 +141,11 @@ def _tables(body: NDArray[np.uint8], element: Element, order: str) -> tuple[list
     """The rows of an element in the (b,) bytes from its first row on, and where the next element begins."""
     n = element.n_rows
     if not n:
-        return [Table(np.arange(0), np.empty(0, _record(element, order, (0,) * len(element.properties))))], 0
+        return [
+            Table(
+                np.arange(0), np.empty(0, _record(element, order, (0,) * len(element.properties)))
+            )
+        ], 0
     _, width, lengths = next(_places(body, element, order))
     if n * width <= len(body):
         rows = body[: n * width].view(_record(element, order, lengths))
@@ -236,15 +242,22 @@ def _in_order(parts: list[tuple[NDArray[np.intp], NDArray[Any]]]) -> NDArray[Any
 
 def _vertices(element: Element, found: list[Table]) -> RawScan:
     # Numbers of a text file are rounded to the precision of their type.
-    types = {one.name: "f4" if one.type == "f4" else "f8" for one in element.properties if not one.length}
+    types = {
+        one.name: "f4" if one.type == "f4" else "f8" for one in element.properties if not one.length
+    }
     return scan_of_fields(
-        types, lambda name: _in_order([(numbers, rows[name].astype(types[name])) for numbers, rows in found])
+        types,
+        lambda name: _in_order(
+            [(numbers, rows[name].astype(types[name])) for numbers, rows in found]
+        ),
     )
 
 
 def _faces(element: Element, found: list[Table]) -> NDArray[np.int64]:
     """(m, 3) vertex numbers of triangles."""
-    lists = {one.name for one in element.properties if one.length is not None and one.type[0] != "f"}
+    lists = {
+        one.name for one in element.properties if one.length is not None and one.type[0] != "f"
+    }
     name = next((name for name in FACE_PROPERTIES if name in lists), None)
     if name is None:
         raise ScanReadError(
@@ -253,7 +266,10 @@ def _faces(element: Element, found: list[Table]) -> NDArray[np.int64]:
     alike: dict[int, list[tuple[NDArray[np.intp], NDArray[Any]]]] = {}
     for numbers, rows in found:
         corners = rows[name]  # (p, k)
-        if corners.dtype.kind == "f" and not ((np.abs(corners) <= LARGEST_INDEX) & (corners % 1 == 0)).all():
+        if (
+            corners.dtype.kind == "f"
+            and not ((np.abs(corners) <= LARGEST_INDEX) & (corners % 1 == 0)).all()
+        ):
             raise Damaged("its faces name vertices by other than whole numbers")
         alike.setdefault(corners.shape[1], []).append((numbers, corners))
     return fans([_in_order(parts) for parts in alike.values()])

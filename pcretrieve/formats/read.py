@@ -107,7 +107,9 @@ def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:
     if raw.faces is not None:
         faces = raw.faces
         if faces.size and (faces.min() < 0 or faces.max() >= n):
-            raise ScanReadError(f"faces must name vertices 0 to {n - 1}, got {faces.min()} to {faces.max()}")
+            raise ScanReadError(
+                f"faces must name vertices 0 to {n - 1}, got {faces.min()} to {faces.max()}"
+            )
         if len(points) < n:
             numbers = np.cumsum(kept) - 1  # (n,), of the vertices that are left
             faces = numbers[faces[kept[faces].all(axis=1)]]
@@ -126,7 +128,9 @@ def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:
         if usable.all():
             normals = normals / length
         else:
-            notes.append(f"ignored the file's normals: {int((~usable).sum())} of them have no direction")
+            notes.append(
+                f"ignored the file's normals: {int((~usable).sum())} of them have no direction"
+            )
             normals = None
     viewpoints = raw.viewpoints
     if viewpoints is not None:

@@ -91,7 +91,11 @@ def members_of(path: Path) -> tuple[Path, ...]:
     check_file(path)
     with _reading(path):
         names = found.names(path)
-    return tuple(path.with_name(f"{path.name}{MARK}{name}") for name in names) if len(names) > 1 else ()
+    return (
+        tuple(path.with_name(f"{path.name}{MARK}{name}") for name in names)
+        if len(names) > 1
+        else ()
+    )
 
 
 def parts_of(path: Path) -> tuple[Part, ...]:
@@ -177,7 +181,9 @@ def _damage(file: Path) -> Iterator[None]:
         elif not reason or isinstance(error, _OF_VALUES):
             reason = f"{type(error).__name__} {reason}".strip()
         kind = file.suffix[1:].upper()
-        raise ScanReadError(f"not a complete {kind} file ({reason}): export or copy it again") from error
+        raise ScanReadError(
+            f"not a complete {kind} file ({reason}): export or copy it again"
+        ) from error
 
 
 # Exceptions whose message says nothing without their name, of headers and trees that lack something.
@@ -193,7 +199,9 @@ def _added(suffix: str, added: object) -> Format:
         return added
     if callable(added):
         return Format(added)
-    raise TypeError(f"must be a Format, or a function that reads a file, got {type(added).__name__}")
+    raise TypeError(
+        f"must be a Format, or a function that reads a file, got {type(added).__name__}"
+    )
 
 
 def _checked(scan: object) -> RawScan:
@@ -217,7 +225,9 @@ def _checked(scan: object) -> RawScan:
 def _rows(array: object, name: str, n: int | None = None) -> NDArray[np.float64]:
     rows = np.asarray(array, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != 3 or n not in (None, len(rows)):
-        raise ValueError(f"{name} must have the shape ({'n' if n is None else n}, 3), got {rows.shape}")
+        raise ValueError(
+            f"{name} must have the shape ({'n' if n is None else n}, 3), got {rows.shape}"
+        )
     return rows
 
 
@@ -234,7 +244,9 @@ _POINTS = Format(partial(read_text, normals=False))
 _TABLE = Format(read_text, recognise=is_table)
 _IMAGE = Format(read_depth, camera_parts, recognise=is_depth_image)
 _OWN = {
-    ".ply": Format(read_ply, write_cloud=ply_bytes, write_mesh=partial(meshes.mesh_bytes, file_type="ply")),
+    ".ply": Format(
+        read_ply, write_cloud=ply_bytes, write_mesh=partial(meshes.mesh_bytes, file_type="ply")
+    ),
     ".pcd": Format(read_pcd, write_cloud=pcd_bytes),
     **dict.fromkeys((".xyz", ".xyzrgb", ".pts"), _POINTS),
     ".xyzn": Format(partial(read_text, normals=True), write_cloud=xyzn_bytes),
@@ -259,4 +271,6 @@ _OWN = {
 #: The formats by suffix. Other packages add formats by entry points of the group ``pcretrieve.readers``: the
 #: name of an entry point is the suffix, including the dot, in lower case; its value is a `Format`, or a
 #: function from a path to a `RawScan`.
-FORMATS: Registry[Format] = Registry(Names("format", "pcretrieve.readers", tuple(_OWN)), _OWN, _added)
+FORMATS: Registry[Format] = Registry(
+    Names("format", "pcretrieve.readers", tuple(_OWN)), _OWN, _added
+)

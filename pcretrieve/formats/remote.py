@@ -71,7 +71,9 @@ def _copy(path: Path, file: Path) -> None:
 
         def check(size: int | None, value: int) -> None:
             if max(size or 0, value) > LARGEST:
-                raise ScanReadError(f"{url} has more than {LARGEST} bytes: copy it to this computer first")
+                raise ScanReadError(
+                    f"{url} has more than {LARGEST} bytes: copy it to this computer first"
+                )
 
         system.get_file(place, str(file), callback=Callback(hooks={"size": check}))
 

@@ -20,7 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.formats.format import Damaged, RawScan, are_normals, check_text, joined, without_zeros
+from pcretrieve.formats.format import (
+    Damaged,
+    RawScan,
+    are_normals,
+    check_text,
+    joined,
+    without_zeros,
+)
 from pcretrieve.formats.organised import organised_scan
 from pcretrieve.values import FloatArray, PointCloud
 
@@ -75,7 +82,9 @@ def read_text(path: Path, *, normals: bool | None = None) -> RawScan:
     with path.open(encoding=layout.encoding, errors="replace") as file:
         _skip(file, layout.n_header_lines)
         # NumPy parses the lines as the file gives them, so that its text is never in memory as a whole.
-        lines = file if layout.decimal == "." else (line.replace(layout.decimal, ".") for line in file)
+        lines = (
+            file if layout.decimal == "." else (line.replace(layout.decimal, ".") for line in file)
+        )
         table = _number_rows(lines, columns, layout.separator)
     if layout.promised is not None and layout.promised != len(table):
         raise Damaged(f"it declares {layout.promised:.0f} points and holds {len(table)}")
@@ -94,8 +103,12 @@ def _number_rows(
     """(n, c) columns of a table of numbers."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # an empty table is reported by `read_scan`
-            table = np.loadtxt(lines, dtype=np.float64, usecols=columns, delimiter=separator, ndmin=2)
+            warnings.simplefilter(
+                "ignore", UserWarning
+            )  # an empty table is reported by `read_scan`
+            table = np.loadtxt(
+                lines, dtype=np.float64, usecols=columns, delimiter=separator, ndmin=2
+            )
     except ValueError as error:
         raise ScanReadError(f"each line must hold {max(columns) + 1} numbers: {error}") from error
     return table.reshape(-1, len(columns))
@@ -107,12 +120,19 @@ def is_table(path: Path) -> bool:
     layout = _layout(lines, encoding, n_numbers=3)
     header = lines[: layout.n_header_lines]
     names = {name for line in header for name in _names(line, layout.separator)}
-    rows = [cells for line in lines[layout.n_header_lines :] if (cells := _cells(line, layout.separator))]
+    rows = [
+        cells
+        for line in lines[layout.n_header_lines :]
+        if (cells := _cells(line, layout.separator))
+    ]
     return (
         len(rows) >= FEWEST_POINTS
         and layout.n_columns <= MOST_COLUMNS
         and not names & OTHER_TABLES
-        and all(len(row) == layout.n_columns and _is_row(row, layout.points, layout.decimal) for row in rows)
+        and all(
+            len(row) == layout.n_columns and _is_row(row, layout.points, layout.decimal)
+            for row in rows
+        )
     )
 
 
@@ -123,7 +143,9 @@ def _head(path: Path) -> tuple[list[str], str]:
     """The first lines of a text file, which are complete, and its encoding."""
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
-    encoding = "utf-16" if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    encoding = (
+        "utf-16" if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    )
     # A header may hold signs of units in any encoding: the numbers are the same in all of them.
     text = head.decode(encoding, errors="replace")
     check_text(path, text)
@@ -133,7 +155,9 @@ def _head(path: Path) -> tuple[list[str], str]:
 
 def _layout(lines: list[str], encoding: str, n_numbers: int) -> Layout:
     if lines and RASTER.match(lines[0]):
-        raise ScanReadError("it is a raster of heights by ESRI, not a table of points: export the points")
+        raise ScanReadError(
+            "it is a raster of heights by ESRI, not a table of points: export the points"
+        )
     header = ""  # the last line above the first row that has words
     promised = None
     for n_lines, line in enumerate(lines[: MOST_HEADER_LINES + 1]):
@@ -155,7 +179,9 @@ def _layout(lines: list[str], encoding: str, n_numbers: int) -> Layout:
                 )
         words = _cells(line, None)
         if len(words) == 1 and words[0].isdecimal() and words[0].isascii():
-            promised = float(words[0])  # int raises an exception for a number of thousands of digits
+            promised = float(
+                words[0]
+            )  # int raises an exception for a number of thousands of digits
         elif words and _is_row(words, range(len(words)), "."):
             break  # a row with too few numbers, and not a header
         else:
@@ -191,13 +217,21 @@ def _names(line: str, separator: str | None) -> tuple[str, ...]:
     mark = "\t" if separator is None and "\t" in plain.strip() else separator
     # Names of one word may be separated otherwise than the cells of the rows. A name may be empty: that of
     # the index of a table by pandas.
-    words = plain.split(mark) if mark is not None and mark in plain else re.split(r"[\s,;]+", plain.strip())
+    words = (
+        plain.split(mark)
+        if mark is not None and mark in plain
+        else re.split(r"[\s,;]+", plain.strip())
+    )
     names = tuple(word.strip("\"' \t") for word in words)
     return names if any(names) else ()
 
 
 def _columns(names: tuple[str, ...], pattern: re.Pattern[str]) -> tuple[int, ...] | None:
-    axes = {found[1]: k for k, name in reversed([*enumerate(names)]) if (found := pattern.fullmatch(name))}
+    axes = {
+        found[1]: k
+        for k, name in reversed([*enumerate(names)])
+        if (found := pattern.fullmatch(name))
+    }
     for three in ("xyz", "012"):
         if set(three) <= axes.keys():
             return tuple(axes[axis] for axis in three)
@@ -269,7 +303,9 @@ def _headers(path: Path, file: IO[str]) -> Iterator[Grid]:
             if len(lines) < N_HEADER_LINES or pose.shape != (4, 4) or not np.isfinite(pose).all():
                 raise ValueError("it must be ten lines, of which the last four are a matrix")
             if not (n_columns.is_integer() and n_rows.is_integer() and min(n_columns, n_rows) > 0):
-                raise ValueError(f"the size of the grid must be whole numbers, got {n_columns:g} {n_rows:g}")
+                raise ValueError(
+                    f"the size of the grid must be whole numbers, got {n_columns:g} {n_rows:g}"
+                )
             if n_columns * n_rows * SHORTEST_ROW > size:
                 raise ValueError(f"it declares {n_columns * n_rows:.0f} rows in {size} bytes")
             rotation = pose[:3, :3]

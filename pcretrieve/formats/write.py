@@ -121,7 +121,9 @@ def _write(value: PointCloud | TriangleMesh, path: Path, kind: Kind) -> None:
     except Exception as error:
         if suffix in FORMATS.own:
             raise
-        raise InputError(f"{FORMATS.called(suffix)} failed, {type(error).__name__}: {error}") from error
+        raise InputError(
+            f"{FORMATS.called(suffix)} failed, {type(error).__name__}: {error}"
+        ) from error
     write_file(path, data)
 
 

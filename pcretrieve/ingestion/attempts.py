@@ -85,7 +85,9 @@ def content_of(path: Path, options: PipelineOptions) -> Content:
     return Content(replace(shape, surfaces=surfaces, cloud=None), signature, picture)
 
 
-def next_attempt(attempt: Attempt, error: PcretrieveError, options: PipelineOptions) -> Attempt | None:
+def next_attempt(
+    attempt: Attempt, error: PcretrieveError, options: PipelineOptions
+) -> Attempt | None:
     """The next attempt at a scan that failed: in a new process, with cheaper settings, by the other method.
 
     A change that cannot help is left out: a new process if a stage has refused the scan, other settings if
@@ -97,7 +99,10 @@ def next_attempt(attempt: Attempt, error: PcretrieveError, options: PipelineOpti
     changes: list[Changes | None] = [{} if isinstance(error, PERHAPS_OF_THE_PROCESS) else None]
     # In the mode ``keep``, no surface is reconstructed.
     if not isinstance(error, ScanReadError) and given.mode != "keep":
-        changes += [_cheaper(given), {"method": "growth" if given.method == "poisson" else "poisson"}]
+        changes += [
+            _cheaper(given),
+            {"method": "growth" if given.method == "poisson" else "poisson"},
+        ]
     for number, change in list(enumerate(changes, 1))[attempt.n_taken :]:
         if change is not None:
             words = [

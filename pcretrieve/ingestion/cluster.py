@@ -41,7 +41,8 @@ LOST = (
 )
 
 OTHER_VERSION = (
-    "the workers of the Dask cluster must have pcretrieve, and its plug-ins, in the version of this computer"
+    "the workers of the Dask cluster must have pcretrieve, and its plug-ins, in the version of this"
+    " computer"
 )
 
 SEVERAL = "several Dask workers, in turn, ended while they worked on it"
@@ -116,13 +117,22 @@ class DaskExecutor:
                     if not running:
                         return
                     future = next(completed)
-                    if future.status in ("lost", "pending"):  # its worker ended before its answer was sent
+                    if future.status in (
+                        "lost",
+                        "pending",
+                    ):  # its worker ended before its answer was sent
                         completed.add(future)
                         continue
                     item, is_alone = running.pop(future)
                     outcome = _result_of(future)
-                    if isinstance(outcome, WorkerDied) and not is_alone and outcome.message == SEVERAL:
-                        logger.warning("a scan was lost with several Dask workers: it is tried alone")
+                    if (
+                        isinstance(outcome, WorkerDied)
+                        and not is_alone
+                        and outcome.message == SEVERAL
+                    ):
+                        logger.warning(
+                            "a scan was lost with several Dask workers: it is tried alone"
+                        )
                         given_up.append(item)
                     else:
                         yield item, outcome
@@ -153,7 +163,9 @@ def _result_of(future: Any) -> Any:
         raise
     except (Exception, CancelledError) as error:
         raise PcretrieveError(
-            f"{OTHER_VERSION}: {type(error).__name__}: {error}" if future.status == "error" else LOST
+            f"{OTHER_VERSION}: {type(error).__name__}: {error}"
+            if future.status == "error"
+            else LOST
         ) from error
 
 
@@ -174,9 +186,13 @@ def _connected(executor: DaskExecutor) -> Iterator[Any]:
     try:
         from distributed import Client
     except ImportError as error:
-        raise InputError("Dask clusters need distributed: pip install 'pcretrieve[cluster]'") from error
+        raise InputError(
+            "Dask clusters need distributed: pip install 'pcretrieve[cluster]'"
+        ) from error
     if executor.scheduler_file is not None and not executor.scheduler_file.is_file():
-        raise InputError(f"{executor.scheduler_file} must be the file of a Dask scheduler, it is not there")
+        raise InputError(
+            f"{executor.scheduler_file} must be the file of a Dask scheduler, it is not there"
+        )
     file = None if executor.scheduler_file is None else str(executor.scheduler_file)
     try:
         client = Client(executor.scheduler, scheduler_file=file, timeout=CONNECT_TIMEOUT)
@@ -215,7 +231,9 @@ def _outcome_of(
             for name, version in expected.items()
             if here.get(name) != version
         )
-        raise InputError(f"a Dask worker must have the versions of the computer that writes, got {differing}")
+        raise InputError(
+            f"a Dask worker must have the versions of the computer that writes, got {differing}"
+        )
     # The worker processes of Dask are daemons by default, which may not have child processes, because these
     # would outlive them. The processes of `in_processes` end with their parent process.
     multiprocessing.current_process().daemon = False

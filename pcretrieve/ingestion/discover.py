@@ -56,8 +56,12 @@ def discover(
     parts = {part.path for path in found for part in parts_in(path)}
     whole = [path for path in found if path not in parts]
     # A file at a URL is not copied to be looked into. A format of another package may have names.
-    several = [path for path in whole if url_of(path) is None and _may_be_several(path.suffix.lower())]
-    looked = map(_looked, several) if limits is None else in_processes(members_of, several, **limits)
+    several = [
+        path for path in whole if url_of(path) is None and _may_be_several(path.suffix.lower())
+    ]
+    looked = (
+        map(_looked, several) if limits is None else in_processes(members_of, several, **limits)
+    )
     members = {path: scans for path, scans in looked if isinstance(scans, tuple)}
     return [scan for path in whole for scan in members.get(path) or (path,)]
 
@@ -72,7 +76,9 @@ def shape_ids(paths: Collection[str], taken: Mapping[str, str]) -> dict[str, str
 
     used = set(taken)
     ids = {path: shape_id for shape_id, path in taken.items()}
-    last: dict[str, int] = {}  # the last number of each name, where the search for the next one starts
+    last: dict[
+        str, int
+    ] = {}  # the last number of each name, where the search for the next one starts
     for path in paths:
         if path in ids:
             continue
@@ -144,10 +150,14 @@ def _expand(argument: str | Path, beside: Collection[Path]) -> list[Path]:
         raise InputError(f"cannot look into {path}: {error.strerror}") from error
     scans = {file: None for file in files if is_scan(file)}
     expected = {*beside, *(part.path for scan in scans for part in parts_in(scan))}
-    unread = unread_files(file for file in files if file not in scans and _absolute(file) not in expected)
+    unread = unread_files(
+        file for file in files if file not in scans and _absolute(file) not in expected
+    )
     if not scans:
         left = f", but {unread}" if unread else ""
-        raise InputError(f"{url or path} names no scans{left}; known are {' '.join(sorted(suffixes()))}")
+        raise InputError(
+            f"{url or path} names no scans{left}; known are {' '.join(sorted(suffixes()))}"
+        )
     if unread:
         logger.warning("left unread in %s: %s", url or path, unread)
     return list(scans)
@@ -175,13 +185,17 @@ def _named_by(path: Path) -> list[Path]:
 def read_text(path: Path, kind: str) -> str:
     """The text of a file; `kind` says in messages what the file is."""
     try:
-        return path.read_bytes().decode("utf-8-sig")  # names may have the end of a line of any system
+        return path.read_bytes().decode(
+            "utf-8-sig"
+        )  # names may have the end of a line of any system
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
         raise InputError(f"cannot read the {kind} {path}: {reason}") from error
 
 
-def read_table(path: Path, kind: str, text: str, *columns: Sequence[str]) -> Iterator[tuple[str, ...]]:
+def read_table(
+    path: Path, kind: str, text: str, *columns: Sequence[str]
+) -> Iterator[tuple[str, ...]]:
     """The values of some columns of a CSV file, each of which has one of several names."""
     # Spreadsheets separate columns by semicolons where the comma is the decimal point.
     head = text.partition("\n")[0]
@@ -189,7 +203,9 @@ def read_table(path: Path, kind: str, text: str, *columns: Sequence[str]) -> Ite
     try:
         rows = csv.DictReader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
         header = {name.strip().lower(): name for name in rows.fieldnames or ()}
-        found = [header[known[0]] for names in columns if (known := [n for n in names if n in header])]
+        found = [
+            header[known[0]] for names in columns if (known := [n for n in names if n in header])
+        ]
         if len(found) < len(columns):
             needed = " and one of ".join(", ".join(names) for names in columns)
             raise InputError(

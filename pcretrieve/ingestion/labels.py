@@ -85,16 +85,39 @@ LAYOUTS: Mapping[str, Layout] = MappingProxyType(
     {
         layout.name: layout
         for layout in (
-            Layout("shrec11", BESIDE, 600, 30, ", 20 of each class; watertight meshes, --surface keep", NIST),
-            Layout("shrec14-real", BESIDE, 400, 40, ", 40 people in 10 poses; --surface keep", CARDIFF),
-            Layout("shrec14-synthetic", BESIDE, 300, 15, ", 15 people in 20 poses; --surface keep", CARDIFF),
+            Layout(
+                "shrec11",
+                BESIDE,
+                600,
+                30,
+                ", 20 of each class; watertight meshes, --surface keep",
+                NIST,
+            ),
+            Layout(
+                "shrec14-real", BESIDE, 400, 40, ", 40 people in 10 poses; --surface keep", CARDIFF
+            ),
+            Layout(
+                "shrec14-synthetic",
+                BESIDE,
+                300,
+                15,
+                ", 15 people in 20 poses; --surface keep",
+                CARDIFF,
+            ),
             Layout("faust", _person, 100, 10, OF_FAUST, TUEBINGEN),
             Layout(
-                "tosca", _before_number, 80, 9, "; high-resolution meshes, some of which are open", TECHNION
+                "tosca",
+                _before_number,
+                80,
+                9,
+                "; high-resolution meshes, some of which are open",
+                TECHNION,
             ),
             Layout("psb", ("*.cla",), 0, 0, OF_PSB, PRINCETON),
             Layout("folders", _folder, 0, 0, "; the class is the folder"),
-            Layout("csv", ("labels.csv",), 0, 0, "; the classes are in labels.csv beside the scans"),
+            Layout(
+                "csv", ("labels.csv",), 0, 0, "; the classes are in labels.csv beside the scans"
+            ),
         )
     }
 )
@@ -113,7 +136,9 @@ def discover_labelled(
         files += [labels] if labels is not None else []
     elif isinstance(layout.place, tuple):
         folders = [Path(argument) for argument in arguments if Path(argument).is_dir()]
-        files += [file for folder in folders for name in layout.place for file in folder.rglob(name)]
+        files += [
+            file for folder in folders for name in layout.place for file in folder.rglob(name)
+        ]
     try:
         scans = discover(arguments, files, limits)
     except InputError as error:
@@ -164,7 +189,9 @@ def _label_file(layout: Layout, names: tuple[str, ...], folder: Path) -> Path:
             files = sorted(place.glob(pattern))
             if len(files) > 1:
                 named = ", ".join(file.name for file in files)
-                raise BenchmarkError(f"the layout {layout.name} needs one label file in {place}, got {named}")
+                raise BenchmarkError(
+                    f"the layout {layout.name} needs one label file in {place}, got {named}"
+                )
             if files:
                 return files[0]
     raise BenchmarkError(
@@ -192,7 +219,9 @@ def read_labels(path: str | Path) -> dict[str, str]:
     return labels
 
 
-def match_labels(labels: Mapping[str, str], paths: Mapping[str, str]) -> tuple[dict[str, str], list[str]]:
+def match_labels(
+    labels: Mapping[str, str], paths: Mapping[str, str]
+) -> tuple[dict[str, str], list[str]]:
     """Match the names of a label file with shapes.
 
     A name matches the shape with this id. If there is none, it matches the shape whose path ends with the

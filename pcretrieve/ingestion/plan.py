@@ -98,7 +98,9 @@ class Plan:
     def apply(self, catalogue: Catalogue) -> None:
         """Write the changes to the records of a catalogue, and complete those of skipped scans by its own."""
         if self.moved or self.removed or self.labels or self.stamps:
-            catalogue.revise(moved=self.moved, removed=self.removed, labels=self.labels, stamps=self.stamps)
+            catalogue.revise(
+                moved=self.moved, removed=self.removed, labels=self.labels, stamps=self.stamps
+            )
         known = [*self.held, *(original for _, original in self.duplicates)]
         stored = catalogue.several({record.id for record in known})
         whole = {(record.path, record.content_hash): record for record in stored}
@@ -135,7 +137,9 @@ class Planner:
         self._held = {record.path: record for record in records}
         self._ids = shape_ids(self.files, {record.id: record.path for record in records})
         matched, unknown = match_labels(labels, {self._ids[name]: name for name in self.files})
-        self._labels = {name: matched[self._ids[name]] for name in self.files if self._ids[name] in matched}
+        self._labels = {
+            name: matched[self._ids[name]] for name in self.files if self._ids[name] in matched
+        }
         self._labels_left = {name: labels[name] for name in unknown}
         self._same: dict[Identity, list[Record]] = {}
         self._gone: dict[Identity, Record] = {}
@@ -198,7 +202,9 @@ class Planner:
                 made.removed.append(name)
             made.duplicates.append((name, original))
             return
-        self._queued[identity] = record = replace(self._record(name), content_hash=content, stamp=stamp)
+        self._queued[identity] = record = replace(
+            self._record(name), content_hash=content, stamp=stamp
+        )
         made.process.append((self.files[name], record))
 
     def _record(self, name: str) -> Record:
@@ -220,7 +226,9 @@ class Planner:
     def _original(self, identity: Identity) -> Record | None:
         """A record with this content; if its file is one of `files`, the file still has the content."""
         for record in self._same.get(identity, ()):
-            content = self.contents.of(record.path) if record.path in self.files else record.content_hash
+            content = (
+                self.contents.of(record.path) if record.path in self.files else record.content_hash
+            )
             if isinstance(content, ShapeError) or content == record.content_hash:
                 return record
         return None
@@ -252,11 +260,17 @@ class Contents:
     """
 
     def __init__(
-        self, scans: Mapping[str, Path], n_threads: int, timeout: float, records: Iterable[Record] = ()
+        self,
+        scans: Mapping[str, Path],
+        n_threads: int,
+        timeout: float,
+        records: Iterable[Record] = (),
     ) -> None:
         self._files = {name: split_member(scan)[0] for name, scan in scans.items()}
         self._scans, self._n_threads, self._timeout = scans, n_threads, timeout
-        self._records = {record.path: record for record in records if record.stamp and record.content_hash}
+        self._records = {
+            record.path: record for record in records if record.stamp and record.content_hash
+        }
         self._stamps_of_records = self._by_file()
         self._changed = Condition()  # guards the attributes below
         self._known: dict[Path, str | Exception | None] = {}  # None: a file that has not changed
@@ -269,7 +283,9 @@ class Contents:
         with self._changed:
             files = (self._files[name] for name in names)
             self._expected |= {
-                file: None for file in files if file not in self._known and file not in self._deadlines
+                file: None
+                for file in files
+                if file not in self._known and file not in self._deadlines
             }
             self._start()
 

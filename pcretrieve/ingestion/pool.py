@@ -156,7 +156,9 @@ def in_processes(
                     again.append((worker.item, worker.attempt + 1))
                 else:
                     if worker.printed:
-                        logger.info("%s: its libraries printed: %s", _name(worker.item), worker.printed)
+                        logger.info(
+                            "%s: its libraries printed: %s", _name(worker.item), worker.printed
+                        )
                     finished.append((worker.item, *news))
                 if not worker.is_gone and (task := next(first, None)):
                     worker.take(*task, timeout)
@@ -173,7 +175,11 @@ def in_processes(
 
 
 def alone(
-    function: Callable[..., Answer], /, *arguments: Any, timeout: float = 600.0, memory: float | None = None
+    function: Callable[..., Answer],
+    /,
+    *arguments: Any,
+    timeout: float = 600.0,
+    memory: float | None = None,
 ) -> Answer:
     """Call a function once, in a process of its own, with limits as of `in_processes`."""
     task: Callable[[partial[Answer]], Answer] = methodcaller("__call__")

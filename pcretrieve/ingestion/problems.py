@@ -81,7 +81,11 @@ def report_problem(
         measured, log = alone(_measured, scan, options, timeout=timeout, memory=memory)
         found |= measured
     except PcretrieveError as error:  # the process crashed, or exceeded its limits
-        found["failure"] = {"stage": error.stage, "error": type(error).__name__, "message": error.message}
+        found["failure"] = {
+            "stage": error.stage,
+            "error": type(error).__name__,
+            "message": error.message,
+        }
     text = _without_folder(json.dumps(found, indent=2, ensure_ascii=False), file)
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -107,7 +107,9 @@ def status(catalogue: CatalogueLike) -> BatchStatus:
     """
     with Catalogue.opened(catalogue) as store:
         counts = _stored(store)
-        kinds = Counter({f"{error} in {stage}": n for (stage, error), n in store.failures().items()})
+        kinds = Counter(
+            {f"{error} in {stage}": n for (stage, error), n in store.failures().items()}
+        )
         n_shapes = len(store)
     is_running = counts.state == "running" and _is_running(counts)
     n_finished = counts.n_done + counts.n_failed
@@ -134,7 +136,9 @@ class Progress:
     def __init__(self, catalogue: Catalogue, n_scans: int) -> None:
         pid = os.getpid()
         process = {"computer": _computer(), "pid": pid, "born": _born(pid)}
-        self._counts = _Counts.model_validate({"started": time.time(), "n_scans": n_scans, **process})
+        self._counts = _Counts.model_validate(
+            {"started": time.time(), "n_scans": n_scans, **process}
+        )
         self._catalogue = catalogue
         self._written = 0.0
 
@@ -158,7 +162,9 @@ class Progress:
         else:
             self._counts.n_done += 1
             for step in record.steps:
-                self._counts.stages[step.stage] = self._counts.stages.get(step.stage, 0.0) + step.seconds
+                self._counts.stages[step.stage] = (
+                    self._counts.stages.get(step.stage, 0.0) + step.seconds
+                )
         self._write(INTERVAL)
 
     def _write(self, interval: float = 0.0, *, is_first: bool = False) -> None:
@@ -168,7 +174,10 @@ class Progress:
         self._written = time.monotonic()
         self._counts.updated = time.time()
         database = self._catalogue.database
-        with suppress(CatalogueError), database.writing():  # a full disk is the concern of the next shape
+        with (
+            suppress(CatalogueError),
+            database.writing(),
+        ):  # a full disk is the concern of the next shape
             if is_first or _stored(self._catalogue).started == self._counts.started:
                 self._catalogue.keep_setting(SETTING, self._counts.model_dump_json())
 
@@ -198,10 +207,16 @@ def _computer() -> str:
 def _born(pid: int) -> str:
     """When a process of this computer was started, in ticks; empty if it has ended."""
     with suppress(OSError):
-        state, *facts = Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()
+        state, *facts = (
+            Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()
+        )
         return "" if state in "ZX" else facts[18]
     return ""
 
 
 def _iso(seconds: float) -> str | None:
-    return datetime.fromtimestamp(seconds, timezone.utc).isoformat(timespec="seconds") if seconds else None
+    return (
+        datetime.fromtimestamp(seconds, timezone.utc).isoformat(timespec="seconds")
+        if seconds
+        else None
+    )

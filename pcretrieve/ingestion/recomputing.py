@@ -98,7 +98,9 @@ def check(
         # A list, because repairs change the order of the finished shapes.
         chosen = [] if is_broken else list(_sample(store, sample, seed))
         again, n_recomputed = partial(_again, store.options), 0
-        with closing(in_processes(again, _tasks(store, chosen), workers=1, timeout=timeout)) as outcomes:
+        with closing(
+            in_processes(again, _tasks(store, chosen), workers=1, timeout=timeout)
+        ) as outcomes:
             for task, outcome in outcomes:
                 n_recomputed += 1
                 if (fault := _fault(task, outcome)) is not None:
@@ -152,7 +154,9 @@ def _tasks(catalogue: Catalogue, records: Iterable[Record]) -> Iterator[_Task]:
         # A file that was tried again was not processed by the options of the catalogue.
         is_retried = any(step.stage == "retry" for step in record.steps)
         with suppress(ShapeError):  # the file is not there any more
-            if meshes or (not is_retried and content_hash(Path(record.path)) == record.content_hash):
+            if meshes or (
+                not is_retried and content_hash(Path(record.path)) == record.content_hash
+            ):
                 yield _Task(record, stored, meshes)
 
 

@@ -142,7 +142,9 @@ def ingest(
     PcretrieveError
         If `max_failures` scans have failed.
     """
-    how = Processing(workers, timeout, memory, executor, retry_failed, retries, max_failures, on_shape)
+    how = Processing(
+        workers, timeout, memory, executor, retry_failed, retries, max_failures, on_shape
+    )
     scans, names = discover_labelled(
         [paths] if isinstance(paths, (str, Path)) else paths,
         labels if isinstance(labels, (str, Path)) else None,
@@ -288,7 +290,9 @@ def process_scans(
             run = _Run(catalogue, how, counts)
             attempts: Iterable[Attempt] = run.queue(planner)
             while True:
-                with closing(how.executor(Work(catalogue.options), attempts, **how.limits)) as outcomes:
+                with closing(
+                    how.executor(Work(catalogue.options), attempts, **how.limits)
+                ) as outcomes:
                     for attempt, outcome in outcomes:
                         run.finish(attempt, outcome)
                 if not run.later:
@@ -325,7 +329,11 @@ class _Run:
             self._store(replace(attempt.record, steps=steps), outcome)
             return
         options = self._catalogue.options
-        upcoming = next_attempt(attempt, outcome, options) if len(attempt.notes) < self._how.retries else None
+        upcoming = (
+            next_attempt(attempt, outcome, options)
+            if len(attempt.notes) < self._how.retries
+            else None
+        )
         if upcoming is None:
             self._store(replace(failed(attempt.record, outcome), steps=attempt.steps), None)
         else:
@@ -341,7 +349,9 @@ class _Run:
         log_steps(Path(stored.path).name, stored.steps)
         for other in () if content is None else self._catalogue.with_content(stored.content_hash):
             if other.path != stored.path and Path(other.path).suffix == Path(stored.path).suffix:
-                logger.warning("%s and %s, of another ingest, are the same scan", stored.path, other.path)
+                logger.warning(
+                    "%s and %s, of another ingest, are the same scan", stored.path, other.path
+                )
         if content is None:
             logger.info("failed: [%s / %s] %s", stored.id, stored.stage, stored.message)
         self._counts.add(stored)
@@ -393,12 +403,18 @@ class Arrivals:
                 if is_scan(path):
                     parts = parts_in(path)
                     owned.update(part.path for part in parts)
-                    needed = (part.path for part in parts if part.pose is not None or part.path.exists())
+                    needed = (
+                        part.path for part in parts if part.pose is not None or part.path.exists()
+                    )
                     with suppress(OSError):  # it has vanished meanwhile, or a view is not there yet
                         states = (file.stat() for file in (path, *needed))
-                        now[path] = tuple((one.st_ino, one.st_size, one.st_mtime_ns) for one in states)
+                        now[path] = tuple(
+                            (one.st_ino, one.st_size, one.st_mtime_ns) for one in states
+                        )
         found = [
-            path for path, state in now.items() if self._seen.get(path) == state != self._given.get(path)
+            path
+            for path, state in now.items()
+            if self._seen.get(path) == state != self._given.get(path)
         ]
         self._seen = now
         self._given |= {path: now[path] for path in found}

@@ -78,7 +78,9 @@ def map_scans(
     given = [Path(path) for path in ([paths] if isinstance(paths, (str, Path)) else paths)]
     limits: dict[str, Any] = {"workers": workers, "timeout": timeout, "memory": memory}
     scans = discover(given, limits=limits)
-    files = [None] * len(scans) if output is None else _files(given, scans, Path(output), suffix, kind)
+    files = (
+        [None] * len(scans) if output is None else _files(given, scans, Path(output), suffix, kind)
+    )
     tasks = [_Task(scan, file) for scan, file in zip(scans, files, strict=True)]
     on_start(len(tasks))
     finished: dict[_Task, Found | ShapeError] = {}
@@ -111,7 +113,9 @@ class _Applied:
         compile_stages()
 
     def __call__(self, task: _Task) -> Any:
-        return self.function(task.path) if task.file is None else self.function(task.path, task.file)
+        return (
+            self.function(task.path) if task.file is None else self.function(task.path, task.file)
+        )
 
 
 def _files(
@@ -120,17 +124,24 @@ def _files(
     """The file of each scan, in a folder that is made, or the file of the only one."""
     folders = [path for path in paths if path.is_dir()]
     if not folders and len(scans) > 1:
-        raise InputError(f"{paths[0]} names {len(scans)} scans: name one of them, such as {scans[0]}")
+        raise InputError(
+            f"{paths[0]} names {len(scans)} scans: name one of them, such as {scans[0]}"
+        )
     if not folders:
         check_output(output, [split_member(scan)[0] for scan in scans], kind)
         return [output]
     for folder in folders:
         if output.resolve().is_relative_to(folder.resolve()):
-            raise InputError(f"{output} is in {folder}, whose files are read: name another folder with -o")
+            raise InputError(
+                f"{output} is in {folder}, whose files are read: name another folder with -o"
+            )
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"cannot make the folder {output}: {error.strerror}; name another") from error
+        raise InputError(
+            f"cannot make the folder {output}: {error.strerror}; name another"
+        ) from error
     return [
-        output / f"{name}{suffix}" for name in shape_ids([printable(scan) for scan in scans], {}).values()
+        output / f"{name}{suffix}"
+        for name in shape_ids([printable(scan) for scan in scans], {}).values()
     ]

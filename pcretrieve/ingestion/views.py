@@ -70,7 +70,9 @@ def merge_views(
     ReconstructionError
         If no two views share a surface.
     """
-    chosen = PipelineOptions.of({"merge": options} if isinstance(options, MergeOptions) else options)
+    chosen = PipelineOptions.of(
+        {"merge": options} if isinstance(options, MergeOptions) else options
+    )
     named = [views] if isinstance(views, (str, Path)) else views
     paths = [view for view in named if isinstance(view, (str, Path))]
     limits = None if timeout is None else {"timeout": timeout, "memory": memory}
@@ -78,7 +80,9 @@ def merge_views(
     if output is not None:
         check_output(Path(output), files, "point")
     if not files:
-        merged = merge_clouds([as_cloud(as_scan(view)) for view in named], chosen.merge, chosen.scan)
+        merged = merge_clouds(
+            [as_cloud(as_scan(view)) for view in named], chosen.merge, chosen.scan
+        )
     elif timeout is None:
         merged = _merged(paths, chosen)
     else:

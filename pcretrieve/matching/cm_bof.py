@@ -67,7 +67,8 @@ def geodesic_distances(mesh: TriangleMesh) -> FloatArray:
     n = len(mesh.vertices)
     if n < 4:
         raise DegenerateMeshError(
-            f"a canonical form needs a surface of at least 4 vertices, got {n}", stage=Stage.SIGNATURE
+            f"a canonical form needs a surface of at least 4 vertices, got {n}",
+            stage=Stage.SIGNATURE,
         )
     ends, lengths = _links(mesh)
     low, high = np.sort(ends, axis=1).T
@@ -199,7 +200,9 @@ def depth_pictures(mesh: TriangleMesh) -> Iterator[FloatArray]:
         upright = np.eye(3)[2] if abs(towards[2]) < 1 - 1e-9 else np.eye(3)[1]
         right = np.cross(upright, towards)
         right /= np.linalg.norm(right)
-        camera = np.stack([right, np.cross(towards, right), towards])  # (3, 3): to the right, upwards, nearer
+        camera = np.stack(
+            [right, np.cross(towards, right), towards]
+        )  # (3, 3): to the right, upwards, nearer
         seen = mesh.vertices @ camera.T  # (n, 3)
         pixels = np.column_stack([seen[:, :2] * scale + (N_PIXELS - 1) / 2, (1 + seen[:, 2]) / 2])
         yield _drawn(pixels, mesh.faces, N_PIXELS)
@@ -216,8 +219,12 @@ def _drawn(pixels: FloatArray, faces: IntArray, side: int) -> FloatArray:
         double = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
         if abs(double) < 1e-12:  # seen from its edge
             continue
-        for y in range(max(0, int(np.ceil(min(y0, y1, y2)))), min(side - 1, int(max(y0, y1, y2))) + 1):
-            for x in range(max(0, int(np.ceil(min(x0, x1, x2)))), min(side - 1, int(max(x0, x1, x2))) + 1):
+        for y in range(
+            max(0, int(np.ceil(min(y0, y1, y2)))), min(side - 1, int(max(y0, y1, y2))) + 1
+        ):
+            for x in range(
+                max(0, int(np.ceil(min(x0, x1, x2)))), min(side - 1, int(max(x0, x1, x2))) + 1
+            ):
                 a = ((x - x0) * (y2 - y0) - (x2 - x0) * (y - y0)) / double
                 b = ((x1 - x0) * (y - y0) - (x - x0) * (y1 - y0)) / double
                 # A pixel on an edge is in both faces, in spite of rounding.
@@ -289,7 +296,9 @@ def _counted(vocabulary: FloatArray, views: ViewDescriptors) -> ViewWords:
     """How often each word is the nearest one to the descriptors of each view."""
     squares = (vocabulary**2).sum(axis=1)
     products = np.concatenate(views).astype(np.float64) @ vocabulary.T  # (p, W)
-    nearest = np.split((squares - 2 * products).argmin(axis=1), np.cumsum([len(view) for view in views[:-1]]))
+    nearest = np.split(
+        (squares - 2 * products).argmin(axis=1), np.cumsum([len(view) for view in views[:-1]])
+    )
     found = [np.unique(numbers, return_counts=True) for numbers in nearest]
     starts = np.cumsum([0, *(len(words) for words, _ in found)])
     words, counts = (np.concatenate(parts) for parts in zip(*found, strict=True))

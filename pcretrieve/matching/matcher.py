@@ -81,7 +81,9 @@ def match_all(
             features[shape_id] = _called(matcher.name, matcher.prepare, shape_of(shape_id))
             _log.info("prepared: %d shapes", len(features))
         except ShapeError as error:
-            on_failure(Failure(shape_id, str(error.stage or ""), type(error).__name__, error.message))
+            on_failure(
+                Failure(shape_id, str(error.stage or ""), type(error).__name__, error.message)
+            )
     compared = list(features.values())
     if matcher.learn and compared:
         learned = _called(matcher.name, matcher.learn, compared)
@@ -90,7 +92,9 @@ def match_all(
     for row, query in enumerate(compared):
         start = row if matcher.symmetric else 0
         others = compared[start:]
-        distances[row, start:] = [_called(matcher.name, matcher.distance, query, each) for each in others]
+        distances[row, start:] = [
+            _called(matcher.name, matcher.distance, query, each) for each in others
+        ]
         if matcher.symmetric:
             distances[start:, row] = distances[row, start:]
         _log.info("compared with all: %d of %d shapes", row + 1, len(compared))

@@ -98,7 +98,9 @@ def write_matrix(matrix: DistanceMatrix, path: str | Path) -> None:
     """
     path = Path(path)
     if path.suffix == ".ids":
-        raise InputError(f"a matrix file must not end in .ids, which is for its ids, got {path.name}")
+        raise InputError(
+            f"a matrix file must not end in .ids, which is for its ids, got {path.name}"
+        )
     broken = [shape_id for shape_id in matrix.ids if len(shape_id.splitlines()) != 1]
     if broken:
         raise InputError(
@@ -139,11 +141,21 @@ def read_matrix(path: str | Path) -> DistanceMatrix:
     try:
         values = _read(path)
     except OSError as error:
-        raise InputError(f"cannot read the distance matrix {path}: {error.strerror or error}") from error
+        raise InputError(
+            f"cannot read the distance matrix {path}: {error.strerror or error}"
+        ) from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path} is not a distance matrix: it is not UTF-8 text") from error
     # NumPy reads the header of a .npy file by parsers of Python, and lets their exceptions pass.
-    except (ValueError, EOFError, SyntaxError, TokenError, TypeError, MemoryError, OverflowError) as error:
+    except (
+        ValueError,
+        EOFError,
+        SyntaxError,
+        TokenError,
+        TypeError,
+        MemoryError,
+        OverflowError,
+    ) as error:
         raise InputError(f"{path} is not a distance matrix: {error}") from error
     if values.ndim != 2 or values.shape[0] != values.shape[1]:
         size = " by ".join(str(length) for length in values.shape) or "a single number"
@@ -155,7 +167,9 @@ def read_matrix(path: str | Path) -> DistanceMatrix:
             f"cannot read {beside}, which must name the rows of {path.name}, one id a line: {error.strerror}"
         ) from error
     if len(ids) != len(values):
-        raise InputError(f"{beside} must name the {len(values)} rows of {path.name}, got {len(ids)} ids")
+        raise InputError(
+            f"{beside} must name the {len(values)} rows of {path.name}, got {len(ids)} ids"
+        )
     try:
         return DistanceMatrix(tuple(ids), values)
     except InputError as error:

@@ -85,7 +85,9 @@ def mesh_features(shape: Shape) -> MeshFeatures:
         )
     if len(shape.mesh.faces) < FEWEST_FACES:
         _warn_once()
-    mesh = coarser(TriangleMesh(shape.mesh.vertices / np.sqrt(shape.mesh.area), shape.mesh.faces), N_FACES)
+    mesh = coarser(
+        TriangleMesh(shape.mesh.vertices / np.sqrt(shape.mesh.area), shape.mesh.faces), N_FACES
+    )
     scale_space = levels(mesh)
     vertices, levels_of = keypoints(scale_space, mesh, MOST_KEYPOINTS)
     if not len(vertices):
@@ -162,7 +164,9 @@ def _described(
         CIRCLE * unit
     )
     large, small = level.curvatures[near].T
-    index = np.arctan2(large + small, np.maximum(large - small, 0)) / np.pi + 0.5  # from 0, a cup, to 1
+    index = (
+        np.arctan2(large + small, np.maximum(large - small, 0)) / np.pi + 0.5
+    )  # from 0, a cup, to 1
     made = []
     for angle in _directions(slants[disc], (weights * tilt)[disc]):
         cos, sin = np.cos(angle), np.sin(angle)
@@ -223,7 +227,9 @@ def levels(mesh: TriangleMesh) -> list[Level]:
     average = links + diags_array(np.ones(len(mesh.vertices)))
     average = diags_array(1 / average.sum(axis=1)) @ average
     starts = np.repeat(np.arange(len(mesh.vertices)), np.diff(links.indptr))
-    edge = float(np.linalg.norm(mesh.vertices[starts] - mesh.vertices[links.indices], axis=1).mean())
+    edge = float(
+        np.linalg.norm(mesh.vertices[starts] - mesh.vertices[links.indices], axis=1).mean()
+    )
     made = []
     smooth, done = mesh.vertices, 0
     for n in N_AVERAGINGS:
@@ -240,7 +246,9 @@ def keypoints(scale_space: list[Level], mesh: TriangleMesh, most: int) -> tuple[
 
     The strongest extrema come first.
     """
-    curved = np.array([level.scale * level.curvatures.mean(axis=1) for level in scale_space])  # (s, n)
+    curved = np.array(
+        [level.scale * level.curvatures.mean(axis=1) for level in scale_space]
+    )  # (s, n)
     change = np.diff(curved, axis=0)  # (s − 1, n)
     links = adjacency(mesh)
     starts = links.indptr[:-1]
@@ -281,7 +289,9 @@ def _curvatures(mesh: TriangleMesh, links: csr_array) -> tuple[FloatArray, Float
     products = (u * u, u * v, v * v, u * du, v * du + u * dv, v * dv)
     uu, uv, vv, *right = (np.bincount(starts, product, n) for product in products)
     zero = np.zeros(n)
-    matrix = np.array([[uu, uv, zero], [uv, uu + vv, uv], [zero, uv, vv]]).transpose(2, 0, 1)  # (n, 3, 3)
+    matrix = np.array([[uu, uv, zero], [uv, uu + vv, uv], [zero, uv, vv]]).transpose(
+        2, 0, 1
+    )  # (n, 3, 3)
     matrix = matrix + 1e-9 * np.eye(3)  # regular for a vertex with one edge, too
     a, b, c = np.linalg.solve(matrix, np.column_stack(right)[:, :, np.newaxis])[:, :, 0].T
     middle, spread = (a + c) / 2, np.hypot((a - c) / 2, b)

@@ -222,7 +222,9 @@ def _table(name: str, options: Options) -> Iterator[str]:
     yield f"[{name}]"
     # Read here, because Pydantic would read the source of all classes whenever the options are imported.
     (body,) = (
-        each.body for each in ast.parse(getsource(type(options))).body if isinstance(each, ast.ClassDef)
+        each.body
+        for each in ast.parse(getsource(type(options))).body
+        if isinstance(each, ast.ClassDef)
     )
     texts = {
         ast.unparse(field.target): ast.literal_eval(text.value)

@@ -48,7 +48,9 @@ def _explain(error: ValidationError) -> str:
     """What must hold and what was given, one clause for each invalid option."""
     clauses = []
     for problem in error.errors():
-        name = ".".join(str(part) for part in problem["loc"] if not str(part).startswith(TYPES_TRIED))
+        name = ".".join(
+            str(part) for part in problem["loc"] if not str(part).startswith(TYPES_TRIED)
+        )
         cause = problem.get("ctx", {}).get("error")
         if isinstance(cause, OptionError) and name:
             clauses.append(f"in [{name}], {cause.message}")
@@ -179,7 +181,8 @@ class SurfaceOptions(Options):
             f"surface.{name}"
             for method, names in ONLY_OF_METHOD.items()
             for name in names
-            if method != self.method and getattr(self, name) != type(self).model_fields[name].default
+            if method != self.method
+            and getattr(self, name) != type(self).model_fields[name].default
         )
 
 
@@ -212,7 +215,9 @@ class SpectralOptions(Options):
 
 Scale = Literal["relative", "area", "absolute"]
 # A dictionary has as many atoms, of as many frequencies, as those of `pcretrieve.descriptors.dl`.
-Atom = Annotated[tuple[Annotated[float, Field(ge=-1, le=1)], ...], Field(min_length=19, max_length=19)]
+Atom = Annotated[
+    tuple[Annotated[float, Field(ge=-1, le=1)], ...], Field(min_length=19, max_length=19)
+]
 Atoms = Annotated[tuple[Atom, ...], Field(min_length=32, max_length=32)]
 
 
@@ -264,7 +269,9 @@ class SignatureOptions(Options):
         return self
 
 
-WhiteningKind = Literal["auto", "unsupervised", "none", "people", "neighbours", "pca", "within-class"]
+WhiteningKind = Literal[
+    "auto", "unsupervised", "none", "people", "neighbours", "pca", "within-class"
+]
 RerankKind = Literal["none", "k-reciprocal"]
 Shrinkage = Literal["auto"] | Annotated[float, Field(gt=0, le=1)]
 
@@ -297,7 +304,11 @@ class RetrievalOptions(Options):
     @property
     def without_labels(self) -> RetrievalOptions:
         """The options, in which the whitening auto is not fitted to labels, as in an evaluation."""
-        return self.model_copy(update={"whitening": "unsupervised"}) if self.whitening == "auto" else self
+        return (
+            self.model_copy(update={"whitening": "unsupervised"})
+            if self.whitening == "auto"
+            else self
+        )
 
 
 Kept = Literal["meshes", "overlaps"]

@@ -112,7 +112,9 @@ def _scene(it: Inspection) -> dict[str, Any] | None:
         normals = np.round(127 * thinned(it.cloud.normals)).astype(np.int8)
         points, width = thinned(it.cloud.points), SKIN_WIDTH * it.spacing
         more = {"back": AWAY, "normal": encoded(normals.tobytes())}
-        layers.append(cube.layer("normals", "which side is outside", points, FACING, width=width, **more))
+        layers.append(
+            cube.layer("normals", "which side is outside", points, FACING, width=width, **more)
+        )
     if it.mesh is not None:
         for name, label, faces, colour in (
             ("surface", "surface", it.mesh.faces, CLAY),
@@ -123,7 +125,12 @@ def _scene(it: Inspection) -> dict[str, Any] | None:
         for name, places, colour in (("cuts", it.cuts, CUT), ("bridges", it.bridges, BRIDGE)):
             layers.append(cube.layer(name, name, places, colour, width=cube.half / 30, over=True))
     on = {"surface", "filled", "cuts", "bridges"} if it.mesh is not None else {"points", "dropped"}
-    return {"layers": layers, "on": sorted(on), "axes": cameras[0].axes.tolist(), "zoom": VIEWER_SIZE}
+    return {
+        "layers": layers,
+        "on": sorted(on),
+        "axes": cameras[0].axes.tolist(),
+        "zoom": VIEWER_SIZE,
+    }
 
 
 def _point_layers(it: Inspection, scan: PointCloud, cube: Cube) -> list[dict[str, Any]]:
@@ -137,8 +144,12 @@ def _point_layers(it: Inspection, scan: PointCloud, cube: Cube) -> list[dict[str
         ("cut", "cut away", it.cut_away, CUT_AWAY, max(skin, removed)),
     ):
         n_far = int((chosen & ~inside).sum())
-        label = f"{int(chosen.sum()):,} {words}" + (f", {n_far:,} of them too far away" if n_far else "")
-        layers.append(cube.layer(name, label, thinned(scan.points[chosen & inside]), colour, width=width))
+        label = f"{int(chosen.sum()):,} {words}" + (
+            f", {n_far:,} of them too far away" if n_far else ""
+        )
+        layers.append(
+            cube.layer(name, label, thinned(scan.points[chosen & inside]), colour, width=width)
+        )
     return layers
 
 

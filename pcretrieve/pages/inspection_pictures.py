@@ -74,7 +74,10 @@ class Row:
 
     def __post_init__(self) -> None:
         boxes = [box for picture in self.pictures if (box := picture.getbbox())]
-        top, bottom = min((box[1] for box in boxes), default=0), max((box[3] for box in boxes), default=1)
+        top, bottom = (
+            min((box[1] for box in boxes), default=0),
+            max((box[3] for box in boxes), default=1),
+        )
         cut = [picture.crop((0, top, picture.width, bottom)) for picture in self.pictures]
         object.__setattr__(self, "pictures", cut)
 
@@ -176,19 +179,26 @@ class _Views:
             return point_picture(points, colours, camera, width=2 * self.skin, size=PICTURE_PIXELS)
 
         inside = "inside faces you: a hole, or normals that point inwards"
-        return self._row("Which side is outside", [(FACING, "outside faces you"), (AWAY, inside)], drawn)
+        return self._row(
+            "Which side is outside", [(FACING, "outside faces you"), (AWAY, inside)], drawn
+        )
 
     def surface(self, mesh: TriangleMesh) -> Row:
         clay = np.tile(CLAY, (len(mesh.faces), 1))
         return self._row(
             "Surface",
             [(CLAY, f"{len(mesh.faces):,} faces")],
-            lambda camera: surface_picture(mesh.vertices, mesh.faces, clay, camera, size=PICTURE_PIXELS),
+            lambda camera: surface_picture(
+                mesh.vertices, mesh.faces, clay, camera, size=PICTURE_PIXELS
+            ),
         )
 
     def marks(self, mesh: TriangleMesh) -> Row:
         it = self.it
-        colours, rings = np.where(it.filled[:, None], FILLED, CLAY), [(it.cuts, CUT), (it.bridges, BRIDGE)]
+        colours, rings = (
+            np.where(it.filled[:, None], FILLED, CLAY),
+            [(it.cuts, CUT), (it.bridges, BRIDGE)],
+        )
         shares = [
             f"{check.name.lower()} {check.shown}"
             for check in it.checks
@@ -211,7 +221,9 @@ class _Views:
         outside = [(abs(camera.seen(points)[:, :2]) > 1).any(axis=1) for camera in self.cameras]
         return np.asarray(np.any(outside, axis=0))
 
-    def _row(self, title: str, key: list[tuple[Colour, str]], drawn: Callable[[Camera], Image.Image]) -> Row:
+    def _row(
+        self, title: str, key: list[tuple[Colour, str]], drawn: Callable[[Camera], Image.Image]
+    ) -> Row:
         return Row(title, key, [drawn(camera) for camera in self.cameras])
 
     def _key_of_kept(self, scan: PointCloud) -> tuple[Colour, str]:
@@ -226,5 +238,7 @@ class _Views:
         width = max(self.skin, 2 * REMOVED_WIDTH * camera.half)
         colours = np.tile(colour, (len(points), 1))
         picture = point_picture(points, colours, camera, width=width, size=PICTURE_PIXELS)
-        picture.putalpha(picture.getchannel("A").point(lambda opacity: round(REMOVED_OPACITY * opacity)))
+        picture.putalpha(
+            picture.getchannel("A").point(lambda opacity: round(REMOVED_OPACITY * opacity))
+        )
         return picture

@@ -31,7 +31,11 @@ PICTURE_PIXELS = 128
 
 
 def draw_map(
-    catalogue: Catalogue | str | Path, path: str | Path, *, options: OptionsLike = None, up: str | None = None
+    catalogue: Catalogue | str | Path,
+    path: str | Path,
+    *,
+    options: OptionsLike = None,
+    up: str | None = None,
 ) -> Path:
     """Draw the shapes of a catalogue in the plane, near shapes near each other.
 
@@ -87,7 +91,9 @@ def draw_map(
         )
 
 
-def map_drawing(ids: Sequence[str], labels: Sequence[str | None], places: FloatArray) -> dict[str, object]:
+def map_drawing(
+    ids: Sequence[str], labels: Sequence[str | None], places: FloatArray
+) -> dict[str, object]:
     """What the templates draw of a map; `places`: (n, 2), within [0, 1]²."""
     across, up = (MARGIN + places * (SIDE - 2 * MARGIN)).T
     down = SIDE - up  # the y axis of SVG points down
@@ -107,10 +113,16 @@ def class_groups(labels: Sequence[str | None]) -> list[tuple[str | None, NDArray
     names = [*sorted({label for label in labels if label is not None}), None]
     found = [(name, np.flatnonzero([label == name for label in labels])) for name in names]
     colours = [*itertools.islice(itertools.cycle(COLOURS), len(names) - 1), UNKNOWN]
-    return [(name, rows, colour) for (name, rows), colour in zip(found, colours, strict=True) if len(rows)]
+    return [
+        (name, rows, colour)
+        for (name, rows), colour in zip(found, colours, strict=True)
+        if len(rows)
+    ]
 
 
-def map_pictures(catalogue: Catalogue, ids: Sequence[str], thumbnails: Thumbnails) -> list[str | None]:
+def map_pictures(
+    catalogue: Catalogue, ids: Sequence[str], thumbnails: Thumbnails
+) -> list[str | None]:
     """The thumbnails as base64; None for a shape whose mesh is not stored or cannot be drawn."""
     if len(ids) > MOST_PICTURES:
         return []

@@ -73,7 +73,10 @@ def query_page(
         pairs = [_paired(store, one) for one in many if isinstance(one, tuple)]
         alone = [one for one in many if not isinstance(one, tuple)]
         asked |= {"options": chosen, "has_pictures": True, "up": thumbnails.said}
-        what, outcomes = "pairs" if pairs else "queries", pairs + list(pr.search_many(store, alone, **asked))
+        what, outcomes = (
+            "pairs" if pairs else "queries",
+            pairs + list(pr.search_many(store, alone, **asked)),
+        )
         matrix, labels, least = (asked.get(name) for name in ("matrix", "labels", "min_score"))
         panels = [
             {"name": name} | _panel(store, one, thumbnails)
@@ -116,7 +119,10 @@ def settings_in_words(
     classes = f"the class {' or '.join(sorted(labels))} of " if labels else ""
     least = {} if min_score is None else {"least score": f"{min_score:g}"}
     if matrix is not None:
-        return {"searched": f"{classes}{len(matrix)} shapes", "distance": "that of a matrix"} | least
+        return {
+            "searched": f"{classes}{len(matrix)} shapes",
+            "distance": "that of a matrix",
+        } | least
     index = catalogue.index(options)
     compared, retrieval = options.signature, options.retrieval
     size = compared.size_weight
@@ -127,7 +133,9 @@ def settings_in_words(
         "distance": retrieval.distance,
         "whitening": index.whitening.reason,
         "re-ranking": "none" if retrieval.rerank == "none" else f"by {retrieval.rerank} neighbours",
-        "score": index.scores.reason if index.scores else "none, because labels and shapes are too few",
+        "score": index.scores.reason
+        if index.scores
+        else "none, because labels and shapes are too few",
     } | least
 
 

@@ -33,14 +33,23 @@ N_CHANGES = 10
 # The measures, explained for readers who do not know retrieval benchmarks.
 MEASURES = {
     "NN": ("nearest neighbour", "How often the first shape found is of the query's class."),
-    "FT": ("first tier", "Share of the R other shapes of the class that are among the first R found."),
+    "FT": (
+        "first tier",
+        "Share of the R other shapes of the class that are among the first R found.",
+    ),
     "ST": ("second tier", "The same among the first 2R."),
     "E": (
         "E-measure",
         "Harmonic mean of precision and recall of the first 32; below 1 even if all is right.",
     ),
-    "DCG": ("discounted cumulative gain", "How early the shapes of the class come; first ranks count most."),
-    "mAP": ("mean average precision", "Mean precision at the ranks of the class: all ranks in one number."),
+    "DCG": (
+        "discounted cumulative gain",
+        "How early the shapes of the class come; first ranks count most.",
+    ),
+    "mAP": (
+        "mean average precision",
+        "Mean precision at the ranks of the class: all ranks in one number.",
+    ),
 }
 
 
@@ -109,7 +118,11 @@ def report(
     with pr.Catalogue.opened(catalogue) as store:
         chosen = pr.PipelineOptions.of(options, store.options)
         # As the measures: with a whitening fitted to labels, the queries that they call bad would look good.
-        chosen = chosen.without_labels if matrix is None else chosen.changed(retrieval={"rerank": "none"})
+        chosen = (
+            chosen.without_labels
+            if matrix is None
+            else chosen.changed(retrieval={"rerank": "none"})
+        )
         ranking = store.index(chosen) if matrix is None else matrix
         records = {record.id: record for record in store.several(ranking.ids)}
         if unknown := set(ranking.ids) - records.keys():
@@ -122,19 +135,27 @@ def report(
             comparison = None if versus is None else _compared(pr.compare(versus, evaluated))
             precision = dict(zip(scores.ids, scores.ap.tolist(), strict=True))
         elif versus is not None:
-            raise InputError(f"no class in {store.location} has two shapes: there are no measures to compare")
+            raise InputError(
+                f"no class in {store.location} has two shapes: there are no measures to compare"
+            )
         # The worst first, then those that have no average precision.
         queries = sorted(ranking.ids, key=lambda shape_id: precision.get(shape_id, 2.0))
         facts = {"classes": str(len(sizes))} | settings_in_words(store, chosen, matrix)
         if len(queries) > n_queries:
-            facts["queries"] = f"the {n_queries} with the lowest average precision of {len(queries)}"
+            facts["queries"] = (
+                f"the {n_queries} with the lowest average precision of {len(queries)}"
+            )
         thumbnails = Thumbnails(store, up, PIXELS)
         panels = []
         for one in queries[:n_queries]:
             hits = _near(ranking, one, k, chosen.retrieval.rerank)
-            found = [(records[name], thumbnails.of(store, records[name]), gap) for name, gap in hits]
+            found = [
+                (records[name], thumbnails.of(store, records[name]), gap) for name, gap in hits
+            ]
             query = _Card(records[one], thumbnails.of(store, records[one]))
-            panels.append(_Panel(query, _judged(query.record.label, found, sizes), precision.get(one)))
+            panels.append(
+                _Panel(query, _judged(query.record.label, found, sizes), precision.get(one))
+            )
         drawing = None
         if isinstance(ranking, pr.SignatureIndex) and len(ranking) <= MOST_MAPPED:
             labels = [records[shape_id].label for shape_id in ranking.ids]
@@ -153,7 +174,9 @@ def report(
             pictures={picture: number for number, picture in enumerate(shown)},
             measured=measured,
             comparison=comparison,
-            compared_with=Path(versus.location if isinstance(versus, pr.Catalogue) else str(versus)).name,
+            compared_with=Path(
+                versus.location if isinstance(versus, pr.Catalogue) else str(versus)
+            ).name,
             drawing=drawing,
             map_pictures=map_pictures(store, ranking.ids, thumbnails),
             failures=[record for records in store.pages(status="failed") for record in records],
@@ -172,7 +195,9 @@ def _measured(found: pr.Evaluation) -> dict[str, Any]:
                 MEASURES.items(), means, found.interval.T.tolist(), strict=True
             )
         ],
-        "curve": " ".join(f"{x:.4f},{1 - y:.4f}" for x, y in zip(curve.recall, curve.precision, strict=True)),
+        "curve": " ".join(
+            f"{x:.4f},{1 - y:.4f}" for x, y in zip(curve.recall, curve.precision, strict=True)
+        ),
         "precision": curve.precision.tolist(),
         "classes": sorted(found.classes, key=lambda one: (one.means[-1], one.label)),
     }

@@ -46,7 +46,14 @@ class Cube(NamedTuple):
         return np.asarray((abs(points - self.centre) <= self.half).all(axis=1))
 
     def layer(
-        self, name: str, label: str, points: FloatArray, colour: Colour, *, width: float, **more: Any
+        self,
+        name: str,
+        label: str,
+        points: FloatArray,
+        colour: Colour,
+        *,
+        width: float,
+        **more: Any,
     ) -> dict[str, Any]:
         """A layer of those of (n, 3) points that are in the cube, with a width in the unit of the scan."""
         grid = (points[self.holds(points)] - self.centre + self.half) / (2 * self.half) * FULL_SCALE
@@ -65,7 +72,9 @@ def surface_scene(
     cube, faces = Cube.around(mesh.vertices), encoded(mesh.faces.astype("<u4").tobytes())
     layer = cube.layer("surface", "surface", mesh.vertices, CLAY, width=0, faces=faces)
     if other is not None:
-        share = np.clip(thicker(mesh, other) / (FULL_COLOUR * mesh.area**0.5), -1, 1)[:, None]  # (m, 1)
+        share = np.clip(thicker(mesh, other) / (FULL_COLOUR * mesh.area**0.5), -1, 1)[
+            :, None
+        ]  # (m, 1)
         tints = CLAY + abs(share) * (np.where(share > 0, THICKER, THINNER) - CLAY)
         layer["tints"] = encoded(np.round(255 * tints).astype(np.uint8).tobytes())
     axes = body_axes(mesh.vertices, mesh.faces, up).tolist()
@@ -78,7 +87,9 @@ def thicker(mesh: TriangleMesh, other: TriangleMesh) -> FloatArray:
     Places are alike by their heat kernels, whatever the poses; the thickness is the way through the body.
     """
     own, its = _places(mesh), _places(other)
-    alike = [ways[cKDTree(heat).query(own[0], N_ALIKE)[1]] for heat, ways in (own, its)]  # (m, N_ALIKE) each
+    alike = [
+        ways[cKDTree(heat).query(own[0], N_ALIKE)[1]] for heat, ways in (own, its)
+    ]  # (m, N_ALIKE) each
     return np.asarray(np.median(alike[0], axis=1) - np.median(alike[1], axis=1))
 
 
@@ -86,7 +97,9 @@ def _places(mesh: TriangleMesh) -> tuple[FloatArray, FloatArray]:
     """Logarithms of the heat kernel (m, 8) at each face, and the thickness there (m,)."""
     pairs = eigenpairs(laplace_beltrami(mesh), n_pairs=N_PAIRS)
     lam, phi = pairs.eigenvalues[1:], pairs.eigenvectors[:, 1:]
-    heat = np.log(mesh.area * (phi**2 @ np.exp(-np.outer(lam, np.geomspace(8 / lam[-1], 4 / lam[0], 8)))))
+    heat = np.log(
+        mesh.area * (phi**2 @ np.exp(-np.outer(lam, np.geomspace(8 / lam[-1], 4 / lam[0], 8))))
+    )
     corners = mesh.vertices[mesh.faces]  # (m, 3, 3)
     normals = mesh.area_vectors / np.maximum(mesh.face_areas, np.finfo(float).tiny)[:, np.newaxis]
     below = corners.mean(axis=1) - 1e-4 * mesh.diagonal * normals
@@ -118,7 +131,9 @@ def _girth(mesh: TriangleMesh, values: FloatArray, level: float) -> float:
     first, second = mesh.faces, np.roll(mesh.faces, 1, axis=1)  # (m, 3) the ends of sides
     above, then = values[first] - level, values[second] - level
     share = above / np.where(above == then, 1, above - then)
-    places = mesh.vertices[first] + share[..., None] * (mesh.vertices[second] - mesh.vertices[first])
+    places = mesh.vertices[first] + share[..., None] * (
+        mesh.vertices[second] - mesh.vertices[first]
+    )
     # Of a face, no sides or two are crossed, one upwards and one downwards.
     crossed = (above > 0).astype(float) - (then > 0)
     return float(np.linalg.norm((crossed[..., None] * places).sum(axis=1), axis=1).sum())

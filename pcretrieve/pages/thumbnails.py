@@ -33,7 +33,9 @@ class Thumbnails:
     size: side of the square pictures, at most 200; pixels.
     """
 
-    def __init__(self, catalogue: Catalogue, up: str | None = None, size: int = THUMBNAIL_PIXELS) -> None:
+    def __init__(
+        self, catalogue: Catalogue, up: str | None = None, size: int = THUMBNAIL_PIXELS
+    ) -> None:
         upward(up)  # raises
         self._size, self._lock = size, Lock()
         self._kept: OrderedDict[tuple[str, str], bytes | None] = OrderedDict()

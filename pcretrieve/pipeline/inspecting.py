@@ -58,7 +58,9 @@ def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int 
     if spread is not None:
         checks.append(graded("Signature", spread, f"± {spread:.2g} over rescans"))
     if failure is not None and described is None:
-        checks.append(Check(f"The {failure.stage} stage", "failed", None, failure.error, failure.message))
+        checks.append(
+            Check(f"The {failure.stage} stage", "failed", None, failure.error, failure.message)
+        )
     elif failure is not None:
         shown = "none for nine tenths of the points"
         checks.append(Check("Signature", "failed", None, shown, failure.message))
@@ -71,7 +73,9 @@ def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int 
         cut_away=cut_away,
         dropped=dropped,
         cloud=seen.cloud,
-        spacing=_median_spacing(seen.scan.points) if seen.scan and not seen.cloud else found.spacing,
+        spacing=_median_spacing(seen.scan.points)
+        if seen.scan and not seen.cloud
+        else found.spacing,
         mesh=seen.mesh,
         filled=found.filled,
         cuts=found.cuts,
@@ -80,7 +84,9 @@ def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int 
         rescan_deviation=deviation,
         spread=spread,
         failure=failure if described is None else None,
-        steps=next((part.provenance for part in (seen.mesh, seen.cloud, seen.scan) if part is not None), ()),
+        steps=next(
+            (part.provenance for part in (seen.mesh, seen.cloud, seen.scan) if part is not None), ()
+        ),
     )
 
 

@@ -63,7 +63,9 @@ _remembered: dict[tuple[str, str], Shape] = {}
 N_REMEMBERED = 200
 
 
-def signature(scan: ScanLike, options: OptionsLike = None, *, method: str | None = None) -> Signature:
+def signature(
+    scan: ScanLike, options: OptionsLike = None, *, method: str | None = None
+) -> Signature:
     """The signature of one scan, whose quality `process` and `inspect` check.
 
     Parameters
@@ -156,7 +158,9 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
         started = time.perf_counter()
         verdict = verdict_of(findings_of(last.cloud, last.mesh, last.marks, shape).checks)
         notes = () if verdict.is_good else (str(verdict),)
-        step = Step("checks", time.perf_counter() - started, {"uncertainty": verdict.uncertainty}, notes)
+        step = Step(
+            "checks", time.perf_counter() - started, {"uncertainty": verdict.uncertainty}, notes
+        )
         shape = replace(shape, provenance=(*shape.provenance, step), verdict=verdict)
         log_steps(scan_name(scan), shape.provenance[-2:])
         return shape
@@ -191,7 +195,9 @@ def signature_of(shape: Shape, options: PipelineOptions, scan: ScanLike | None =
 def signature_of_surfaces(meshes: Sequence[TriangleMesh], options: PipelineOptions) -> Signature:
     """Compute the signature of a scan again from its surfaces, on one thread, as `process` does."""
     with threadpool_limits(limits=1):
-        return signature_of(shape_of(Seen(mesh=meshes[0], others=tuple(meshes[1:])), options), options)
+        return signature_of(
+            shape_of(Seen(mesh=meshes[0], others=tuple(meshes[1:])), options), options
+        )
 
 
 # --- from a scan to its surfaces ----------------------------------------------------------------------
@@ -243,7 +249,11 @@ def _stages(scan: ScanLike, options: PipelineOptions) -> Iterator[Seen]:
         with in_stage(Stage.SURFACE):
             of_points = ELEMENTS[options.spectral.element].needs == "points"
             kept = None if of_points else sound_mesh(value, options.surface)
-            used = sampled(value, options.surface) if kept is None else _with_few_faces(kept, options.surface)
+            used = (
+                sampled(value, options.surface)
+                if kept is None
+                else _with_few_faces(kept, options.surface)
+            )
         if isinstance(used, TriangleMesh):
             yield Seen(mesh=used)
             return
@@ -278,7 +288,9 @@ def compile_stages() -> None:
 
     components(np.zeros((1, 1, 1), dtype=np.bool_), False)
     if components.stats.cache_misses:
-        logging.getLogger("pcretrieve").warning("compiling, once after an installation: half a minute")
+        logging.getLogger("pcretrieve").warning(
+            "compiling, once after an installation: half a minute"
+        )
         # Even points, along a spiral by the golden angle, need none of Open3D, which no build has.
         up = np.linspace(-0.999, 0.999, 4_000)
         flat = np.sqrt(1 - up**2) * np.exp(2.39996j * np.arange(4_000))
@@ -286,13 +298,19 @@ def compile_stages() -> None:
         with Path(__file__).open(encoding="utf-8") as file:
             with suppress(OSError):  # a file system without locks
                 fcntl.flock(file, fcntl.LOCK_EX)
-            distances(np.zeros((1, 1, 200), dtype=np.bool_), np.inf)  # in 32 bits: `body` needs 16 only
+            distances(
+                np.zeros((1, 1, 200), dtype=np.bool_), np.inf
+            )  # in 32 bits: `body` needs 16 only
             *_, last = _of_scan(PointCloud(body), options := PipelineOptions())
             describe(shape_of(last, options), options.signature)
 
 
 def _of_surfaces(
-    seen: Seen, cloud: PointCloud, neighbors: Neighborhoods, origin: FloatArray, options: PipelineOptions
+    seen: Seen,
+    cloud: PointCloud,
+    neighbors: Neighborhoods,
+    origin: FloatArray,
+    options: PipelineOptions,
 ) -> Iterator[Seen]:
     """Yield the surfaces of points near the origin; the first before and after it is remeshed.
 
@@ -304,7 +322,9 @@ def _of_surfaces(
     if unused := options.surface.unused:
         ignored = f"surface.method = {options.surface.method!r} does not use {', '.join(unused)}"
         mesh = mesh.after(Step("surface", 0.0, notes=(ignored,)))
-    seen = replace(seen, mesh=moved(mesh, origin), marks=None if marks is None else marks.moved(origin))
+    seen = replace(
+        seen, mesh=moved(mesh, origin), marks=None if marks is None else marks.moved(origin)
+    )
     yield seen
     yield (seen := replace(seen, mesh=moved(_remeshed(mesh, options), origin)))
     try:
@@ -389,7 +409,9 @@ def _of_points(cloud: PointCloud, options: PipelineOptions) -> Shape:
     unit = replace(operator, mass=csc_array(operator.mass / operator.area))
     pairs = eigenpairs(unit, options.spectral.n_pairs)
     step = Step("spectrum", time.perf_counter() - started, _sizes(pairs, mesh), notes)
-    return Shape((Surface(operator.area, _unit_spectrum(pairs), mesh),), cloud, (*mesh.provenance, step))
+    return Shape(
+        (Surface(operator.area, _unit_spectrum(pairs), mesh),), cloud, (*mesh.provenance, step)
+    )
 
 
 def _largest_piece(
@@ -408,7 +430,9 @@ def _largest_piece(
             "apart, or raise surface.max_discarded"
         )
     kept = np.flatnonzero(piece == share.argmax())
-    stiffness, mass = (csc_array(full[:, kept][kept]) for full in (operator.stiffness, operator.mass))
+    stiffness, mass = (
+        csc_array(full[:, kept][kept]) for full in (operator.stiffness, operator.mass)
+    )
     note = f"dropped {len(share) - 1} loose pieces with {1 - share.max():.1%} of the points"
     return cloud.select(kept), LaplaceBeltrami(stiffness, mass), (note,)
 

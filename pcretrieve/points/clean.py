@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
 from pcretrieve.points.density import FARTHER, is_of_surface
-from pcretrieve.points.neighbors import PLANE_NEIGHBORS, Neighborhoods, among, neighborhoods, voxel_numbers
+from pcretrieve.points.neighbors import (
+    PLANE_NEIGHBORS,
+    Neighborhoods,
+    among,
+    neighborhoods,
+    voxel_numbers,
+)
 from pcretrieve.values import FloatArray, PointCloud, Step
 
 # Smallest number of points of a scan. With fewer points, limbs cannot be resolved.
@@ -71,7 +77,9 @@ def outliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.bool_]:
     return np.asarray(~_inliers(thinned, neighbors, options)[voxel])
 
 
-def _inliers(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions) -> NDArray[np.bool_]:
+def _inliers(
+    cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions
+) -> NDArray[np.bool_]:
     """Whether the mean distance of each point to its neighbours is not exceptional, (n,)."""
     distance = neighbors.distance[:, : options.outlier_neighbors].mean(axis=1)  # (n,)
     apart = distance[distance > 0]  # not of points that coincide with all their neighbours
@@ -81,7 +89,9 @@ def _inliers(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions) 
     limit = max(apart.mean() + options.outlier_std * apart.std(ddof=1), LEAST_OUTLYING * median)
     # Where the points are sparse, distances are exceptional, and no points are outliers for that reason.
     sparse = is_of_surface(neighbors, cell=DENSE_VOXEL * cloud.diagonal)
-    return np.asarray((distance > 0) & ((distance < limit) | sparse & (distance < MOST_SPARSE * median)))
+    return np.asarray(
+        (distance > 0) & ((distance < limit) | sparse & (distance < MOST_SPARSE * median))
+    )
 
 
 def _thinned(cloud: PointCloud, voxel: float | str) -> tuple[PointCloud, NDArray[np.intp]]:
@@ -90,13 +100,18 @@ def _thinned(cloud: PointCloud, voxel: float | str) -> tuple[PointCloud, NDArray
         numbers = np.sort(voxel_numbers(cloud.points, DENSE_VOXEL * cloud.diagonal))
         n_voxels = np.count_nonzero(np.diff(numbers, prepend=-1))
         voxel = DENSE_VOXEL if len(cloud.points) >= DENSE * n_voxels else VOXEL
-    return averaged(cloud, voxel * cloud.diagonal) if voxel else (cloud, np.arange(len(cloud.points)))
+    return (
+        averaged(cloud, voxel * cloud.diagonal) if voxel else (cloud, np.arange(len(cloud.points)))
+    )
 
 
 def averaged(cloud: PointCloud, edge: float) -> tuple[PointCloud, NDArray[np.intp]]:
     """Voxel-grid filter: the mean of the points in each voxel, and the voxel of each point, (n,)."""
     _, first, group, counts = np.unique(
-        voxel_numbers(cloud.points, edge), return_index=True, return_inverse=True, return_counts=True
+        voxel_numbers(cloud.points, edge),
+        return_index=True,
+        return_inverse=True,
+        return_counts=True,
     )
 
     def average(values: FloatArray) -> FloatArray:
@@ -108,10 +123,14 @@ def averaged(cloud: PointCloud, edge: float) -> tuple[PointCloud, NDArray[np.int
         normals = average(cloud.normals)
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         # Opposite normals in one voxel cancel (both sides of a thin sheet): the first normal is kept.
-        normals = np.where(length < CANCELLED, cloud.normals[first], normals / np.maximum(length, 1e-300))
+        normals = np.where(
+            length < CANCELLED, cloud.normals[first], normals / np.maximum(length, 1e-300)
+        )
     # A mean of sensor positions is not a sensor position: the first position in the voxel is kept.
     viewpoints = None if cloud.viewpoints is None else cloud.viewpoints[first]
-    return replace(cloud, points=average(cloud.points), normals=normals, viewpoints=viewpoints), group
+    return replace(
+        cloud, points=average(cloud.points), normals=normals, viewpoints=viewpoints
+    ), group
 
 
 def check_extent(points: FloatArray, stage: str) -> None:
@@ -128,5 +147,6 @@ def check_extent(points: FloatArray, stage: str) -> None:
     if squares[0] == 0 or flat[2]:
         what = "are equal" if squares[0] == 0 else "lie on a line" if flat[1] else "lie in a plane"
         raise ReconstructionError(
-            f"the points must span a body, all {len(points)} {what}: scan it from several sides", stage=stage
+            f"the points must span a body, all {len(points)} {what}: scan it from several sides",
+            stage=stage,
         )

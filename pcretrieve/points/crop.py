@@ -65,7 +65,9 @@ def crop(cloud: PointCloud, options: ScanOptions) -> PointCloud:
     check_extent(cropped.points, Stage.CROP)
     sizes: dict[str, float] = {"points_in": len(cloud.points), "points": n}
     if kept.ground is not None:
-        sizes |= {f"ground_{axis}": float(x) for axis, x in zip("xyz", kept.ground.place, strict=True)}
+        sizes |= {
+            f"ground_{axis}": float(x) for axis, x in zip("xyz", kept.ground.place, strict=True)
+        }
         sizes |= {f"up_{axis}": float(x) for axis, x in zip("xyz", kept.ground.up, strict=True)}
     return cropped.after(Step("crop", time.perf_counter() - started, sizes, kept.notes))
 
@@ -83,7 +85,9 @@ def kept_points(cloud: PointCloud, options: ScanOptions, *, of_view: bool = Fals
 
     seen = points if viewpoints is None else points - viewpoints  # (n, 3)
     ranges = np.linalg.norm(seen, axis=1)
-    is_ahead = bool((seen[:, 2] >= 0).all() or (seen[:, 2] <= 0).all())  # of the sensor, along the axis z
+    is_ahead = bool(
+        (seen[:, 2] >= 0).all() or (seen[:, 2] <= 0).all()
+    )  # of the sensor, along the axis z
     readings = (ranges, abs(seen[:, 2])) if is_ahead else (ranges,)
     remove(_measured(readings), "at one range: readings without an answer")
     if not isinstance(options.min_range, str):
@@ -107,7 +111,9 @@ def kept_points(cloud: PointCloud, options: ScanOptions, *, of_view: bool = Fals
         before = bounding_diagonal(points[kept])
         remove(_without_strays(points[kept]), "as strays outside the box of their quantiles")
         if (after := bounding_diagonal(points[kept])) < before:
-            notes.append(f"lengths are relative to a diagonal of {after:.4g}, with the strays {before:.4g}")
+            notes.append(
+                f"lengths are relative to a diagonal of {after:.4g}, with the strays {before:.4g}"
+            )
     return Kept(kept, ground, tuple(notes))
 
 

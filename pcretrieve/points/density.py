@@ -94,7 +94,9 @@ def _many_sparse(spacings: FloatArray, cell: float, diagonal: float) -> Mask:
 def _growth(neighbors: Neighborhoods) -> FloatArray:
     """(n,) exponents a of the distance of neighbour k, which is proportional to k^a."""
     near, far = (min(k, neighbors.distance.shape[1] - 1) for k in (SPACING_NEIGHBORS, FARTHER))
-    ratio = neighbors.distance[:, far] / np.maximum(neighbors.distance[:, near], np.finfo(float).tiny)
+    ratio = neighbors.distance[:, far] / np.maximum(
+        neighbors.distance[:, near], np.finfo(float).tiny
+    )
     return np.asarray(np.log(np.maximum(ratio, 1)) / np.log(far / near))
 
 
@@ -200,13 +202,17 @@ def _on_spheres(
     return placed[kept], outward[kept], centres[kept]
 
 
-def _sphere(apart: FloatArray, normals: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _sphere(
+    apart: FloatArray, normals: FloatArray, weight: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Heights of the origin above spheres u₀ + u·p + q p·p = 0 fitted to (n, k, 3) points, and normals."""
     total = weight.sum(axis=1) + np.finfo(float).tiny
     middle = np.einsum("nk,nkd->nd", weight, apart)
     summed = np.einsum("nk,nkd->nd", weight, normals)
     squares = np.einsum("nk,nkd,nkd->n", weight, apart, apart)
-    turn = np.einsum("nk,nkd,nkd->n", weight, apart, normals) - (middle * summed).sum(axis=1) / total
+    turn = (
+        np.einsum("nk,nkd,nkd->n", weight, apart, normals) - (middle * summed).sum(axis=1) / total
+    )
     extent = squares - (middle**2).sum(axis=1) / total
     q = np.divide(turn, 2 * extent, out=np.zeros_like(turn), where=extent > 1e-9 * squares)
     u = (summed - 2 * q[:, None] * middle) / total[:, None]

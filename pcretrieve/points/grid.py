@@ -36,7 +36,9 @@ class Grid:
     shape: tuple[int, int, int]
 
     @classmethod
-    def around(cls, points: FloatArray, cell: float, margin: int, shift: FloatArray | float = 0.0) -> Grid:
+    def around(
+        cls, points: FloatArray, cell: float, margin: int, shift: FloatArray | float = 0.0
+    ) -> Grid:
         """The smallest grid that contains points and a margin.
 
         shift: (3,) float64 or float, displacement of the grid in the negative directions; in voxels.
@@ -77,7 +79,9 @@ def components(voxels: Mask, corners: bool) -> tuple[NDArray[np.int32], NDArray[
     n_x, n_y, _ = voxels.shape
     begins, ends, lines = _runs(voxels)
     parent = np.arange(len(begins))
-    apart = 0 if corners else -1  # the largest number of voxels from the end of a run to an adjacent run
+    apart = (
+        0 if corners else -1
+    )  # the largest number of voxels from the end of a run to an adjacent run
     for x in range(n_x):
         for y in range(n_y):
             line = x * n_y + y
@@ -192,7 +196,9 @@ def distances(sources: Mask, limit: float) -> Voxels:
     """
     most = int(min(limit, sum(sources.shape))) + 1
     is_short = 2 * most**2 < 2**16
-    return _distances(sources, limit, most, np.empty(sources.shape, np.uint16 if is_short else np.uint32))
+    return _distances(
+        sources, limit, most, np.empty(sources.shape, np.uint16 if is_short else np.uint32)
+    )
 
 
 @njit(cache=True)
@@ -218,7 +224,10 @@ def _distances(sources: Mask, limit: float, most: int, squares: NDArray[Any]) ->
         best[:] = planes[x]
         largest, k = best.max(), 1
         while k < min(most, n_x) and k * k < largest:
-            before, after = planes[x - k] if x >= k else nothing, planes[x + k] if x + k < n_x else nothing
+            before, after = (
+                planes[x - k] if x >= k else nothing,
+                planes[x + k] if x + k < n_x else nothing,
+            )
             _lower(best, before, after, k)
             k += 1
         away = result[x]
@@ -279,13 +288,19 @@ def interior(mesh: TriangleMesh, grid: Grid) -> Mask:
 @njit(cache=True)
 def _vote(votes: NDArray[np.int8], at: FloatArray, faces: IntArray, axis: int) -> None:
     """Add one for each voxel round which the winding number of a surface, along an axis, is not zero."""
-    turns = np.zeros(votes.shape, dtype=np.int32)  # by the crossings between a voxel and the one before
+    turns = np.zeros(
+        votes.shape, dtype=np.int32
+    )  # by the crossings between a voxel and the one before
     place = np.zeros(3, dtype=np.int64)
     i, j = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
     for f in range(len(faces)):
         a, b, c = at[faces[f, 0]], at[faces[f, 1]], at[faces[f, 2]]
-        for u in range(int(np.ceil(min(a[i], b[i], c[i]))), int(np.floor(max(a[i], b[i], c[i]))) + 1):
-            for v in range(int(np.ceil(min(a[j], b[j], c[j]))), int(np.floor(max(a[j], b[j], c[j]))) + 1):
+        for u in range(
+            int(np.ceil(min(a[i], b[i], c[i]))), int(np.floor(max(a[i], b[i], c[i]))) + 1
+        ):
+            for v in range(
+                int(np.ceil(min(a[j], b[j], c[j]))), int(np.floor(max(a[j], b[j], c[j]))) + 1
+            ):
                 # Twice the signed areas of the triangles of the line and one edge, opposite each corner.
                 p = (b[i] - u) * (c[j] - v) - (b[j] - v) * (c[i] - u)
                 q = (c[i] - u) * (a[j] - v) - (c[j] - v) * (a[i] - u)

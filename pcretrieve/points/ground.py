@@ -92,9 +92,16 @@ def ground_of(points: FloatArray, viewpoints: FloatArray | None = None) -> Groun
     stands = np.quantile(height[body], LOWEST) <= STANDING * diagonal
     is_seen = viewpoints is None or ((viewpoints - points) @ up + height > 0)[on_plane].mean() > 0.5
     is_beneath = (height < -thickness).mean() <= MOST_BENEATH
-    if not (stands and is_seen and is_beneath and _is_around(points[some], up, on_plane[some], body[some])):
+    if not (
+        stands
+        and is_seen
+        and is_beneath
+        and _is_around(points[some], up, on_plane[some], body[some])
+    ):
         return None
-    removed = np.clip(REMOVED * np.median(abs(height[on_plane])), LEAST_REMOVED * diagonal, thickness)
+    removed = np.clip(
+        REMOVED * np.median(abs(height[on_plane])), LEAST_REMOVED * diagonal, thickness
+    )
     centre = np.median(points[body], axis=0)
     place = centre - (height[body][0] + (centre - points[body][0]) @ up) * up
     return Ground(place, up, height <= removed)
@@ -147,7 +154,9 @@ def _is_around(
     flat = points @ np.column_stack([right, np.cross(up, right)])  # (s, 2)
     flat = flat - np.median(flat[body], axis=0)
     radius = np.linalg.norm(flat, axis=1)
-    sector = np.floor((np.arctan2(flat[:, 1], flat[:, 0]) / (2 * np.pi) + 0.5) * N_SECTORS) % N_SECTORS
+    sector = (
+        np.floor((np.arctan2(flat[:, 1], flat[:, 0]) / (2 * np.pi) + 0.5) * N_SECTORS) % N_SECTORS
+    )
     n_around = 0
     for number in range(N_SECTORS):
         here = sector == number

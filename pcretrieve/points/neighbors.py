@@ -149,7 +149,11 @@ def _nearest(
                     n += 1
         for j in range(k):
             i = order[numbers[j] & low_bits]
-            d, e, f = points[i, 0] - places[q, 0], points[i, 1] - places[q, 1], points[i, 2] - places[q, 2]
+            d, e, f = (
+                points[i, 0] - places[q, 0],
+                points[i, 1] - places[q, 1],
+                points[i, 2] - places[q, 2],
+            )
             distance[q, j], near[q, j] = np.sqrt(d * d + e * e + f * f), i
     return distance, near
 
@@ -176,7 +180,9 @@ def plane_deviations(points: FloatArray, near: NDArray[np.intp]) -> FloatArray:
         # The smallest eigenvalue is Σ d² too, but its root would have half as many digits.
         total, squares = 0.0, 0.0
         for j in range(k):
-            total += x * points[near[i, j], 0] + y * points[near[i, j], 1] + z * points[near[i, j], 2]
+            total += (
+                x * points[near[i, j], 0] + y * points[near[i, j], 1] + z * points[near[i, j], 2]
+            )
         for j in range(k):
             p = near[i, j]
             squares += (x * points[p, 0] + y * points[p, 1] + z * points[p, 2] - total / k) ** 2
@@ -211,7 +217,9 @@ def guided_planes(
         for j in range(k):
             other = near[i, j]
             cosine = a * guide[other, 0] + b * guide[other, 1] + c * guide[other, 2]
-            weight[j] = min(max((cosine - same_side) / (1 - same_side), 0.0), 1.0) if is_known else 1.0
+            weight[j] = (
+                min(max((cosine - same_side) / (1 - same_side), 0.0), 1.0) if is_known else 1.0
+            )
             weight[j] *= np.exp(-((distance[i, j] / width) ** 2))
         x, y, z = _smallest_eigenvector(_covariance(points, near[i], weight))
         sign = -1.0 if x * a + y * b + z * c < 0 else 1.0
@@ -316,7 +324,9 @@ def neighborhoods(points: FloatArray, k: int, *, of_some: bool = False) -> Neigh
     return Neighborhoods(*nearest(points, places, min(k, len(points))))
 
 
-def among(points: FloatArray, is_kept: NDArray[np.bool_], neighbors: Neighborhoods, k: int) -> Neighborhoods:
+def among(
+    points: FloatArray, is_kept: NDArray[np.bool_], neighbors: Neighborhoods, k: int
+) -> Neighborhoods:
     """The k nearest neighbours of the kept points, (m, 3), among themselves, from those of all points."""
     k = min(k, len(points))
     distance, near = neighbors.distance[is_kept, :k], neighbors.near[is_kept, :k]
@@ -342,7 +352,9 @@ def noise(points: FloatArray, neighbors: Neighborhoods) -> float:
     It is about 0.8 of the standard deviation of each coordinate, if the noise is isotropic.
     """
     near = np.ascontiguousarray(neighbors.near[:, : PLANE_NEIGHBORS + 1])
-    return float(np.quantile(plane_deviations(np.broadcast_to(points, points.shape), near), FLATTEST))
+    return float(
+        np.quantile(plane_deviations(np.broadcast_to(points, points.shape), near), FLATTEST)
+    )
 
 
 def voxel_numbers(points: FloatArray, edge: float) -> NDArray[np.int64]:

@@ -14,7 +14,13 @@ from pcretrieve.draw.open3d import library, open3d_cloud
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
 from pcretrieve.points.density import SAME_SIDE, disks, local_spacings, sparse_points
-from pcretrieve.points.neighbors import PLANE_NEIGHBORS, Neighborhoods, guided_planes, neighborhoods, spacing
+from pcretrieve.points.neighbors import (
+    PLANE_NEIGHBORS,
+    Neighborhoods,
+    guided_planes,
+    neighborhoods,
+    spacing,
+)
 from pcretrieve.points.outside import Outside, flood
 from pcretrieve.values import FloatArray, PointCloud, Step
 
@@ -67,7 +73,11 @@ def oriented_normals(
         return cloud.after(
             Step("orient", time.perf_counter() - started, {}, ("used the file's own normals",))
         )
-    orientations = {"viewpoint": _by_viewpoint, "flood": _by_flood, "tangent-plane": _by_tangent_planes}
+    orientations = {
+        "viewpoint": _by_viewpoint,
+        "flood": _by_flood,
+        "tangent-plane": _by_tangent_planes,
+    }
     if neighbors is None:
         neighbors = neighborhoods(cloud.points, max(options.normal_neighbors, PLANE_NEIGHBORS + 1))
     oriented, notes = orientations[method](cloud, neighbors, options)
@@ -88,7 +98,10 @@ def _by_viewpoint(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOpti
         direction = outside.direction_at(cloud.points)
         opposed = float((np.einsum("ij,ij->i", towards, direction) < -OPPOSED).mean())
         if opposed > MOST_OPPOSED:
-            notes = (*notes, f"the flood fill contradicted {opposed:.0%} of the sensors and was not used")
+            notes = (
+                *notes,
+                f"the flood fill contradicted {opposed:.0%} of the sensors and was not used",
+            )
         else:
             towards = _unit(towards + direction)
     return _guided_normals(cloud.points, towards, neighbors, options), notes
@@ -109,7 +122,9 @@ def estimate_normals(points: FloatArray, *, n_neighbors: int) -> FloatArray:
     return np.array(cloud.normals)
 
 
-def orient_by_tangent_planes(points: FloatArray, normals: FloatArray, *, n_neighbors: int) -> FloatArray:
+def orient_by_tangent_planes(
+    points: FloatArray, normals: FloatArray, *, n_neighbors: int
+) -> FloatArray:
     """The unit normals, or their opposites, consistent along a minimum spanning tree of tangent planes [1]_.
 
     References
@@ -154,7 +169,10 @@ def _tight_flood(
         towards = outside.direction_at(cloud.points)
         oriented = _guided_normals(cloud.points, towards, neighbors, options)
         shallow = outside.depth_at(cloud.points) < SHALLOW
-        if shallow.sum() > N_COMPARED and _agreement(oriented, neighbors.near, shallow) >= LEAST_AGREEMENT:
+        if (
+            shallow.sum() > N_COMPARED
+            and _agreement(oriented, neighbors.near, shallow) >= LEAST_AGREEMENT
+        ):
             note = f"the flood fill leaked; holes with radii up to {gap:.3f} of the diagonal were closed"
             return outside, oriented, (note,) if attempt else ()
     return None, None, (f"the flood fill leaked with holes up to {gap:.3f} of the diagonal closed",)

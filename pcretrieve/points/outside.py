@@ -105,7 +105,14 @@ def _regrown(outside: Mask, distance: Voxels, n_steps: int, clearance: float) ->
                 c = (x * n_y + y) * n_z + z
                 if was[c] or to_points[c] <= clearance:
                     continue
-                if was[c - 1] or was[c + 1] or was[c - n_z] or was[c + n_z] or was[c - a] or was[c + a]:
+                if (
+                    was[c - 1]
+                    or was[c + 1]
+                    or was[c - n_z]
+                    or was[c + n_z]
+                    or was[c - a]
+                    or was[c + a]
+                ):
                     front[n] = c
                     n += 1
     for i in range(n):

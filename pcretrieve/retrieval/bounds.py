@@ -108,7 +108,9 @@ class LowerBounds(NamedTuple):
         mean = points.mean(axis=0)
         variances, directions = np.linalg.eigh(scatter_matrix(points, mean))  # variances ascend
         small = np.cumsum(variances) < (1 - SHARE) * variances.sum()
-        axes = np.ascontiguousarray(directions[:, ::-1][:, : max(N_LEADING, np.count_nonzero(~small))])
+        axes = np.ascontiguousarray(
+            directions[:, ::-1][:, : max(N_LEADING, np.count_nonzero(~small))]
+        )
         leading = np.empty((min(N_DIVIDING, axes.shape[1]), len(points)), np.float32)
         with np.errstate(over="ignore"):
             for start in range(0, len(points), CHUNK):
@@ -126,7 +128,9 @@ class LowerBounds(NamedTuple):
             # Not the difference by 256, because that of the largest numbers is infinite.
             step[block] = high[block] / N_CELLS - low[block] / N_CELLS
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                cells = np.nan_to_num((along - low[block]) / step[block])  # 0 / 0 where all points are equal
+                cells = np.nan_to_num(
+                    (along - low[block]) / step[block]
+                )  # 0 / 0 where all points are equal
             rows[block, : len(members)] = members
             codes[block, :, : len(members)] = np.clip(cells, 0, N_CELLS - 1).T
         return cls(mean, axes, rows, low, high, step, codes)
@@ -141,14 +145,18 @@ class LowerBounds(NamedTuple):
             and self.codes.shape == (n_blocks, n_axes, size)
         )
 
-    def cells(self, query: FloatArray) -> tuple[NDArray[np.uint8], Rows, Singles, Singles, FloatArray]:
+    def cells(
+        self, query: FloatArray
+    ) -> tuple[NDArray[np.uint8], Rows, Singles, Singles, FloatArray]:
         """What `scan` reads of all blocks, for a query (D,)."""
         with np.errstate(over="ignore", invalid="ignore"):
             middle = (self.low - query + self.step / 2).astype(np.float32)
             reach = HALF_CELL * np.sqrt((self.step**2).sum(axis=1))
             return self.codes, self.rows, middle, self.step.astype(np.float32), reach
 
-    def candidates(self, point: FloatArray, k: int, radius: Callable[[Rows], float], scan: Scan) -> Positions:
+    def candidates(
+        self, point: FloatArray, k: int, radius: Callable[[Rows], float], scan: Scan
+    ) -> Positions:
         """The rows (n,), ascending, that include the `k` nearest to a point (L,) and all at equal distance.
 
         radius: function of (n,) rows that returns a distance within which at least `k` of them lie.
@@ -209,7 +217,10 @@ def scan(
     total = np.zeros((len(blocks), codes.shape[2]), np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
         for axis in range(codes.shape[1]):
-            along = codes[blocks, axis] * step[blocks, axis, np.newaxis] + middle[blocks, axis, np.newaxis]
+            along = (
+                codes[blocks, axis] * step[blocks, axis, np.newaxis]
+                + middle[blocks, axis, np.newaxis]
+            )
             total += along**2
         most = ((math.sqrt(limit) + reach[blocks]) ** 2).astype(np.float32)
         within = ~(total > most[:, np.newaxis]) & (rows[blocks] != NO_ROW)

@@ -96,8 +96,12 @@ def _embedding(points: FloatArray) -> FloatArray:
 
     perplexity = min(PERPLEXITY, (len(points) - 1) / 3)
     start = (1e-4 * principal / principal.std()).astype(np.float32)
-    method = TSNE(perplexity=perplexity, init=start, random_state=SEED, max_iter=N_ITERATIONS, angle=ANGLE)
-    with threadpool_limits(limits=1):  # on busy cores two threads wait for each other, nine times as long
+    method = TSNE(
+        perplexity=perplexity, init=start, random_state=SEED, max_iter=N_ITERATIONS, angle=ANGLE
+    )
+    with threadpool_limits(
+        limits=1
+    ):  # on busy cores two threads wait for each other, nine times as long
         return np.asarray(method.fit_transform(points), dtype=np.float64)
 
 

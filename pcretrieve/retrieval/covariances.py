@@ -89,7 +89,9 @@ def _shrunk(covariance: FloatArray, intensity: float, *, one_unit: bool = True) 
     """
     variances = np.diag(covariance)
     mean = variances.mean()
-    target = np.full(len(variances), mean) if one_unit else np.maximum(variances, LEAST_VARIANCE * mean)
+    target = (
+        np.full(len(variances), mean) if one_unit else np.maximum(variances, LEAST_VARIANCE * mean)
+    )
     return np.asarray((1 - intensity) * covariance + intensity * np.diag(target))
 
 
@@ -108,7 +110,11 @@ def within_class_covariance(
             "within-class whitening needs shapes that differ within their class, got equal signatures in "
             "every class; use the whitening 'pca' or 'none'"
         )
-    used = shrinkage if shrinkage != "auto" else _likeliest_shrinkage(residuals, classes, one_unit=one_unit)
+    used = (
+        shrinkage
+        if shrinkage != "auto"
+        else _likeliest_shrinkage(residuals, classes, one_unit=one_unit)
+    )
     reason = f"within-class: {len(members)} classes of {len(fitted)} shapes"
     return Fit(fitted, _shrunk(pooled, used, one_unit=one_unit), used, reason)
 
@@ -158,7 +164,9 @@ def _likeliest_shrinkage(residuals: FloatArray, classes: Positions, *, one_unit:
         n_free = is_out.sum() - (group == left_out).sum()
         for number, intensity in enumerate(INTENSITIES):
             covariance = _shrunk(pooled, intensity, one_unit=one_unit)
-            deviance = np.linalg.slogdet(covariance)[1] + np.trace(np.linalg.solve(covariance, tested))
+            deviance = np.linalg.slogdet(covariance)[1] + np.trace(
+                np.linalg.solve(covariance, tested)
+            )
             likelihood[number] -= n_free * deviance
     return INTENSITIES[int(np.argmax(likelihood))]
 
@@ -172,7 +180,9 @@ def neighbour_covariance(logs: FloatArray, shrinkage: Shrinkage) -> Fit:
     pairs = neighbour_pairs(logs)
     n_pairs = len(pairs.weights)
     if n_pairs < LEAST_PAIRS:
-        reason = f"none, because only {n_pairs} pairs of shapes are mutual neighbours ({LEAST_PAIRS})"
+        reason = (
+            f"none, because only {n_pairs} pairs of shapes are mutual neighbours ({LEAST_PAIRS})"
+        )
         return Fit(logs, None, 0.0, reason)
     differences = logs[pairs.first] - logs[pairs.second]  # (P, L)
     covariance = (differences * pairs.weights[:, np.newaxis]).T @ differences

@@ -98,12 +98,16 @@ def known_distance(distance: str | Distance) -> Distance:
 def coordinates(values: ArrayLike, metric: Metric = "logarithms") -> FloatArray:
     """The coordinates (…, L) of signatures (…, L): the logarithms, the values, or the square roots."""
     if metric == "logarithms":
-        logs: FloatArray = np.log(_checked(values, "positive and finite", lambda x: np.isfinite(x) & (x > 0)))
+        logs: FloatArray = np.log(
+            _checked(values, "positive and finite", lambda x: np.isfinite(x) & (x > 0))
+        )
         return logs
     array = _checked(values, "finite", np.isfinite)
     if metric == "values":
         return array
-    roots: FloatArray = np.sqrt(_checked(array, "bins of a histogram, not negative", lambda x: x >= 0))
+    roots: FloatArray = np.sqrt(
+        _checked(array, "bins of a histogram, not negative", lambda x: x >= 0)
+    )
     return roots
 
 
@@ -117,7 +121,9 @@ def check_comparable(table: SignatureTable, distance: str | Distance) -> None:
     """OptionError if a distance is not meaningful for the signatures of a table."""
     asked = known_distance(distance)
     if table.metric not in asked.metrics:
-        meaningful = ", ".join(name for name, each in DISTANCES.items() if table.metric in each.metrics)
+        meaningful = ", ".join(
+            name for name, each in DISTANCES.items() if table.metric in each.metrics
+        )
         raise OptionError(
             f"distance must be {meaningful} for {table.kind}, which is compared as {table.metric}, got "
             f"{asked.name!r}"
@@ -137,12 +143,16 @@ def pairwise(distance: str | Distance, queries: FloatArray, gallery: FloatArray)
     distances = np.empty((len(queries), len(gallery)))
     for i in range(0, len(queries), rows):
         for j in range(0, len(gallery), columns):
-            x = queries[i : i + rows, np.newaxis] - gallery[np.newaxis, j : j + columns]  # (rows, columns, L)
+            x = (
+                queries[i : i + rows, np.newaxis] - gallery[np.newaxis, j : j + columns]
+            )  # (rows, columns, L)
             distances[i : i + rows, j : j + columns] = between(x).reshape(x.shape[:2])
     return distances
 
 
-def _checked(values: ArrayLike, kind: str, holds: Callable[[FloatArray], NDArray[np.bool_]]) -> FloatArray:
+def _checked(
+    values: ArrayLike, kind: str, holds: Callable[[FloatArray], NDArray[np.bool_]]
+) -> FloatArray:
     """The values as an array, all of which are of a kind."""
     try:
         array = np.asarray(values, dtype=np.float64)

@@ -63,9 +63,15 @@ SCORES = "scores_"
 
 # What is wrong with the unit of a query and that of the shapes.
 WRONG_UNITS = {
-    ("unknown", "m"): "the shapes are in metres, the unit of the query is unknown; say the unit of the query "
+    (
+        "unknown",
+        "m",
+    ): "the shapes are in metres, the unit of the query is unknown; say the unit of the query "
     "by --unit (scan.unit)",
-    ("m", "unknown"): "the query is in metres, the unit of the shapes is unknown; ingest the shapes into a "
+    (
+        "m",
+        "unknown",
+    ): "the query is in metres, the unit of the shapes is unknown; ingest the shapes into a "
     "new catalogue with --unit (scan.unit)",
 }
 INSTEAD = "or compare the form alone (size_weight = 0, and the scale area)"
@@ -178,7 +184,9 @@ class SignatureIndex:
     ) -> None:
         check_type("table", table, SignatureTable)
         if not len(table):
-            raise InputError("an index needs at least 1 shape, got an empty table; ingest shapes first")
+            raise InputError(
+                "an index needs at least 1 shape, got an empty table; ingest shapes first"
+            )
         options = options or RetrievalOptions()
         self._distance = distance or known_distance(options.distance)
         check_comparable(table, self._distance)
@@ -250,7 +258,12 @@ class SignatureIndex:
         return self.query(shape_id, k)
 
     def ranked(
-        self, query: str | Signature, k: int, *, among: Collection[str] | None = None, rerank: str = "none"
+        self,
+        query: str | Signature,
+        k: int,
+        *,
+        among: Collection[str] | None = None,
+        rerank: str = "none",
     ) -> Neighbors:
         """The `k` first results, or more, with their scores; of some shapes, all of which are compared."""
         # The neighbourhoods among which a list is sorted again need more shapes than asked for.
@@ -296,7 +309,9 @@ class SignatureIndex:
         point = coordinates(query, self._made_by.metric)
         row = self.points.shape[1:]
         if point.shape != row:
-            raise InputError(f"the query must have shape {row}, as the table's rows have, got {point.shape}")
+            raise InputError(
+                f"the query must have shape {row}, as the table's rows have, got {point.shape}"
+            )
         return self.whitening.apply(point[np.newaxis])
 
     def _candidates(self, point: FloatArray, k: int) -> NDArray[np.intp]:
@@ -339,24 +354,34 @@ class SignatureIndex:
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> SignatureIndex:
         """The inverse of `to_arrays`; InputError if an array is missing or has the wrong shape."""
         fitted, scored = (
-            {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+            {
+                name.removeprefix(prefix): array
+                for name, array in arrays.items()
+                if name.startswith(prefix)
+            }
             for prefix in (WHITENING, SCORES)
         )
         index = cls.__new__(cls)
         try:
             kind, digest, metric, unit = (str(arrays[name]) for name in _MadeBy._fields)
-            index._made_by = _MadeBy(kind, digest, cast("Metric", metric), cast("SizeUnit", unit) or None)
+            index._made_by = _MadeBy(
+                kind, digest, cast("Metric", metric), cast("SizeUnit", unit) or None
+            )
             index.ids = Names(arrays["id_text"], arrays["id_ends"])
             index.points, index._size = arrays["gallery"], float(arrays["size"])
             index._distance = known_distance(str(arrays["distance"]))
             index.whitening = Whitening.from_arrays(fitted)
             index.scores = MatchScores.from_arrays(scored) if scored else None
             has_bounds = "codes" in arrays
-            index._bounds = LowerBounds(*map(arrays.__getitem__, LowerBounds._fields)) if has_bounds else None
+            index._bounds = (
+                LowerBounds(*map(arrays.__getitem__, LowerBounds._fields)) if has_bounds else None
+            )
         except KeyError as error:
             raise InputError(f"the arrays of an index must include {error.args[0]!r}") from error
         index._n_answered = 0
         fits = index._bounds is None or index._bounds.fits(index.points)
         if not fits or len(index.ids) != len(index.points):
-            raise InputError("the arrays of an index must be of one table, got several; build it again")
+            raise InputError(
+                "the arrays of an index must be of one table, got several; build it again"
+            )
         return index

@@ -101,7 +101,9 @@ def row_products(rows: FloatArray, matrix: FloatArray) -> FloatArray:
     return np.asarray((rows[:, np.newaxis] @ matrix)[:, 0])
 
 
-def people(options: SignatureOptions, arrays: Mapping[str, FloatArray] | None = None) -> People | None:
+def people(
+    options: SignatureOptions, arrays: Mapping[str, FloatArray] | None = None
+) -> People | None:
     """The moments of the coordinates of signatures by some options; None if they are not known.
 
     arrays: those of `SAMPLE`, by default; or others that scripts/benchmark_people has learned.

@@ -72,7 +72,10 @@ def _first_columns(values: FloatArray, length: int) -> Positions:
 
 
 def rerank(
-    lists: NeighbourLists, rows: Positions | None = None, *, parameters: tuple[int, int, float] = K_RECIPROCAL
+    lists: NeighbourLists,
+    rows: Positions | None = None,
+    *,
+    parameters: tuple[int, int, float] = K_RECIPROCAL,
 ) -> Positions:
     """Sort the lists of some shapes again.
 
@@ -129,7 +132,9 @@ def k_reciprocal(
         distance.
     Returns (Q, K) float64: the distances of the shapes in the lists of the queries; dimensionless.
     """
-    from scipy.sparse import csr_array  # imported here, because an index without whitening does not need it
+    from scipy.sparse import (
+        csr_array,
+    )  # imported here, because an index without whitening does not need it
 
     k1, k2, weight = parameters
     n, length = lists.order.shape
@@ -139,7 +144,9 @@ def k_reciprocal(
     shared = (mutual @ half.T).multiply(mutual).tocoo()  # (N, N), |R(i) ∩ R½(j)| for j in R(i)
     sizes = np.asarray(half.sum(axis=1))
     brings = shared.data > EXPANDED * sizes[shared.col]
-    bringing = csr_array((np.ones(brings.sum()), (shared.row[brings], shared.col[brings])), shape=(n, n))
+    bringing = csr_array(
+        (np.ones(brings.sum()), (shared.row[brings], shared.col[brings])), shape=(n, n)
+    )
     members = csr_array(((mutual + bringing @ half) > 0).astype(np.float64))
     # Gaussian-like weights, relative to the scale of each neighbourhood.
     scale = np.maximum(lists.distances[:, 1 : k1 + 1].mean(axis=1), np.finfo(np.float64).tiny)

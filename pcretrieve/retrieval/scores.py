@@ -88,7 +88,9 @@ class MatchScores(Arrays):
         for name in ("certainty", "far"):
             self._lock(name, (None,))
         if not len(distances) or (np.diff(distances) < 0).any() or (np.diff(scores) > 0).any():
-            raise InputError("scores must not ascend with the distance, and be at least one, got others")
+            raise InputError(
+                "scores must not ascend with the distance, and be at least one, got others"
+            )
         object.__setattr__(self, "distances", distances)
 
     def of(self, distances: FloatArray) -> FloatArray:
@@ -99,7 +101,9 @@ class MatchScores(Arrays):
         """How often an answer is right, from the distances to its class and to the next; None if unknown."""
         if not len(self.certainty):
             return None
-        return float(1 / (1 + np.exp(-_features(np.array([nearest]), np.array([other])) @ self.certainty)[0]))
+        return float(
+            1 / (1 + np.exp(-_features(np.array([nearest]), np.array([other])) @ self.certainty)[0])
+        )
 
     def reach(self, rate: float) -> float:
         """The distance below which a share of the pairs of two classes are, the false-match rate."""
@@ -132,7 +136,9 @@ def fit_scores(
     options = options or RetrievalOptions()
     sample = _sample(table)
     n_classes = len(set(sample.labels))
-    why = "share of pairs of one class among pairs as near, of {} pairs of " + f"{n_classes} classes"
+    why = (
+        "share of pairs of one class among pairs as near, of {} pairs of " + f"{n_classes} classes"
+    )
     groups, parts = list[_Group](), list[_Pairs]()
     if n_classes and whitening.kind != "within-class":
         groups = [_group(sample, np.arange(len(sample.labels)), whitening, options.distance)]
@@ -180,7 +186,9 @@ def _sample(table: SignatureTable) -> _Sample:
         if label is not None and label in chosen and kept[label] < LARGEST:
             kept[label] += 1
             rows_of[row] = label
-    return _Sample(coordinates(table.values[list(rows_of)], table.metric), list(rows_of.values()), sizes)
+    return _Sample(
+        coordinates(table.values[list(rows_of)], table.metric), list(rows_of.values()), sizes
+    )
 
 
 def _shares(pairs: _Pairs) -> tuple[FloatArray, FloatArray]:
@@ -204,15 +212,21 @@ def _shares(pairs: _Pairs) -> tuple[FloatArray, FloatArray]:
     n_same, total = _counts(pool, ours, pairs.weights[order])
     # The score of a pool is that of the mean distance of its pairs of one class; the last pool may have none.
     first = distances[np.searchsorted(pool, np.arange(len(total)))]
-    middle = np.where(n_same > 0, np.bincount(pool, ours * distances) / np.maximum(n_same, TINY), first)
+    middle = np.where(
+        n_same > 0, np.bincount(pool, ours * distances) / np.maximum(n_same, TINY), first
+    )
     # The prior moves small pools more than others.
     return middle, np.minimum.accumulate((n_same + PRIOR) / (total + 2 * PRIOR))
 
 
-def _counts(number: NDArray[np.intp], ours: FloatArray, every: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _counts(
+    number: NDArray[np.intp], ours: FloatArray, every: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """The weights of the pairs of one class, and of all pairs, in each interval."""
     n = int(number[-1]) + 1
-    return np.bincount(number, ours, n).astype(np.float64), np.bincount(number, every, n).astype(np.float64)
+    return np.bincount(number, ours, n).astype(np.float64), np.bincount(number, every, n).astype(
+        np.float64
+    )
 
 
 class _Group(NamedTuple):
@@ -229,7 +243,9 @@ def _group(sample: _Sample, rows: Positions, whitening: Whitening, distance: str
     return _Group(pairwise(distance, points, points), codes, names.tolist())
 
 
-def _left_out(sample: _Sample, options: RetrievalOptions, table: SignatureTable) -> Iterator[_Group]:
+def _left_out(
+    sample: _Sample, options: RetrievalOptions, table: SignatureTable
+) -> Iterator[_Group]:
     """Each group of classes, whitened by what shapes of the other classes differ by."""
     classes, codes = np.unique(sample.labels, return_inverse=True)
     n_folds = min(MOST_FOLDS, len(classes) // 2)
@@ -239,7 +255,11 @@ def _left_out(sample: _Sample, options: RetrievalOptions, table: SignatureTable)
         labels = [sample.labels[row] for row in others]
         try:
             fitted = fit_whitening(
-                "within-class", sample.logs[others], labels, shrinkage=options.shrinkage, metric=table.metric
+                "within-class",
+                sample.logs[others],
+                labels,
+                shrinkage=options.shrinkage,
+                metric=table.metric,
             )
         except InputError:
             continue  # the other classes have one shape each, or equal ones
@@ -249,7 +269,9 @@ def _left_out(sample: _Sample, options: RetrievalOptions, table: SignatureTable)
 def _class_pairs(sample: _Sample, group: _Group) -> _Pairs:
     """The pairs of some labelled shapes, each of which stands for the pairs of the whole table."""
     codes = group.codes
-    here = np.bincount(codes)[codes].astype(np.float64)  # (n,) shapes of the class, here and in the table
+    here = np.bincount(codes)[codes].astype(
+        np.float64
+    )  # (n,) shapes of the class, here and in the table
     there = np.array([sample.sizes[name] for name in group.names], dtype=np.float64)[codes]
     n_table = float(sum(sample.sizes.values()))
     within = (there - 1) / np.maximum(here - 1, 1)
@@ -280,13 +302,17 @@ def _trials(group: _Group) -> _Trials:
     same = codes[:, np.newaxis] == codes
     tried = []
     for is_absent in (False, True):
-        apart = np.where(same if is_absent else np.eye(len(codes), dtype=bool), np.inf, group.distances)
+        apart = np.where(
+            same if is_absent else np.eye(len(codes), dtype=bool), np.inf, group.distances
+        )
         found = codes[apart.argmin(axis=1)]
         nearest = apart.min(axis=1)
         other = np.where(found[:, np.newaxis] == codes, np.inf, apart).min(axis=1)
         used = np.isfinite(other) & (is_absent | (same.sum(axis=1) > 1))
         weights = np.full(len(codes), ABSENT if is_absent else 1.0)
-        tried.append(_Trials(_features(nearest, other)[used], (found == codes)[used], weights[used]))
+        tried.append(
+            _Trials(_features(nearest, other)[used], (found == codes)[used], weights[used])
+        )
     return _Trials(*(np.concatenate(part) for part in zip(*tried, strict=True)))
 
 

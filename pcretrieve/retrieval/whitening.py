@@ -48,7 +48,9 @@ from pcretrieve.values.files import write_file
 AUTOMATIC = ("auto", "unsupervised")
 
 #: What a whitening can be.
-WHITENINGS: tuple[str, ...] = tuple(kind for kind in get_args(WhiteningKind) if kind not in AUTOMATIC)
+WHITENINGS: tuple[str, ...] = tuple(
+    kind for kind in get_args(WhiteningKind) if kind not in AUTOMATIC
+)
 
 #: The kind of a whitening that was fitted to labelled shapes other than those that it is used for.
 CALIBRATED = "calibrated"
@@ -108,12 +110,16 @@ class Whitening(Arrays):
 
     def __post_init__(self) -> None:
         if self.kind not in (*WHITENINGS, CALIBRATED):
-            raise OptionError(f"whitening must be one of {', '.join(WHITENINGS)}, got {self.kind!r}")
+            raise OptionError(
+                f"whitening must be one of {', '.join(WHITENINGS)}, got {self.kind!r}"
+            )
         mean = locked("the mean of a whitening", self.mean, (None,))
         matrix = locked("the matrix of a whitening", self.matrix, (len(mean), len(mean)))
         object.__setattr__(self, "mean", mean)
         object.__setattr__(self, "matrix", matrix)
-        object.__setattr__(self, "network", locked("the network of a whitening", self.network, (None, None)))
+        object.__setattr__(
+            self, "network", locked("the network of a whitening", self.network, (None, None))
+        )
 
     def check_made_for(self, digest: str) -> None:
         """InputError if the whitening was fitted on signatures of another digest."""
@@ -149,7 +155,15 @@ def read_whitening(path: Path) -> Whitening:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             whitening = Whitening.from_arrays(arrays)
             return replace(whitening, reason=f"{whitening.reason}, from {path}")
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError, TypeError, KeyError) as error:
+    except (
+        OSError,
+        ValueError,
+        EOFError,
+        zipfile.BadZipFile,
+        AttributeError,
+        TypeError,
+        KeyError,
+    ) as error:
         raise InputError(
             f"a whitening must be a name such as auto, or a file of `pcretrieve lab calibrate`, got {path} "
             f"({error})"
@@ -196,7 +210,9 @@ def fit_whitening(
     if used == "pca":
         fit = _pca(logs, shrinkage)
     elif used == "within-class":
-        fit = covariances.within_class_covariance(logs, labels, shrinkage, one_unit=metric != "values")
+        fit = covariances.within_class_covariance(
+            logs, labels, shrinkage, one_unit=metric != "values"
+        )
     elif used == "neighbours":
         fit = covariances.neighbour_covariance(logs, shrinkage)
     if fit.covariance is None:
@@ -207,7 +223,9 @@ def fit_whitening(
     root = (directions / np.sqrt(variances)) @ directions.T  # C^(−1/2)
     scale = np.sqrt(np.trace(total) / np.trace(root @ total @ root))
     mean = fit.shapes.mean(axis=0)
-    return Whitening(used, mean, scale * root, len(fit.shapes), fit.shrinkage, options_digest, fit.reason)
+    return Whitening(
+        used, mean, scale * root, len(fit.shapes), fit.shrinkage, options_digest, fit.reason
+    )
 
 
 def table_whitening(

@@ -8,4 +8,13 @@ from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.simulation.samples import write_ply
 from pcretrieve.simulation.scanner import RigOptions, camera_pose, scan, scan_views
 
-__all__ = ["POSES", "RigOptions", "body", "camera_pose", "make_subject", "scan", "scan_views", "write_ply"]
+__all__ = [
+    "POSES",
+    "RigOptions",
+    "body",
+    "camera_pose",
+    "make_subject",
+    "scan",
+    "scan_views",
+    "write_ply",
+]

@@ -68,7 +68,9 @@ def _trunk(m: Mapping[str, float]) -> tuple[Bone, ...]:
     z = [back + share * m["trunk"] for share in (0.0, 0.28, 0.52, 0.76, 1.0)]
     shoulder = z[4]
 
-    def lying(name: str, parent: str | None, k: int, joint: str, radii: tuple[float, float]) -> Bone:
+    def lying(
+        name: str, parent: str | None, k: int, joint: str, radii: tuple[float, float]
+    ) -> Bone:
         flesh = RoundCone((0, 0, z[k]), (0, 0, z[k + 1]), radii, TALL, COLLINEAR)
         share = 1.0 if parent is None else 1 / 3
         return Bone(name, parent, (0, 0, z[k]), (0, 0, z[k + 1]), DOWN, (flesh,), joint, share)
@@ -94,7 +96,9 @@ def _trunk(m: Mapping[str, float]) -> tuple[Bone, ...]:
     )
     middle: Vector = (0, nape[1] + rise / 2, nape[2] + rise / 2)
 
-    def lower(name: str, parent: str, start: Vector, end: Vector, radii: tuple[float, float]) -> Bone:
+    def lower(
+        name: str, parent: str, start: Vector, end: Vector, radii: tuple[float, float]
+    ) -> Bone:
         return Bone(name, parent, start, end, DOWN, (RoundCone(start, end, radii),), "neck", 0.5)
 
     return (
@@ -109,7 +113,11 @@ def _trunk(m: Mapping[str, float]) -> tuple[Bone, ...]:
 
 
 def _tail(m: Mapping[str, float]) -> tuple[Bone, ...]:
-    root, step, girth = (0.0, 0.03, -0.08 - 0.7 * m["loin_girth"]), m["tail"] / TAIL_BONES, m["tail_girth"]
+    root, step, girth = (
+        (0.0, 0.03, -0.08 - 0.7 * m["loin_girth"]),
+        m["tail"] / TAIL_BONES,
+        m["tail_girth"],
+    )
     bones, parent = [], "pelvis"
     for k in range(TAIL_BONES):
         head: Vector = (0, root[1] - 0.6 * step * k, root[2] - 0.8 * step * k)

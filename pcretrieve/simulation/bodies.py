@@ -18,7 +18,15 @@ from scipy.sparse.linalg import splu
 
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.simulation import animals, hands, people
-from pcretrieve.simulation.skeleton import Bone, Contact, Pose, Subject, bone_distance, cone_distance, motions
+from pcretrieve.simulation.skeleton import (
+    Bone,
+    Contact,
+    Pose,
+    Subject,
+    bone_distance,
+    cone_distance,
+    motions,
+)
 from pcretrieve.spectral import laplace_beltrami
 from pcretrieve.surface.marching import level_set
 from pcretrieve.values import FloatArray, TriangleMesh
@@ -38,10 +46,14 @@ def make_subject(family: str, rng: np.random.Generator) -> Subject:
     if family not in FAMILIES:
         raise OptionError(f"family must be one of {', '.join(FAMILIES)}, got {family!r}")
     kind = FAMILIES[family]
-    deviations = np.clip(rng.standard_normal(len(kind.MEASURES)), -LARGEST_DEVIATION, LARGEST_DEVIATION)
+    deviations = np.clip(
+        rng.standard_normal(len(kind.MEASURES)), -LARGEST_DEVIATION, LARGEST_DEVIATION
+    )
     measures = {
         name: mean * (1 + spread * deviation)
-        for (name, (mean, spread)), deviation in zip(kind.MEASURES.items(), deviations.tolist(), strict=True)
+        for (name, (mean, spread)), deviation in zip(
+            kind.MEASURES.items(), deviations.tolist(), strict=True
+        )
     }
     return Subject(family, kind.skeleton(measures), kind.CELL)
 
@@ -98,7 +110,9 @@ class Skin:
 def skin(subject: Subject) -> Skin:
     """The skin of a subject."""
     rest = _rest_surface(subject)
-    owner = np.argmin([bone_distance(bone, rest.vertices) for bone in subject.bones], axis=0)  # (n,)
+    owner = np.argmin(
+        [bone_distance(bone, rest.vertices) for bone in subject.bones], axis=0
+    )  # (n,)
     return Skin(subject, rest, _weights(subject, rest, owner), owner)
 
 
@@ -133,7 +147,8 @@ def _smoothed(subject: Subject, mesh: TriangleMesh) -> TriangleMesh:
     """Tangential smoothing: vertices move half way to the mean of their neighbours, then to the surface."""
     n = len(mesh.vertices)
     links = csc_array(
-        (np.ones(mesh.faces.size), (mesh.faces.ravel(), np.roll(mesh.faces, 1, axis=1).ravel())), (n, n)
+        (np.ones(mesh.faces.size), (mesh.faces.ravel(), np.roll(mesh.faces, 1, axis=1).ravel())),
+        (n, n),
     )
     links = links + links.T
     mean = diags_array(1 / links.sum(axis=1)) @ links
@@ -189,7 +204,9 @@ def _weights(subject: Subject, rest: TriangleMesh, owner: NDArray[np.intp]) -> F
     operator = laplace_beltrami(rest, mass="lumped")
     bones, points = subject.bones, rest.vertices
     # Links have no flesh of their own: they share the flesh of the bones that they join.
-    shares = np.array([[a is b or _links(a, b) or _links(b, a) for b in bones] for a in bones])  # (b, b)
+    shares = np.array(
+        [[a is b or _links(a, b) or _links(b, a) for b in bones] for a in bones]
+    )  # (b, b)
     to_bone = np.array([_segment_distance(bone, points) for bone in bones])  # (b, n)
     to_bone = np.where(shares[owner].T, to_bone, np.inf)
     marks = np.eye(len(bones))[to_bone.argmin(axis=0)]  # (n, b)

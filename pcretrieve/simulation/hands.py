@@ -46,7 +46,9 @@ def skeleton(measures: Mapping[str, float]) -> tuple[Bone, ...]:
     """Bones and flesh of a hand: fingers up, palm to the front, thumb to the left."""
     m = measures
     length, width, girth = m["palm_length"], m["palm_width"], m["palm_girth"]
-    stump = RoundCone((0, -0.06, 0), (0, 0.005, 0), (1.08 * m["wrist_girth"], m["wrist_girth"]), 0.72)
+    stump = RoundCone(
+        (0, -0.06, 0), (0, 0.005, 0), (1.08 * m["wrist_girth"], m["wrist_girth"]), 0.72
+    )
     # The knuckles lie on an arc; the fingers fan out from the wrist, far enough apart for no fillet to join
     # them.
     x = width * np.array([0.36, 0.12, -0.12, -0.35])
@@ -59,16 +61,25 @@ def skeleton(measures: Mapping[str, float]) -> tuple[Bone, ...]:
     middles = roots + PALM * (ends - roots)
     tip = 0.95 * m["finger_girth"] + 0.002
     radius = girth + PALM * (tip - girth)
-    heel = [RoundCone(vector(a), vector(b), (girth, radius)) for a, b in zip(roots, middles, strict=True)]
-    knuckles = [RoundCone(vector(a), vector(b), (radius, tip)) for a, b in zip(middles, ends, strict=True)]
+    heel = [
+        RoundCone(vector(a), vector(b), (girth, radius))
+        for a, b in zip(roots, middles, strict=True)
+    ]
+    knuckles = [
+        RoundCone(vector(a), vector(b), (radius, tip)) for a, b in zip(middles, ends, strict=True)
+    ]
     ball = RoundCone(
-        (0.30 * width, 0.25 * length, 0.004), (0.36 * width, 0.55 * length, 0.004), (girth, 0.8 * girth)
+        (0.30 * width, 0.25 * length, 0.004),
+        (0.36 * width, 0.55 * length, 0.004),
+        (girth, 0.8 * girth),
     )
     break_line: Vector = (0, PALM * length, 0)
     bones = [
         Bone("stump", None, (0, -0.06, 0), (0, 0, 0), FRONT, (stump,), "stump"),
         Bone("palm", "stump", (0, 0, 0), break_line, FRONT, (*heel, ball), "wrist"),
-        Bone("knuckles", "palm", break_line, (0, length, 0), FRONT, tuple(knuckles), "wrist", share=0),
+        Bone(
+            "knuckles", "palm", break_line, (0, length, 0), FRONT, tuple(knuckles), "wrist", share=0
+        ),
     ]
     for finger, a, b, angle in zip(FINGERS, x, y, fan, strict=True):
         thickness = m["finger_girth"] * (0.86 if finger == "little" else 1.0)

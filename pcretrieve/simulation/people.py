@@ -82,20 +82,35 @@ def _trunk(m: Mapping[str, float]) -> tuple[Bone, ...]:
     chin = float(y[4]) + m["neck"] + 0.03
     skull = m["head"]
 
-    def upright(name: str, parent: str | None, k: int, joint: str, flesh: tuple[RoundCone, ...]) -> Bone:
+    def upright(
+        name: str, parent: str | None, k: int, joint: str, flesh: tuple[RoundCone, ...]
+    ) -> Bone:
         return Bone(
-            name, parent, (0, float(y[k]), 0), (0, float(y[k + 1]), 0), FRONT, flesh, joint, share=1 / 3
+            name,
+            parent,
+            (0, float(y[k]), 0),
+            (0, float(y[k + 1]), 0),
+            FRONT,
+            flesh,
+            joint,
+            share=1 / 3,
         )
 
-    def on_face(y: tuple[float, float], z: tuple[float, float], radii: tuple[float, float]) -> RoundCone:
+    def on_face(
+        y: tuple[float, float], z: tuple[float, float], radii: tuple[float, float]
+    ) -> RoundCone:
         start, end = ((0, chin + up * skull, ahead * skull) for up, ahead in zip(y, z, strict=True))
         return RoundCone(start, end, radii)
 
     hips, waist, chest = m["hip_girth"], m["waist_girth"], m["chest_girth"]
     pelvis = (
         RoundCone((0, y[0] + 0.03, 0), (0, y[1], 0), (hips, 0.5 * (hips + waist)), 0.66),
-        RoundCone((0.07, y[0] - 0.01, -0.045), (0.06, y[0] + 0.05, -0.04), (0.52 * hips, 0.5 * hips)),
-        RoundCone((-0.07, y[0] - 0.01, -0.045), (-0.06, y[0] + 0.05, -0.04), (0.52 * hips, 0.5 * hips)),
+        RoundCone(
+            (0.07, y[0] - 0.01, -0.045), (0.06, y[0] + 0.05, -0.04), (0.52 * hips, 0.5 * hips)
+        ),
+        RoundCone(
+            (-0.07, y[0] - 0.01, -0.045), (-0.06, y[0] + 0.05, -0.04), (0.52 * hips, 0.5 * hips)
+        ),
     )
     belly = m["belly"]
     loins = (
@@ -109,7 +124,9 @@ def _trunk(m: Mapping[str, float]) -> tuple[Bone, ...]:
     )
     neck = RoundCone((0, y[4] - 0.02, -0.005), (0, chin + 0.02, 0.005), (0.062, 0.056))
     face = (
-        RoundCone((0, chin + 0.95 * skull, -0.01), (0, chin + 1.25 * skull, -0.012), (skull, 0.97 * skull)),
+        RoundCone(
+            (0, chin + 0.95 * skull, -0.01), (0, chin + 1.25 * skull, -0.012), (skull, 0.97 * skull)
+        ),
         on_face((0.55, 0.9), (0.2, 0.2), (0.6 * skull, 0.7 * skull)),
         on_face((0.85, 1.1), (0.95, 0.85), (0.017, 0.014)),
     )
@@ -118,8 +135,19 @@ def _trunk(m: Mapping[str, float]) -> tuple[Bone, ...]:
         upright("loins", "pelvis", 1, "spine", loins),
         upright("ribs", "loins", 2, "spine", ribs),
         upright("breast", "ribs", 3, "spine", breast),
-        Bone("neck", "breast", (0, y[4] - 0.01, -0.01), (0, chin, 0), FRONT, (neck,), "neck", share=0.5),
-        Bone("head", "neck", (0, chin, 0), (0, chin + 2 * skull, 0), FRONT, face, "neck", share=0.5),
+        Bone(
+            "neck",
+            "breast",
+            (0, y[4] - 0.01, -0.01),
+            (0, chin, 0),
+            FRONT,
+            (neck,),
+            "neck",
+            share=0.5,
+        ),
+        Bone(
+            "head", "neck", (0, chin, 0), (0, chin + 2 * skull, 0), FRONT, face, "neck", share=0.5
+        ),
     )
 
 
@@ -129,7 +157,9 @@ def _arm(m: Mapping[str, float]) -> tuple[Bone, ...]:
     x = m["shoulders"]
     shoulder: Vector = (x, top, 0)
     yoke = RoundCone((0.05, top + 0.005, -0.01), (x - 0.02, top - 0.005, 0), (0.065, 1.2 * girth))
-    clavicle = Bone("left_clavicle", "breast", (0.03, top, 0), shoulder, FRONT, (yoke,), "left_clavicle")
+    clavicle = Bone(
+        "left_clavicle", "breast", (0.03, top, 0), shoulder, FRONT, (yoke,), "left_clavicle"
+    )
     pieces = (
         ("left_shoulder", "left_upper_arm", m["upper_arm"], (1.15 * girth, 0.88 * girth)),
         ("left_elbow", "left_forearm", m["forearm"], (0.90 * girth, 0.60 * girth)),
@@ -147,7 +177,9 @@ def _hand(m: Mapping[str, float], forearm: Bone) -> tuple[Bone, ...]:
     knuckles, tips = wrist + 0.52 * length * along, wrist + 0.93 * length * along
     width = 0.22 * length
 
-    def lens(start: FloatArray, end: FloatArray, radii: tuple[float, float], depth: float) -> RoundCone:
+    def lens(
+        start: FloatArray, end: FloatArray, radii: tuple[float, float], depth: float
+    ) -> RoundCone:
         return RoundCone(vector(start), vector(end), radii, depth)
 
     palm = lens(wrist + 0.1 * length * along, knuckles, (0.80 * width, width), 0.45)
@@ -157,7 +189,9 @@ def _hand(m: Mapping[str, float], forearm: Bone) -> tuple[Bone, ...]:
     thumb = lens(base, tip, (0.34 * width, 0.30 * width), 1.0)
 
     def bone(name: str, parent: str, start: FloatArray, end: FloatArray, flesh: RoundCone) -> Bone:
-        return Bone(f"left_{name}", parent, vector(start), vector(end), FRONT, (flesh,), f"left_{name}")
+        return Bone(
+            f"left_{name}", parent, vector(start), vector(end), FRONT, (flesh,), f"left_{name}"
+        )
 
     return (
         bone("hand", forearm.name, wrist, knuckles, palm),
@@ -203,7 +237,9 @@ POSES: dict[str, Pose] = {
         | turn(spine=(14, 0, 8), neck=-8)
     ),
     "sit": Pose(both(hip=(88, 4, 0), knee=-86, shoulder=(38, -36, 0), elbow=42) | turn(spine=8)),
-    "wave": Pose(_ARMS_DOWN | right(shoulder=(5, 30, 0), elbow=(8, 88, 0)) | turn(neck=(0, -10, 0))),
+    "wave": Pose(
+        _ARMS_DOWN | right(shoulder=(5, 30, 0), elbow=(8, 88, 0)) | turn(neck=(0, -10, 0))
+    ),
     "point": Pose(_ARMS_DOWN | right(clavicle=15, shoulder=(78, 5, 0)) | turn(neck=(0, 0, -20))),
     "lunge": Pose(both(shoulder=(5, 20, 0)) | left(hip=75, knee=-80) | right(hip=-32, knee=-28)),
     "hands_on_hips": Pose(

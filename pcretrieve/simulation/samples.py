@@ -49,7 +49,9 @@ DEMO_QUERY = "person-1_hands_on_hips"
 """A sample scan of one of the same subjects, in a pose with contacts."""
 
 
-def write_whole(path: Path, surface: TriangleMesh, placed: FloatArray, rng: np.random.Generator) -> Path:
+def write_whole(
+    path: Path, surface: TriangleMesh, placed: FloatArray, rng: np.random.Generator
+) -> Path:
     """Write the scan of a body by all cameras, in a frame of its own."""
     points = moved(placed, scan(surface, RigOptions(), rng).points)
     write_ply(path.with_suffix(".ply"), points)

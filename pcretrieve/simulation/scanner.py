@@ -44,7 +44,9 @@ class RigOptions:
     outlier_share: float = 0.003
 
 
-def scan_views(mesh: TriangleMesh, options: RigOptions, rng: np.random.Generator) -> list[PointCloud]:
+def scan_views(
+    mesh: TriangleMesh, options: RigOptions, rng: np.random.Generator
+) -> list[PointCloud]:
     """Scan a surface with each camera: a cloud for each, with the position of the camera as viewpoint."""
     scene = RayScene(mesh.vertices, mesh.faces)
     holes, _ = uniform_points(mesh, options.n_holes, rng)
@@ -70,7 +72,9 @@ def scan(mesh: TriangleMesh, options: RigOptions, rng: np.random.Generator) -> P
     views = scan_views(mesh, options, rng)
     return PointCloud(
         np.concatenate([view.points for view in views]),
-        viewpoints=np.concatenate([view.viewpoints for view in views if view.viewpoints is not None]),
+        viewpoints=np.concatenate(
+            [view.viewpoints for view in views if view.viewpoints is not None]
+        ),
     )
 
 
@@ -79,7 +83,11 @@ def camera_pose(mesh: TriangleMesh, options: RigOptions, view: int) -> FloatArra
     azimuth = 2 * np.pi * view / options.n_views
     elevation = np.radians(options.elevations[view % len(options.elevations)])
     ahead = -np.array(
-        [np.cos(elevation) * np.sin(azimuth), np.sin(elevation), np.cos(elevation) * np.cos(azimuth)]
+        [
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+            np.cos(elevation) * np.cos(azimuth),
+        ]
     )
     right = np.array([np.cos(azimuth), 0, -np.sin(azimuth)])
     pose = np.eye(4)
@@ -100,7 +108,9 @@ def _see(
     diagonal, position = mesh.diagonal, pose[:3, 3]
     rays = _rays(options) @ pose[:3, :3].T  # (p², 3)
     depth, normals, _ = scene.cast(np.broadcast_to(position, rays.shape), rays)
-    cosine = -np.einsum("ij,ij->i", rays, normals)  # (p²,), negative where a face is seen from inside
+    cosine = -np.einsum(
+        "ij,ij->i", rays, normals
+    )  # (p²,), negative where a face is seen from inside
     kept = np.isfinite(depth) & (cosine > np.cos(np.radians(options.max_incidence)))
     step = _step_behind(depth.reshape(options.pixels, -1)).ravel()[kept]  # (n,)
     rays, depth, cosine = rays[kept], depth[kept], cosine[kept]
@@ -109,7 +119,9 @@ def _see(
     flying = (step > reach) & (rng.random(len(step)) < options.flying_share)
     error = rng.normal(0, options.noise * diagonal, len(depth)) / cosine
     error = np.where(flying, reach * rng.random(len(depth)), error)
-    uncovered = outside_holes(position + depth[:, None] * rays, holes, options.hole_radius * diagonal)
+    uncovered = outside_holes(
+        position + depth[:, None] * rays, holes, options.hole_radius * diagonal
+    )
     return np.asarray((position + (depth + error)[:, None] * rays)[uncovered])
 
 

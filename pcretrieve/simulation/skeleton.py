@@ -132,7 +132,9 @@ def motions(subject: Subject, pose: Pose) -> FloatArray:
 def _turns(subject: Subject, pose: Pose) -> FloatArray:
     """(b, 3, 3) rotation of each bone relative to its parent, in the axes of the rest pose."""
     bones = subject.bones
-    angles = np.array([np.multiply(bone.share, pose.angles.get(bone.joint, (0, 0, 0))) for bone in bones])
+    angles = np.array(
+        [np.multiply(bone.share, pose.angles.get(bone.joint, (0, 0, 0))) for bone in bones]
+    )
     along = np.array([np.subtract(bone.tail, bone.head) for bone in bones])  # (b, 3)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     front = np.array([bone.front for bone in bones], dtype=np.float64)
@@ -156,7 +158,9 @@ def bone_distance(bone: Bone, points: FloatArray) -> FloatArray:
     """
     if not bone.flesh:
         return np.full(points.shape[:-1], np.inf)
-    return np.asarray(np.min([cone_distance(cone, bone.front, points) for cone in bone.flesh], axis=0))
+    return np.asarray(
+        np.min([cone_distance(cone, bone.front, points) for cone in bone.flesh], axis=0)
+    )
 
 
 def cone_distance(cone: RoundCone, front: Vector, points: FloatArray) -> FloatArray:
@@ -207,7 +211,9 @@ def limb(
         flesh = RoundCone(at(ends[k]), at(ends[k + 1]), radii)
         if k:
             flesh = replace(flesh, fillet=COLLINEAR)
-        link = Bone(f"{joint}_link", parent, at(ends[k] - before), head, front, (), joint, share=0.5)
+        link = Bone(
+            f"{joint}_link", parent, at(ends[k] - before), head, front, (), joint, share=0.5
+        )
         bones += [link, Bone(name, link.name, head, tail, front, (flesh,), joint, share=0.5)]
         parent = name
     return tuple(bones)
@@ -226,7 +232,9 @@ def mirrored(bone: Bone) -> Bone:
         head=across(bone.head),
         tail=across(bone.tail),
         front=across(bone.front),
-        flesh=tuple(replace(cone, start=across(cone.start), end=across(cone.end)) for cone in bone.flesh),
+        flesh=tuple(
+            replace(cone, start=across(cone.start), end=across(cone.end)) for cone in bone.flesh
+        ),
         joint=_right(bone.joint),
         side=-bone.side,
     )
@@ -237,7 +245,10 @@ Angle = float | Vector
 
 def turn(**angles: Angle) -> dict[str, Vector]:
     """(bend, spread, twist) by joint; degrees. A number is a bend alone."""
-    return {joint: angle if isinstance(angle, tuple) else (angle, 0, 0) for joint, angle in angles.items()}
+    return {
+        joint: angle if isinstance(angle, tuple) else (angle, 0, 0)
+        for joint, angle in angles.items()
+    }
 
 
 def left(**angles: Angle) -> dict[str, Vector]:

@@ -25,7 +25,9 @@ LARGEST_TOLERANCE = 1e-3
 SMALLEST_GAP = 1e-6
 
 
-def eigenpairs(operator: LaplaceBeltrami, n_pairs: int = 61, *, tolerance: float = 1e-4) -> Eigenpairs:
+def eigenpairs(
+    operator: LaplaceBeltrami, n_pairs: int = 61, *, tolerance: float = 1e-4
+) -> Eigenpairs:
     """The smallest eigenvalues λ of S φ = λ M φ, and their eigenvectors φ.
 
     Parameters
@@ -61,7 +63,11 @@ def eigenpairs(operator: LaplaceBeltrami, n_pairs: int = 61, *, tolerance: float
     try:
         # Overflow is detected in the results.
         with np.errstate(over="ignore", invalid="ignore"):
-            found = _krylov(operator, n_pairs, tolerance) if used == "krylov" else _dense(operator, n_pairs)
+            found = (
+                _krylov(operator, n_pairs, tolerance)
+                if used == "krylov"
+                else _dense(operator, n_pairs)
+            )
     # SuperLU raises RuntimeError for a singular matrix.
     except (LinAlgError, RuntimeError) as error:
         raise SpectrumError(f"the eigenvalue solver failed: {error}") from error
@@ -90,7 +96,9 @@ def _check_question(operator: LaplaceBeltrami, n_pairs: int, tolerance: float) -
     if n_pairs < 2:
         raise OptionError(f"n_pairs must be at least 2, got {n_pairs}")
     if not 0 < tolerance <= LARGEST_TOLERANCE:
-        raise OptionError(f"tolerance must be above 0 and at most {LARGEST_TOLERANCE:g}, got {tolerance:g}")
+        raise OptionError(
+            f"tolerance must be above 0 and at most {LARGEST_TOLERANCE:g}, got {tolerance:g}"
+        )
     if n <= n_pairs:
         raise SpectrumError(
             f"{n_pairs} eigenpairs need a surface of at least {n_pairs + 1} vertices, got {n}: "
@@ -106,17 +114,25 @@ def _check_question(operator: LaplaceBeltrami, n_pairs: int, tolerance: float) -
         raise SpectrumError(f"every unknown must have mass, got {n_massless} of {n} without")
 
 
-def _krylov(operator: LaplaceBeltrami, n_pairs: int, tolerance: float) -> tuple[FloatArray, FloatArray, int]:
+def _krylov(
+    operator: LaplaceBeltrami, n_pairs: int, tolerance: float
+) -> tuple[FloatArray, FloatArray, int]:
     """By a shift amid the wanted eigenvalues, 4πk / area by Weyl's law; else by one below all of them."""
     try:
-        return block_krylov(operator, n_pairs, shift=2 * np.pi * n_pairs / operator.area, tolerance=tolerance)
+        return block_krylov(
+            operator, n_pairs, shift=2 * np.pi * n_pairs / operator.area, tolerance=tolerance
+        )
     except (SpectrumError, LinAlgError, RuntimeError):
-        return block_krylov(operator, n_pairs, shift=RELATIVE_SHIFT / operator.area, tolerance=tolerance)
+        return block_krylov(
+            operator, n_pairs, shift=RELATIVE_SHIFT / operator.area, tolerance=tolerance
+        )
 
 
 def _dense(operator: LaplaceBeltrami, n_pairs: int) -> tuple[FloatArray, FloatArray, int]:
     stiffness, mass = operator.stiffness.toarray(), operator.mass.toarray()
-    eigenvalues, vectors = eigh(stiffness, mass, subset_by_index=[0, n_pairs - 1], check_finite=False)
+    eigenvalues, vectors = eigh(
+        stiffness, mass, subset_by_index=[0, n_pairs - 1], check_finite=False
+    )
     return eigenvalues, vectors, 0
 
 
@@ -147,5 +163,7 @@ def _check_answer(operator: LaplaceBeltrami, eigenvalues: FloatArray, vectors: F
     residual = np.linalg.norm(operator.stiffness @ vectors - mapped, axis=0)
     largest = float((residual[n_zero:] / size[n_zero:]).max())
     if not largest <= LARGEST_RESIDUAL:
-        raise SpectrumError(f"relative residuals must stay below {LARGEST_RESIDUAL}, got {largest:.1e}")
+        raise SpectrumError(
+            f"relative residuals must stay below {LARGEST_RESIDUAL}, got {largest:.1e}"
+        )
     return largest

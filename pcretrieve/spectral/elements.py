@@ -68,7 +68,9 @@ class Element:
             raise OptionError(f"needs of an element must be 'mesh' or 'points', got {self.needs!r}")
         if not self.masses or not set(self.masses) <= set(get_args(Mass)):
             known = ", ".join(get_args(Mass))
-            raise OptionError(f"masses of an element must be one or both of {known}, got {self.masses!r}")
+            raise OptionError(
+                f"masses of an element must be one or both of {known}, got {self.masses!r}"
+            )
 
 
 class ReferenceElement(NamedTuple):
@@ -134,7 +136,9 @@ def assembled(mesh: TriangleMesh, nodes: Index, element: ReferenceElement) -> As
     local = np.empty((len(nodes), len(half)), dtype=np.complex128)
     local.real = half_cotangents @ (np.array(along[:3])[:, one, two] * half)
     local.imag = area[:, None] * (element.mass[one, two] * half)
-    total = coo_array((local.ravel(), (nodes[:, one].ravel(), nodes[:, two].ravel())), shape=(n, n)).tocsc()
+    total = coo_array(
+        (local.ravel(), (nodes[:, one].ravel(), nodes[:, two].ravel())), shape=(n, n)
+    ).tocsc()
     total = csc_array(total + total.T)
     stiffness, mass = (
         csc_array((part.copy(), total.indices, total.indptr), shape=(n, n))
@@ -148,7 +152,9 @@ def check_faces(mesh: TriangleMesh) -> None:
     check_vertices(mesh)
     flat = int(mesh.flat_faces.sum())
     if flat:
-        raise DegenerateMeshError(f"every face must have an area, got {flat} of {len(mesh.faces)} without")
+        raise DegenerateMeshError(
+            f"every face must have an area, got {flat} of {len(mesh.faces)} without"
+        )
 
 
 def check_vertices(mesh: TriangleMesh) -> None:
@@ -159,7 +165,9 @@ def check_vertices(mesh: TriangleMesh) -> None:
     unused[mesh.faces] = False
     n_unused = int(unused.sum())
     if n_unused:
-        raise DegenerateMeshError(f"every vertex must be in a face, got {n_unused} that are in none")
+        raise DegenerateMeshError(
+            f"every vertex must be in a face, got {n_unused} that are in none"
+        )
 
 
 LINEAR_REFERENCE = ReferenceElement(
@@ -270,13 +278,17 @@ def intrinsic_delaunay(mesh: TriangleMesh) -> Assembled:
     check_vertices(mesh)
     folded = int((mesh.faces == np.roll(mesh.faces, 1, axis=1)).any(axis=1).sum())
     if folded:
-        raise DegenerateMeshError(f"every face must have three corners, got {folded} that name one twice")
+        raise DegenerateMeshError(
+            f"every face must have three corners, got {folded} that name one twice"
+        )
     if mesh.flat_faces.all():
         raise DegenerateMeshError("a surface must have an area, got only faces without")
     try:
         stiffness, mass = mesh_laplacian(mesh.vertices, mesh.faces)
     except RuntimeError as error:
-        raise DegenerateMeshError(f"the surface has no intrinsic Delaunay triangulation: {error}") from error
+        raise DegenerateMeshError(
+            f"the surface has no intrinsic Delaunay triangulation: {error}"
+        ) from error
     boundary, lone = np.zeros(len(mesh.vertices), dtype=bool), lone_sides(mesh)
     boundary[mesh.faces[lone]] = boundary[np.roll(mesh.faces, -1, axis=1)[lone]] = True
     return Assembled(csc_array(stiffness), csc_array(mass), boundary)

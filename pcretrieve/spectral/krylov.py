@@ -45,7 +45,7 @@ np.empty((32 << 20) - (64 << 10), dtype=np.uint8)
 VECTORS_PER_PAIR = 3
 SPARE_VECTORS = 12 * BLOCK
 
-# Size of the basis at the first convergence test. The iteration rarely converges before it.
+# Size of the basis at the first convergence test, which most surfaces pass: a test costs more than a block.
 VECTORS_PER_PAIR_AT_FIRST_LOOK = 1.6
 SPARE_VECTORS_AT_FIRST_LOOK = 6 * BLOCK
 
@@ -70,10 +70,8 @@ LARGEST_LOST = 3e-11
 # the cache, and a copy of the basis would double the memory.
 CHUNK = 512
 
-# A row of a block.
+# A row of a block of zeros, and a linear map of blocks.
 NOTHING: tuple[float, ...] = (0.0,) * BLOCK
-
-
 BlockMap = Callable[[FloatArray], FloatArray]
 
 
@@ -117,7 +115,11 @@ def block_krylov(
     # They are set to zero, as they are for T projected onto an orthonormal basis of the same space [2]_.
     known = np.empty((0, BLOCK))
     block, mapped, left, drift = _orthonormal(start, basis[:0], mass, known, known)
-    norm, width, look_at = 0.0, 0, int(VECTORS_PER_PAIR_AT_FIRST_LOOK * n_pairs) + SPARE_VECTORS_AT_FIRST_LOOK
+    norm, width, look_at = (
+        0.0,
+        0,
+        int(VECTORS_PER_PAIR_AT_FIRST_LOOK * n_pairs) + SPARE_VECTORS_AT_FIRST_LOOK,
+    )
     for n_blocks in range(1, LONGEST_RUN * size // BLOCK + 1):
         new = slice(width, width + BLOCK)
         width += BLOCK
@@ -142,7 +144,9 @@ def block_krylov(
             continue
 
         theta, mixing = _ritz(projected[:width, :width])
-        outside = left @ mixing[new] / theta  # (BLOCK, width): the component of T φ / θ outside the basis
+        outside = (
+            left @ mixing[new] / theta
+        )  # (BLOCK, width): the component of T φ / θ outside the basis
         unit = _unit(theta[:n_pairs], shift, operator.area)
         worst = float((np.linalg.norm(outside[:, :n_pairs], axis=0) / unit).max())
         if worst <= tolerance and (theta < 0).sum() == factor.n_negative:
@@ -151,7 +155,7 @@ def block_krylov(
             vectors = _combined(basis, mixing[:, :n_pairs], outside[:, :n_pairs], factor.order)
             return 1 / theta[:n_pairs] + shift, vectors, n_blocks
         if full:
-            width = (n_pairs + size) // 8 * 4
+            width = (n_pairs + size) // 8 * 4  # about half of the sum, and a multiple of 4
             turn = mixing[:, :width]
             _turn(basis, lost, turn)
             projected[:] = 0
@@ -185,7 +189,9 @@ def _turn(basis: FloatArray, lost: FloatArray, turn: FloatArray) -> None:
     lost[:new, :new] = turn.T @ lost[:old, :old] @ turn
 
 
-def _combined(basis: FloatArray, mixing: FloatArray, outside: FloatArray, order: Index) -> FloatArray:
+def _combined(
+    basis: FloatArray, mixing: FloatArray, outside: FloatArray, order: Index
+) -> FloatArray:
     """The (n, n_pairs) eigenvectors: combinations of the basis, and of the block after it, at their rows."""
     parts = np.concatenate([mixing, outside])  # (width + BLOCK, n_pairs)
     parts -= parts @ (outside.T @ outside) / 2  # M-orthonormal again, to first order
@@ -220,7 +226,9 @@ def _orthonormal(
             drift = np.zeros_like(drift)
         gram = block.T @ mapped  # (BLOCK, BLOCK)
         if not np.isfinite(gram).all():
-            raise SpectrumError("the operator must be of a size to compute with, got overflow or NaN")
+            raise SpectrumError(
+                "the operator must be of a size to compute with, got overflow or NaN"
+            )
         lower = np.linalg.cholesky(gram)
         inverse = np.linalg.inv(lower.T)
         lost = drift @ inverse  # (width, BLOCK)
@@ -308,7 +316,9 @@ def _subtract(basis: FloatArray, components: FloatArray, block: FloatArray) -> N
 @njit(cache=True)
 def _paired(indptr: Index, rows: Index) -> NDArray[np.bool_]:
     """(n + 1,) whether a column of L and the next have the same rows, and are a pair: no column is in two."""
-    paired = np.zeros(len(indptr), dtype=np.bool_)
+    paired = np.zeros(
+        len(indptr), dtype=np.bool_
+    )  # the last one stays false, and is what index −1 reads
     for j in range(len(indptr) - 2):
         first, last = indptr[j] + 1, indptr[j + 1]
         if not paired[j - 1] and indptr[j + 2] - last == last - first:
@@ -375,10 +385,16 @@ class Factor:
     def __init__(self, matrix: csc_array) -> None:
         # Minimum degree ordering of the symmetric pattern causes less fill-in than the default ordering. With
         # relaxed supernodes, regularly refined meshes may take ten times as long; narrow panels gain a tenth.
-        factor = splu(matrix, "MMD_AT_PLUS_A", 0.0, relax=1, panel_size=4, options={"SymmetricMode": True})
+        factor = splu(
+            matrix, "MMD_AT_PLUS_A", 0.0, relax=1, panel_size=4, options={"SymmetricMode": True}
+        )
         if not np.array_equal(factor.perm_r, factor.perm_c):
             raise LinAlgError("a pivot is zero")
-        self.order, self.pivots, self.lower = np.argsort(factor.perm_r), factor.U.diagonal(), factor.L
+        self.order, self.pivots, self.lower = (
+            np.argsort(factor.perm_r),
+            factor.U.diagonal(),
+            factor.L,
+        )
         self.paired = _paired(self.lower.indptr, self.lower.indices)
         self.n_negative = int((self.pivots < 0).sum())
 
@@ -386,7 +402,12 @@ class Factor:
         """(n, BLOCK) the solution for right-hand sides (n, BLOCK), both with their rows in `order`."""
         solution = np.array(right, order="C")
         _substitute(
-            solution, self.lower.indptr, self.lower.indices, self.lower.data, self.pivots, self.paired
+            solution,
+            self.lower.indptr,
+            self.lower.indices,
+            self.lower.data,
+            self.pivots,
+            self.paired,
         )
         return solution
 
@@ -396,5 +417,7 @@ def _factor(operator: LaplaceBeltrami, n_pairs: int, shift: float) -> Factor:
     if shift < 0 < factor.n_negative:
         raise SpectrumError("S − σM must be positive definite for a σ below 0, got one that is not")
     if factor.n_negative > n_pairs:
-        raise SpectrumError(f"at most {n_pairs} eigenvalues must be below the shift, got {factor.n_negative}")
+        raise SpectrumError(
+            f"at most {n_pairs} eigenvalues must be below the shift, got {factor.n_negative}"
+        )
     return factor

@@ -74,14 +74,20 @@ def laplace_beltrami(
     if mass not in (None, *element.masses):
         raise OptionError(f"element {name!r} has {element.masses[0]} mass only, got mass={mass!r}")
     if element.needs == "points" and boundary == "dirichlet":
-        raise OptionError(f"element {name!r} has boundary='neumann' only: a cloud does not say where it ends")
+        raise OptionError(
+            f"element {name!r} has boundary='neumann' only: a cloud does not say where it ends"
+        )
     if element.needs == "mesh" and not isinstance(geometry, TriangleMesh):
         raise InputError(f"element {name!r} needs a TriangleMesh, got {type(geometry).__name__}")
     if element.needs == "points" and isinstance(geometry, TriangleMesh):
-        raise InputError(f"element {name!r} needs a PointCloud or an (n, 3) array, got a TriangleMesh")
+        raise InputError(
+            f"element {name!r} needs a PointCloud or an (n, 3) array, got a TriangleMesh"
+        )
     with in_stage(Stage.SPECTRUM):
         assembled = element.assemble(geometry)
-        LaplaceBeltrami(assembled.stiffness, assembled.mass)  # raises, if it is not such an operator
+        LaplaceBeltrami(
+            assembled.stiffness, assembled.mass
+        )  # raises, if it is not such an operator
 
     # The stiffness of a single edge can be zero (between two right angles). But the indicator function of a
     # proper subset of the nodes of a component has a non-zero gradient, so that not all entries between the

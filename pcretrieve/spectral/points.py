@@ -74,7 +74,9 @@ def star_mesh(cloud: PointCloud) -> TriangleMesh:
     If the cloud has normals, the faces are oriented by them.
     """
     faces = stars(cloud.points, cloud.normals)
-    _, first, times = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    _, first, times = np.unique(
+        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
+    )
     faces = faces[first[times > 1]]
     if cloud.normals is not None:
         a, b, c = cloud.points[faces].transpose(1, 0, 2)
@@ -100,15 +102,21 @@ def stars(positions: FloatArray, normals: FloatArray | None = None) -> IntArray:
     distance, neighbors = map(np.asarray, KDTree(positions).query(positions, NEIGHBORS + 1))
     double = int((distance[:, 1] == 0).sum())
     if double:
-        raise DegenerateMeshError(f"points must be distinct, got {double} that are there more than once")
-    shaken = positions + JITTER * distance[:, 1:2] * np.random.default_rng(0).standard_normal((n, 3))
+        raise DegenerateMeshError(
+            f"points must be distinct, got {double} that are there more than once"
+        )
+    shaken = positions + JITTER * distance[:, 1:2] * np.random.default_rng(0).standard_normal(
+        (n, 3)
+    )
     offset = shaken[neighbors] - shaken[:, None]  # (n, 1 + k, 3)
     plane, reaches = _tangent_planes(offset, neighbors, normals)
     planar = offset @ plane  # (n, 1 + k, 2)
     # The projection keeps the distance in space. Neighbours that are not used are at infinity.
     direction = np.exp(1j * np.arctan2(planar[..., 1], planar[..., 0]))
     length = np.where(reaches, np.linalg.norm(offset, axis=2), np.inf)
-    inverted = direction / length  # (n, 1 + k); the point itself, and neighbours not used, are at the origin
+    inverted = (
+        direction / length
+    )  # (n, 1 + k); the point itself, and neighbours not used, are at the origin
 
     # Gift wrapping starts at the nearest neighbour, the inverted point of largest magnitude, which is on the
     # hull, in the direction perpendicular to it.

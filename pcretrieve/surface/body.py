@@ -23,7 +23,13 @@ from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.density import interpolated, local_spacings
 from pcretrieve.points.grid import Grid, Mask, Voxels
-from pcretrieve.points.neighbors import PLANE_NEIGHBORS, Neighborhoods, neighborhoods, noise, spacing
+from pcretrieve.points.neighbors import (
+    PLANE_NEIGHBORS,
+    Neighborhoods,
+    neighborhoods,
+    noise,
+    spacing,
+)
 from pcretrieve.points.outside import flood
 from pcretrieve.surface.caps import NO_CAP, Capped, base_of, points_on
 from pcretrieve.surface.coarse import coarse_surface, crossings, filled
@@ -131,7 +137,9 @@ def _body_surface(
     walled = np.concatenate([cloud.points, points_on(coarse.surface, coarse.cap != NO_CAP, cell)])
     further = coarse.surface.vertices
     for gap in (options.gap, *(options.gap * wider for wider in WIDER)):
-        outside = flood(walled, further, cell=cell, gap=gap * cloud.diagonal, shift=shift, deepest=deepest)
+        outside = flood(
+            walled, further, cell=cell, gap=gap * cloud.diagonal, shift=shift, deepest=deepest
+        )
         coarse_inside = filled(coarse.surface, outside.grid)
         distance = distance_field(cloud, outside)
         # Far from the points only: near them the coarse surface can be inaccurate by a voxel.
@@ -139,7 +147,9 @@ def _body_surface(
         if (outside.reached & core).sum() <= MOST_LEAKED * core.sum():
             break
     else:
-        outside = replace(outside, reached=np.zeros_like(outside.reached), depth=np.zeros_like(outside.depth))
+        outside = replace(
+            outside, reached=np.zeros_like(outside.reached), depth=np.zeros_like(outside.depth)
+        )
         distance = distance_field(cloud, outside)
         notes.append("the flood fill of the outside leaked into the body and was not used")
     grid = outside.grid

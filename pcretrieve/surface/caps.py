@@ -62,7 +62,9 @@ def capped(surface: TriangleMesh, cloud: PointCloud, *, spacing: float) -> Cappe
     np.maximum.at(farthest, hole[far], distance[far])
     free = far & (farthest[hole] > LARGE_HOLE * cloud.diagonal)  # (n,)
     rims = ends[free[ends].sum(axis=1) == 1]  # (r, 2), edges between a hole and its rim
-    free &= np.isin(hole, hole[rims[free[rims]]])  # a component that is far from all points has none
+    free &= np.isin(
+        hole, hole[rims[free[rims]]]
+    )  # a component that is far from all points has none
     cap = np.where(free[surface.faces], hole[surface.faces], NO_CAP).max(axis=1)
     if not free.any():
         return Capped(surface, cap)
@@ -72,7 +74,9 @@ def capped(surface: TriangleMesh, cloud: PointCloud, *, spacing: float) -> Cappe
     joined = csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n))
     joined = joined + joined.T
     laplacian = (diags_array(joined.sum(axis=1)) - joined).tocsr()[free]  # (k, n)
-    vertices[free] = splu(laplacian[:, free].tocsc()).solve(-(laplacian[:, ~free] @ vertices[~free]))
+    vertices[free] = splu(laplacian[:, free].tocsc()).solve(
+        -(laplacian[:, ~free] @ vertices[~free])
+    )
     return Capped(TriangleMesh(vertices, surface.faces), cap)
 
 
@@ -88,7 +92,9 @@ def base_of(capped: Capped, cloud: PointCloud) -> Mask:
     """
     surface, cap = capped
     numbers = np.setdiff1d(cap, [NO_CAP])
-    sums = np.array([surface.area_vectors[cap == number].sum(axis=0) for number in numbers]).reshape(-1, 3)
+    sums = np.array(
+        [surface.area_vectors[cap == number].sum(axis=0) for number in numbers]
+    ).reshape(-1, 3)
     areas = np.array([surface.face_areas[cap == number].sum() for number in numbers])
     size = np.linalg.norm(sums, axis=1)
     flat = size >= FLAT * areas  # (c,)

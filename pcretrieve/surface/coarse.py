@@ -115,7 +115,10 @@ def _crossed(
     at: FloatArray, faces: NDArray[np.int32], shape: tuple[int, int, int], axis: int
 ) -> tuple[Mask, Voxels]:
     """The voxels after an odd number of crossings with their line along an axis, and `crossings`."""
-    odd, crossings = np.zeros(shape, dtype=np.bool_), np.full(shape, np.float32(np.nan), dtype=np.float32)
+    odd, crossings = (
+        np.zeros(shape, dtype=np.bool_),
+        np.full(shape, np.float32(np.nan), dtype=np.float32),
+    )
     place = np.zeros(3, dtype=np.int64)
     i, j = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
     for f in range(len(faces)):
@@ -161,7 +164,9 @@ def _left(at: FloatArray, p: int, q: int, i: int, j: int, x: float, y: float) ->
     low, high = min(p, q), max(p, q)
     across, up = at[high, i] - at[low, i], at[high, j] - at[low, j]
     turn = across * (y - at[low, j]) - up * (x - at[low, i])
-    if turn == 0:  # symbolic perturbation: (x, y) moves by ε along the first axis, by ε² along the second
+    if (
+        turn == 0
+    ):  # symbolic perturbation: (x, y) moves by ε along the first axis, by ε² along the second
         turn = across if up == 0 else -up
     return bool((turn > 0) == (p < q))
 
@@ -199,7 +204,9 @@ def coarse_surface(
     spacings, spacing: (n,) `local_spacings` of the points, and `spacing` of all.
     """
     # See docs/decisions.md, LEVEL, for scans with sensor positions.
-    surface = _level_set(cloud, spacings, 2**options.fill_depth) if cloud.viewpoints is None else None
+    surface = (
+        _level_set(cloud, spacings, 2**options.fill_depth) if cloud.viewpoints is None else None
+    )
     if surface is None:
         return capped(_poisson_surface(cloud, options.fill_depth), cloud, spacing=spacing)
     return Capped(surface, np.full(len(surface.faces), NO_CAP))

@@ -37,7 +37,9 @@ MOST_STEPS = 30_000
 # 26-neighbours; Y_LOW to Z_HIGH are the voxels that can be moved along an axis without leaving the
 # neighbourhood.
 _AROUND = [(x, y, z) for x in range(3) for y in range(3) for z in range(3)]
-_OFF = [sum(coordinate != 1 for coordinate in place) for place in _AROUND]  # from the centre, along some axes
+_OFF = [
+    sum(coordinate != 1 for coordinate in place) for place in _AROUND
+]  # from the centre, along some axes
 FACES = sum(1 << k for k in range(27) if _OFF[k] == 1)
 NEAR = sum(1 << k for k in range(27) if _OFF[k] in (1, 2))
 EVERYTHING = sum(1 << k for k in range(27) if _OFF[k])
@@ -86,7 +88,9 @@ def _grown(steps: NDArray[np.int16], seed: int, walls: Mask) -> Mask:
     state = np.zeros(n, dtype=np.uint8)
     for cell in range(n):
         state[cell] = INSIDE if step[cell] else 0
-    offset = np.array([(k // 9 - 1) * n_y * n_z + (k // 3 % 3 - 1) * n_z + k % 3 - 1 for k in range(27)])
+    offset = np.array(
+        [(k // 9 - 1) * n_y * n_z + (k // 3 % 3 - 1) * n_z + k % 3 - 1 for k in range(27)]
+    )
     along = (n_y * n_z, n_z, 1)
     n_buckets = step[seed] + 1
     # Two bucket queues, whose buckets are linked lists through `after`: 1 for voxels that are reached by a
@@ -209,7 +213,9 @@ def with_topology(
     return body, voxels_of(inside & ~body)
 
 
-def _with_handles(inside: Mask, body: Mask, depth: Voxels, genus: str | int, notes: list[str]) -> Mask:
+def _with_handles(
+    inside: Mask, body: Mask, depth: Voxels, genus: str | int, notes: list[str]
+) -> Mask:
     """The body after restoring the handles with the thickest cuts, as many as the genus requires."""
     # A contact is thin compared with the limbs, a true handle is not: ``auto`` restores the handles whose
     # cuts are at least `HANDLE` as deep as the body. Each component of the removed voxels is a cut.
@@ -233,7 +239,9 @@ def _with_handles(inside: Mask, body: Mask, depth: Voxels, genus: str | int, not
             body[box] = closed
             made += 1
     if genus == "auto" and made:
-        notes.append(f"kept {made} handles as thick as the body round them; genus = 'sphere' would cut them")
+        notes.append(
+            f"kept {made} handles as thick as the body round them; genus = 'sphere' would cut them"
+        )
     elif genus != "auto" and made < int(genus):
         notes.append(f"only {made} of {genus} handles were found")
     return body

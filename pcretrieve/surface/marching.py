@@ -52,7 +52,9 @@ def level_set(values: NDArray[np.floating], level: float) -> tuple[FloatArray, I
     crossings = []
     for axis, low in enumerate(crossed(values > level)):
         near, far = values[tuple(low.T)], values[tuple((low + np.eye(3, dtype=np.intp)[axis]).T)]
-        crossings.append(Crossings(low, np.clip((level - near) / (far - near), LEAST_SHARE, 1 - LEAST_SHARE)))
+        crossings.append(
+            Crossings(low, np.clip((level - near) / (far - near), LEAST_SHARE, 1 - LEAST_SHARE))
+        )
     return marched(values > level, crossings)
 
 
@@ -136,7 +138,9 @@ def _triangulated(
                         edge = triangles[case, t, side]
                         if edge < MIDDLE:
                             low = LOWER[edge]
-                            corner[edge] = number[AXIS[edge], (x + low[0]) % 2, y + low[1], z + low[2]]
+                            corner[edge] = number[
+                                AXIS[edge], (x + low[0]) % 2, y + low[1], z + low[2]
+                            ]
                 if loops[case, 0] >= 0:
                     middle = middles[first_middle[case] + done[case]]
                     length = 0
@@ -240,7 +244,9 @@ def _cube_faces() -> list[list[int]]:
 SHRINK, SWELL = 0.5, -0.53
 
 
-def smoothed(vertices: FloatArray, faces: IntArray, moving: NDArray[np.intp], n_rounds: int) -> FloatArray:
+def smoothed(
+    vertices: FloatArray, faces: IntArray, moving: NDArray[np.intp], n_rounds: int
+) -> FloatArray:
     """(n, 3) vertices of a closed manifold, of which those with the numbers `moving` are smoothed [1]_.
 
     References
@@ -253,13 +259,18 @@ def smoothed(vertices: FloatArray, faces: IntArray, moving: NDArray[np.intp], n_
 
 
 @njit(cache=True)
-def _smooth(vertices: FloatArray, faces: IntArray, moving: NDArray[np.intp], factors: FloatArray) -> None:
+def _smooth(
+    vertices: FloatArray, faces: IntArray, moving: NDArray[np.intp], factors: FloatArray
+) -> None:
     number = np.full(len(vertices), -1, dtype=np.int32)
     number[moving] = np.arange(len(moving))
     counts = np.bincount(number[faces.ravel()] + 1, minlength=len(moving) + 1)
     counts[0] = 0
     starts = np.cumsum(counts)
-    fill, near = starts.copy(), np.empty(starts[-1], dtype=np.int32)  # the neighbours of each moving vertex
+    fill, near = (
+        starts.copy(),
+        np.empty(starts[-1], dtype=np.int32),
+    )  # the neighbours of each moving vertex
     for f in range(len(faces)):
         for k in range(3):
             i = number[faces[f, k]]

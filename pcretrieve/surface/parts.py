@@ -54,7 +54,9 @@ MOST_CONTACTS = 0.08
 
 
 @njit(cache=True)
-def walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int], radius: float = DISK) -> Mask:
+def walls(
+    at: FloatArray, normals: FloatArray, shape: tuple[int, int, int], radius: float = DISK
+) -> Mask:
     """(3, a, b, c) mask: for each axis and voxel, whether the link to the next voxel crosses a surfel.
 
     at, normals: (n, 3) float64, positions of the surfels, in voxels, and unit normals of either sign.
@@ -70,15 +72,23 @@ def walls(at: FloatArray, normals: FloatArray, shape: tuple[int, int, int], radi
             first, second = (axis + 1) % 3, (axis + 2) % 3
             x, y = at[i, first], at[i, second]
             rise, slope = -normals[i, first] / lean, -normals[i, second] / lean
-            left, right = max(0, int(np.ceil(x - radius))), min(shape[first] - 1, int(np.floor(x + radius)))
-            low, high = max(0, int(np.ceil(y - radius))), min(shape[second] - 1, int(np.floor(y + radius)))
+            left, right = (
+                max(0, int(np.ceil(x - radius))),
+                min(shape[first] - 1, int(np.floor(x + radius))),
+            )
+            low, high = (
+                max(0, int(np.ceil(y - radius))),
+                min(shape[second] - 1, int(np.floor(y + radius))),
+            )
             for a in range(left, right + 1):
                 for b in range(low, high + 1):
                     da, db = a - x, b - y
                     along = rise * da + slope * db
                     c = int(np.floor(at[i, axis] + along))
                     # Without branches, of which many would be mispredicted.
-                    meets = (da * da + db * db + along * along <= radius * radius) & (0 <= c < shape[axis])
+                    meets = (da * da + db * db + along * along <= radius * radius) & (
+                        0 <= c < shape[axis]
+                    )
                     c = min(max(c, 0), shape[axis] - 1)
                     links[axis, a * step[first] + b * step[second] + c * step[axis]] |= meets
     return walls
@@ -247,7 +257,9 @@ def joined(
         bridges.append(tube[~body[tuple(tube.T)] & (pieces[tuple(tube.T)] != piece)])
         body |= pieces == piece
         body[tuple(tube.T)] = True
-        notes.append(f"joined a piece with {support[piece]:.1%} of the points across a gap of {gap:.3g}")
+        notes.append(
+            f"joined a piece with {support[piece]:.1%} of the points across a gap of {gap:.3g}"
+        )
     del pieces  # before another large array is made
     hollow, sizes = components(~body, corners=True)
     solid = body if len(sizes) == 2 else hollow != hollow[0, 0, 0]

@@ -34,7 +34,10 @@ def poisson_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
         surface = decimated(surface, options.target_faces)
     final, notes = repaired(surface)
     if options.reconstructions > 1:
-        notes = (*notes, "the method poisson makes one surface, so that the signature has no error bar")
+        notes = (
+            *notes,
+            "the method poisson makes one surface, so that the signature has no error bar",
+        )
     if found := defects(final):
         raise ReconstructionError(
             f"the points must surround a body, their surface has {found}: "

@@ -57,7 +57,11 @@ def sound_mesh(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh | No
         sizes = {"non_manifold": _n_non_manifold(defects(mesh))}
     kept, smoothed = denoised(kept)
     notes += smoothed
-    sizes |= {"vertices": len(kept.vertices), "faces": len(kept.faces), "euler": kept.euler_characteristic}
+    sizes |= {
+        "vertices": len(kept.vertices),
+        "faces": len(kept.faces),
+        "euler": kept.euler_characteristic,
+    }
     step = Step("topology", time.perf_counter() - started, sizes, notes)
     return TriangleMesh(kept.vertices, kept.faces, (*mesh.provenance, step))
 
@@ -88,7 +92,9 @@ def _n_non_manifold(found: Defects) -> int:
 Reconstructed = tuple[TriangleMesh, SurfaceMarks | None]
 
 
-def surfaces(cloud: PointCloud, near: Neighborhoods, options: SurfaceOptions) -> Iterator[Reconstructed]:
+def surfaces(
+    cloud: PointCloud, near: Neighborhoods, options: SurfaceOptions
+) -> Iterator[Reconstructed]:
     """Reconstruct the surfaces of a cloud by the method of the options; with the neighbours of all points."""
     if options.method == "poisson":
         yield poisson_surface(cloud, options), None

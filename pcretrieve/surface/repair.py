@@ -28,7 +28,9 @@ def split_non_manifold(mesh: TriangleMesh) -> TriangleMesh:
     edges = topology.edges_of(mesh.faces)
     crowded = edges.use > 2
     agreed = np.flatnonzero(crowded & (edges.balance == 0))
-    pairs = np.concatenate([edges.pairs, *(_pairs_around(mesh, edges, edge) for edge in agreed.tolist())])
+    pairs = np.concatenate(
+        [edges.pairs, *(_pairs_around(mesh, edges, edge) for edge in agreed.tolist())]
+    )
     fan = topology.fans(edges, pairs)
     _, first = np.unique(fan, return_index=True)  # one corner of each fan
     vertices, faces = mesh.vertices[edges.tail[first]], fan.reshape(-1, 3)
@@ -82,7 +84,9 @@ def _cut_in_the_middle(faces: topology.Index, middle: topology.Index) -> topolog
         a, b, c = np.take_along_axis(faces[cut], turn, axis=1).T
         ab, bc, ca = np.take_along_axis(middle[cut], turn, axis=1).T
         whole = np.full_like(ab, -1)
-        faces = np.concatenate([faces[~cut], np.column_stack([a, ab, c]), np.column_stack([ab, b, c])])
+        faces = np.concatenate(
+            [faces[~cut], np.column_stack([a, ab, c]), np.column_stack([ab, b, c])]
+        )
         middle = np.concatenate(
             [middle[~cut], np.column_stack([whole, whole, ca]), np.column_stack([whole, bc, whole])]
         )
@@ -91,7 +95,9 @@ def _cut_in_the_middle(faces: topology.Index, middle: topology.Index) -> topolog
 
 Notes = tuple[str, ...]
 
-ONE_SIDED = "the surface is one-sided, as a Möbius strip is, and bounds no body; scan it again or repair it"
+ONE_SIDED = (
+    "the surface is one-sided, as a Möbius strip is, and bounds no body; scan it again or repair it"
+)
 
 
 def repaired(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
@@ -117,7 +123,15 @@ def repaired(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     split = (f"split {n_split} vertices where the surface was not manifold",)
     largest, dropped = largest_component(manifold)
     final, flipped = outward(largest)
-    notes = (*unused, *flat, *repeated, *turned * (n_turned > 0), *split * (n_split > 0), *dropped, *flipped)
+    notes = (
+        *unused,
+        *flat,
+        *repeated,
+        *turned * (n_turned > 0),
+        *split * (n_split > 0),
+        *dropped,
+        *flipped,
+    )
     return final, notes
 
 
@@ -142,13 +156,17 @@ def denoised(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     if before <= NOISY * after:
         return mesh, ()
     angles = f"from {np.degrees(before):.0f} to {np.degrees(after):.0f} degrees"
-    return smooth, (f"smoothed noisy vertices: the angle between neighbouring faces fell {angles} (median)",)
+    return smooth, (
+        f"smoothed noisy vertices: the angle between neighbouring faces fell {angles} (median)",
+    )
 
 
 def _median_angle(mesh: TriangleMesh, pairs: topology.Index) -> float:
     """The median angle between the normals of pairs (p, 2) of faces; radians."""
     tiny = np.finfo(np.float64).tiny
-    normals = mesh.area_vectors / np.maximum(np.linalg.norm(mesh.area_vectors, axis=1, keepdims=True), tiny)
+    normals = mesh.area_vectors / np.maximum(
+        np.linalg.norm(mesh.area_vectors, axis=1, keepdims=True), tiny
+    )
     cosines = np.einsum("ij,ij->i", *normals[pairs.T])
     return float(np.arccos(np.clip(np.median(cosines), -1, 1))) if len(cosines) else 0.0
 
@@ -172,8 +190,14 @@ def collapse_flat_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
         corners = mesh.faces[flat]  # (f, 3)
         sides = mesh.vertices[corners] - mesh.vertices[np.roll(corners, -1, axis=1)]  # (f, 3, 3)
         length = np.linalg.norm(sides, axis=2)  # (f, 3): from corner k to corner k + 1
-        row, shortest, longest = np.arange(len(corners)), length.argmin(axis=1), length.argmax(axis=1)
-        point = joined_by(corners[row, shortest], corners[row, (shortest + 1) % 3], len(mesh.vertices))
+        row, shortest, longest = (
+            np.arange(len(corners)),
+            length.argmin(axis=1),
+            length.argmax(axis=1),
+        )
+        point = joined_by(
+            corners[row, shortest], corners[row, (shortest + 1) % 3], len(mesh.vertices)
+        )
         third = np.zeros(len(mesh.vertices), dtype=bool)
         third[corners[row, (longest + 2) % 3]] = True
         order = np.lexsort([third, point])
@@ -183,7 +207,9 @@ def collapse_flat_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
         mesh = topology.compact(mesh.vertices[order[first]], faces[whole])
         flat = mesh.flat_faces
     n_lost = n_faces - len(mesh.faces)
-    return mesh, (f"collapsed {n_lost} of {n_faces} faces, flat ones and their neighbours",) * (n_lost > 0)
+    return mesh, (f"collapsed {n_lost} of {n_faces} faces, flat ones and their neighbours",) * (
+        n_lost > 0
+    )
 
 
 def drop_repeated_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
@@ -199,7 +225,9 @@ def drop_repeated_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     if len(first) == len(group):
         return mesh, ()
     a, b, c = mesh.faces.T
-    handed = np.sign(a - b) * np.sign(b - c) * np.sign(c - a)  # (m,) ±1: parity of the order of the corners
+    handed = (
+        np.sign(a - b) * np.sign(b - c) * np.sign(c - a)
+    )  # (m,) ±1: parity of the order of the corners
     even = (topology.edges_of(mesh.faces).crowd.reshape(-1, 3) % 2 == 0).all(axis=1)  # (m,)
     cancelled = (np.bincount(group, weights=handed) == 0) & even[first]
     if 2 * count[cancelled].sum() > len(group):

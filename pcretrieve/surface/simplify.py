@@ -85,7 +85,11 @@ def _quadrics(vertices: FloatArray, corners: IntArray) -> tuple[FloatArray, floa
     quadrics = np.zeros((len(vertices), 6))
     area = 0.0
     for f in range(0, len(corners), 3):
-        a, b, c = _at(vertices, corners[f]), _at(vertices, corners[f + 1]), _at(vertices, corners[f + 2])
+        a, b, c = (
+            _at(vertices, corners[f]),
+            _at(vertices, corners[f + 1]),
+            _at(vertices, corners[f + 2]),
+        )
         x, y, z, double = _normal(a, b, c)
         area += double / 2
         even = EVENNESS * double / 6
@@ -163,7 +167,9 @@ def _sink(heap: Keys, size: int, at: int) -> None:
         child = 2 * at + 1
         if child >= size:
             break
-        child += child + 1 < size and heap[child + 1] < heap[child]  # branches would be mispredicted
+        child += (
+            child + 1 < size and heap[child + 1] < heap[child]
+        )  # branches would be mispredicted
         if heap[child] >= key:
             break
         heap[at] = heap[child]
@@ -181,7 +187,9 @@ def _rise(heap: Keys, at: int) -> None:
 
 
 @njit(cache=True)
-def _keeps_shape(vertices: FloatArray, corners: IntArray, twin: IntArray, h: int, place: Point) -> bool:
+def _keeps_shape(
+    vertices: FloatArray, corners: IntArray, twin: IntArray, h: int, place: Point
+) -> bool:
     """Whether no face turns over, or becomes a sliver, if both ends of a half-edge move to `place`."""
     poorest_before, poorest = np.inf, np.inf
     for start in (h, twin[h]):
@@ -194,7 +202,9 @@ def _keeps_shape(vertices: FloatArray, corners: IntArray, twin: IntArray, h: int
             following = twin[_previous(g)]
             if following == start:
                 break
-            if g != start:  # the first and the last face around each end are removed by the collapse
+            if (
+                g != start
+            ):  # the first and the last face around each end are removed by the collapse
                 nx, ny, nz, after = _normal(place, b, c)
                 if ox * nx + oy * ny + oz * nz < LEAST_COSINE * before * after:
                     return False
@@ -303,17 +313,28 @@ def _requeue(
 
 @njit(cache=True)
 def _collapsed(
-    vertices: FloatArray, corners: IntArray, twin: IntArray, quadrics: FloatArray, area: float, n_faces: int
+    vertices: FloatArray,
+    corners: IntArray,
+    twin: IntArray,
+    quadrics: FloatArray,
+    area: float,
+    n_faces: int,
 ) -> None:
     """Collapse edges in place; the corners of faces that do not remain become negative."""
     spent = np.zeros(len(vertices))  # the value of the quadric of each vertex at its position
-    moved = np.zeros(len(vertices), dtype=np.int32)  # the step in which it was moved to its position
+    moved = np.zeros(
+        len(vertices), dtype=np.int32
+    )  # the step in which it was moved to its position
     mark = np.zeros(len(vertices), dtype=np.int32)
     edge, half, heap = _queue(vertices, corners, twin, quadrics, area)
     size = len(heap)
-    known = np.zeros(len(half), dtype=np.int32)  # the step in which the cost of the edge was computed
+    known = np.zeros(
+        len(half), dtype=np.int32
+    )  # the step in which the cost of the edge was computed
     queued = np.ones(len(half), dtype=np.bool_)
-    is_rejected = np.zeros(len(vertices), dtype=np.bool_)  # whether an edge of the vertex may not be queued
+    is_rejected = np.zeros(
+        len(vertices), dtype=np.bool_
+    )  # whether an edge of the vertex may not be queued
     n_left, step, label = len(corners) // 3, 0, 0
     while n_left > n_faces and size > 0:
         e = heap[0] & 0x7FFFFFFF
@@ -365,8 +386,12 @@ def decimated(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
     # vertices. It computes in double precision here: ordinary lengths need no frame.
     if ORDINARY[0] <= mesh.diagonal <= ORDINARY[1]:
         frame = Frame(np.zeros(3), 1.0)
-    found = open3d_mesh(frame.inward(mesh.vertices), mesh.faces).simplify_quadric_decimation(n_faces)
-    return TriangleMesh(frame.outward(np.array(found.vertices)), np.array(found.triangles, dtype=np.int32))
+    found = open3d_mesh(frame.inward(mesh.vertices), mesh.faces).simplify_quadric_decimation(
+        n_faces
+    )
+    return TriangleMesh(
+        frame.outward(np.array(found.vertices)), np.array(found.triangles, dtype=np.int32)
+    )
 
 
 def reduced(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh:

@@ -96,14 +96,18 @@ def _check_change(before: TriangleMesh, after: TriangleMesh, most: float) -> Non
         sizes.append(("volume", before.volume, after.volume))
     for name, old, new in sizes:
         if abs(new - old) > most * abs(old):
-            raise RemeshError(f"it changed the {name} from {old:.6g} to {new:.6g}, by more than {most:.0%}")
+            raise RemeshError(
+                f"it changed the {name} from {old:.6g} to {new:.6g}, by more than {most:.0%}"
+            )
 
 
 # A message is its length, followed by an .npz archive of arrays. Nothing is pickled.
 LENGTH = struct.Struct("<q")
 
 # The server has the sys.path of its client, instead of one that depends on the working directory.
-SERVER = "import sys; sys.path[:] = sys.argv[1:]; from pcretrieve.surface.tetwild import serve; serve()"
+SERVER = (
+    "import sys; sys.path[:] = sys.argv[1:]; from pcretrieve.surface.tetwild import serve; serve()"
+)
 
 
 def tetrahedralize(
@@ -127,7 +131,12 @@ def tetrahedralize(
     ----------
     .. [1] Hu, Schneider, Wang, Zorin and Panozzo, "Fast tetrahedral meshing in the wild", ACM TOG 2020.
     """
-    scalars = {"edge_length": edge_length, "envelope": envelope, "optimize": optimize, "timeout": timeout}
+    scalars = {
+        "edge_length": edge_length,
+        "envelope": envelope,
+        "optimize": optimize,
+        "timeout": timeout,
+    }
     arrays = {name: np.array(value) for name, value in scalars.items()}
     answer = _server.ask({"vertices": vertices, "faces": faces, **arrays})
     if "error" in answer:

@@ -195,7 +195,11 @@ def twins(corners: IntArray, n_vertices: int) -> tuple[IntArray, int]:
 @njit(cache=True)
 def _is_connected(twin: IntArray) -> bool:
     """Whether the faces of a closed manifold, of which there are some, are one component."""
-    reached, queue, n = np.zeros(len(twin) // 3, dtype=np.bool_), np.zeros(len(twin) // 3, dtype=np.int32), 1
+    reached, queue, n = (
+        np.zeros(len(twin) // 3, dtype=np.bool_),
+        np.zeros(len(twin) // 3, dtype=np.int32),
+        1,
+    )
     reached[0] = True
     for f in queue:
         for h in range(3 * f, 3 * f + 3):
@@ -209,8 +213,12 @@ def _is_connected(twin: IntArray) -> bool:
 def components(mesh: TriangleMesh) -> Index:
     """(m,) number of the connected component of each face, in order of descending area."""
     a, b, c = mesh.faces.T
-    of_vertex = joined_by(np.concatenate([a, b]), np.concatenate([b, c]), len(mesh.vertices))  # (n,)
-    _, of_face = np.unique(of_vertex[a], return_inverse=True)  # (m,); unreferenced vertices are no components
+    of_vertex = joined_by(
+        np.concatenate([a, b]), np.concatenate([b, c]), len(mesh.vertices)
+    )  # (n,)
+    _, of_face = np.unique(
+        of_vertex[a], return_inverse=True
+    )  # (m,); unreferenced vertices are no components
     largest_first = np.argsort(-np.bincount(of_face, weights=mesh.face_areas), kind="stable")
     return np.asarray(np.argsort(largest_first)[of_face], dtype=np.intp)
 
@@ -236,10 +244,14 @@ def orient_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, int] | None:
     as_given, turned = patch[:m], patch[m:]  # (m,)
     if (as_given == turned).any():
         return None
-    votes = np.bincount(as_given, minlength=2 * m)  # number of unreversed faces in each sheet of the cover
+    votes = np.bincount(
+        as_given, minlength=2 * m
+    )  # number of unreversed faces in each sheet of the cover
     # Classes are numbered by their first elements: of two sheets the one with the unreversed first face is
     # lower.
-    turn = (votes[as_given] < votes[turned]) | ((votes[as_given] == votes[turned]) & (as_given > turned))
+    turn = (votes[as_given] < votes[turned]) | (
+        (votes[as_given] == votes[turned]) & (as_given > turned)
+    )
     faces = np.where(turn[:, None], mesh.faces[:, ::-1], mesh.faces)
     return TriangleMesh(mesh.vertices, faces, mesh.provenance), int(turn.sum())
 

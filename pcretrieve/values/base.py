@@ -16,7 +16,16 @@ from pcretrieve.errors import InputError
 UNIT = "metres_per_unit"
 
 #: Metres of each unit of length, by its symbol.
-METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "m": 1.0, "km": 1e3, "in": 0.0254, "ft": 0.3048}
+METRES = {
+    "um": 1e-6,
+    "mm": 1e-3,
+    "cm": 1e-2,
+    "dm": 1e-1,
+    "m": 1.0,
+    "km": 1e3,
+    "in": 0.0254,
+    "ft": 0.3048,
+}
 
 #: Unit of length of the sizes in signatures: metres, or the unit of a file whose format does not have one.
 SizeUnit = Literal["m", "unknown"]
@@ -116,4 +125,7 @@ def locked(
 
 def unit_of(metres: float) -> str | None:
     """The symbol, a key of `METRES`, of the unit of this length, to six digits; None if there is none."""
-    return next((unit for unit, length in METRES.items() if math.isclose(length, metres, rel_tol=1e-6)), None)
+    return next(
+        (unit for unit, length in METRES.items() if math.isclose(length, metres, rel_tol=1e-6)),
+        None,
+    )

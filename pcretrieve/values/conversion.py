@@ -95,7 +95,9 @@ def _of_open3d(geometry: Any) -> PointCloud | TriangleMesh:
         return TriangleMesh(np.array(legacy.vertices), np.array(legacy.triangles))
     if not hasattr(legacy, "points") or hasattr(legacy, "lines"):
         raise TypeError(f"neither a point cloud nor a triangle mesh: {type(geometry).__name__}")
-    return PointCloud(np.array(legacy.points), _unit(legacy.normals) if legacy.has_normals() else None)
+    return PointCloud(
+        np.array(legacy.points), _unit(legacy.normals) if legacy.has_normals() else None
+    )
 
 
 def _of_pyvista(geometry: Any) -> PointCloud | TriangleMesh:
@@ -105,7 +107,9 @@ def _of_pyvista(geometry: Any) -> PointCloud | TriangleMesh:
         )
     if not len(geometry.faces):
         return PointCloud(np.array(geometry.points))
-    faces = np.array(geometry.triangulate().faces).reshape(-1, 4)  # the number of corners, and these
+    faces = np.array(geometry.triangulate().faces).reshape(
+        -1, 4
+    )  # the number of corners, and these
     return TriangleMesh(np.array(geometry.points), faces[:, 1:])
 
 

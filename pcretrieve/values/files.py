@@ -48,7 +48,9 @@ def check_target(path: Path, sources: Sequence[Path] = ()) -> None:
 def _replace(target: Path, data: bytes) -> None:
     # A short name, because a name longer than that of the file might be too long.
     temporary = target.with_name(f".{secrets.token_hex(8)}.part")
-    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # without the umask
+    descriptor = os.open(
+        temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666
+    )  # without the umask
     try:
         with os.fdopen(descriptor, "wb") as file:
             file.write(data)

@@ -90,7 +90,10 @@ class PointCloud(_Processed):
     def __post_init__(self) -> None:
         n = len(self._lock("points", (None, 3)))
         if self.normals is not None:
-            off = np.abs(np.sqrt(self._lock("normals", (n, 3)) ** 2 @ np.ones(3)) - 1) > UNIT_TOLERANCE
+            off = (
+                np.abs(np.sqrt(self._lock("normals", (n, 3)) ** 2 @ np.ones(3)) - 1)
+                > UNIT_TOLERANCE
+            )
             if off.any():
                 raise InputError(
                     f"normals must have unit length, got {off.sum()} of {n} that have not: "
@@ -162,7 +165,10 @@ class TriangleMesh(_Processed):
     provenance: tuple[Step, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
-        vertices, faces = self._lock("vertices", (None, 3)), self._lock("faces", (None, 3), np.int32)
+        vertices, faces = (
+            self._lock("vertices", (None, 3)),
+            self._lock("faces", (None, 3), np.int32),
+        )
         if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
             raise InputError(
                 f"faces must name vertices 0 to {len(vertices) - 1}, got {faces.min()} to {faces.max()}"
@@ -176,7 +182,9 @@ class TriangleMesh(_Processed):
     @property
     def corners(self) -> FloatArray:
         """(3, 3, m) coordinates of the corners of the faces: coordinate, corner, face; rows without gaps."""
-        return np.take(np.ascontiguousarray(self.vertices.T), np.ascontiguousarray(self.faces.T), axis=1)
+        return np.take(
+            np.ascontiguousarray(self.vertices.T), np.ascontiguousarray(self.faces.T), axis=1
+        )
 
     @property
     def area_vectors(self) -> FloatArray:
@@ -256,7 +264,9 @@ def adjacency(mesh: TriangleMesh) -> csr_array:
 
     starts, ends = mesh.faces.ravel(), mesh.faces[:, [1, 2, 0]].ravel()
     both = np.concatenate([starts, ends]), np.concatenate([ends, starts])
-    links: csr_array[np.float64] = csr_array((np.ones(2 * len(starts)), both), 2 * (len(mesh.vertices),))
+    links: csr_array[np.float64] = csr_array(
+        (np.ones(2 * len(starts)), both), 2 * (len(mesh.vertices),)
+    )
     links.data[:] = 1.0  # instead of the number of faces at an edge
     return links
 
@@ -267,5 +277,7 @@ def edge_graph(mesh: TriangleMesh) -> csr_array:
     starts, ends = links.coords
     # A link of length 0 would be none: scipy leaves zeros of sparse matrices out of a graph.
     least = np.finfo(np.float64).eps * mesh.diagonal
-    links.data = np.maximum(np.linalg.norm(mesh.vertices[starts] - mesh.vertices[ends], axis=1), least)
+    links.data = np.maximum(
+        np.linalg.norm(mesh.vertices[starts] - mesh.vertices[ends], axis=1), least
+    )
     return links.tocsr()

@@ -54,7 +54,9 @@ class Verdict:
                 f"a judgement must be one of {', '.join(get_args(Judgement))}, got {self.judgement!r}"
             )
         if not (self.uncertainty >= 0 and math.isfinite(self.uncertainty)):
-            raise InputError(f"an uncertainty must be at least 0 and finite, got {self.uncertainty}")
+            raise InputError(
+                f"an uncertainty must be at least 0 and finite, got {self.uncertainty}"
+            )
         object.__setattr__(self, "reasons", tuple(self.reasons))
 
     def __str__(self) -> str:

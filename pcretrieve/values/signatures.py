@@ -71,7 +71,11 @@ class Signature(Value):
         return np.array(self.values, dtype=dtype, copy=copy)
 
     def __repr__(self) -> str:
-        error = "" if self.deviation is None else f", deviation up to {self.deviation.max(initial=0):.2g}"
+        error = (
+            ""
+            if self.deviation is None
+            else f", deviation up to {self.deviation.max(initial=0):.2g}"
+        )
         shown = ", ".join(f"{value:.4g}" for value in self.values[:N_SHOWN])
         more = ", ..." if len(self.values) > N_SHOWN else ""
         return f"Signature({self.kind}, {len(self.values)} values [{shown}{more}]{error})"
@@ -81,7 +85,9 @@ class Signature(Value):
         check_type("the other signature", other, Signature)
         made, others = ((one.kind, one.digest, one.metric, one.unit) for one in (self, other))
         if made != others:
-            raise InputError(f"signatures must be made by the same options, got {made} and {others}")
+            raise InputError(
+                f"signatures must be made by the same options, got {made} and {others}"
+            )
         first, second = (COORDINATES[self.metric](one.values) for one in (self, other))
         return float(np.sqrt(((first - second) ** 2).sum()))
 
@@ -152,7 +158,9 @@ class SignatureTable(Value):
 
     def columns(self) -> dict[str, list[Any]]:
         """The table by columns: ``id``, ``label``, and one column ``v1``, ``v2``, ... for each value."""
-        values = {f"v{number}": column.tolist() for number, column in enumerate(self.values.T, start=1)}
+        values = {
+            f"v{number}": column.tolist() for number, column in enumerate(self.values.T, start=1)
+        }
         return {"id": list(self.ids), "label": list(self.labels), **values}
 
     def to_pandas(self) -> Any:
@@ -199,7 +207,9 @@ class Neighbors(Value):
     ids: tuple[str, ...]
     distances: FloatArray
     scores: FloatArray | None = field(default=None, compare=False)
-    pictures: Callable[[Sequence[str]], Sequence[bytes | None]] | None = field(default=None, compare=False)
+    pictures: Callable[[Sequence[str]], Sequence[bytes | None]] | None = field(
+        default=None, compare=False
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ids", tuple(self.ids))
@@ -207,10 +217,14 @@ class Neighbors(Value):
         if len(set(self.ids)) != len(self.ids):
             raise InputError("ids must be distinct")
         if not ((distances >= 0).all() and (distances[:-1] <= distances[1:]).all()):
-            raise InputError("distances must ascend from 0 or more, got others; sort the shapes by distance")
+            raise InputError(
+                "distances must ascend from 0 or more, got others; sort the shapes by distance"
+            )
         tied = distances[:-1] == distances[1:]
         if any(tie and self.ids[i] > self.ids[i + 1] for i, tie in enumerate(tied)):
-            raise InputError("ids of equally distant shapes must be in alphabetical order, got another one")
+            raise InputError(
+                "ids of equally distant shapes must be in alphabetical order, got another one"
+            )
         if self.scores is not None:
             self._lock("scores", (len(self.ids),))
 
@@ -218,14 +232,18 @@ class Neighbors(Value):
         return len(self.ids)
 
     def __repr__(self) -> str:
-        found = ", ".join(f"{name} {gap:.4g}" for name, gap in zip(self.ids, self.distances, strict=True))
+        found = ", ".join(
+            f"{name} {gap:.4g}" for name, gap in zip(self.ids, self.distances, strict=True)
+        )
         return f"Neighbors({found})"
 
     def _repr_html_(self) -> str:
         from pcretrieve.draw.thumbnail import picture_html
 
         pictures = self.pictures(self.ids[:N_PICTURED]) if self.pictures else [None] * len(self)
-        return "".join(map(picture_html, pictures, map("{} {:.4g}".format, self.ids, self.distances)))
+        return "".join(
+            map(picture_html, pictures, map("{} {:.4g}".format, self.ids, self.distances))
+        )
 
     def to_pandas(self) -> Any:
         """A ``pandas.DataFrame`` (extra ``tables``) indexed by rank: id, distance, and the score if known."""

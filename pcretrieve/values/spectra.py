@@ -101,7 +101,9 @@ class Eigenpairs(Value):
 
     def lowest(self, n: int) -> Eigenpairs:
         """The first `n` eigenpairs, or all if there are fewer."""
-        return replace(self, eigenvalues=self.eigenvalues[:n], eigenvectors=self.eigenvectors[:, :n])
+        return replace(
+            self, eigenvalues=self.eigenvalues[:n], eigenvectors=self.eigenvectors[:, :n]
+        )
 
     def __repr__(self) -> str:
         return (
@@ -174,4 +176,6 @@ class ModalSpectrum(Value):
         """The modal spectrum of the same surface after uniform scaling to another area."""
         factor = area / self.area
         overlaps = None if self.overlaps is None else self.overlaps / factor
-        return ModalSpectrum(self.eigenvalues / factor, self.moments / np.sqrt(factor), area, overlaps)
+        return ModalSpectrum(
+            self.eigenvalues / factor, self.moments / np.sqrt(factor), area, overlaps
+        )

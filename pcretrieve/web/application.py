@@ -19,7 +19,13 @@ from zlib import crc32
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response, StreamingResponse
+from starlette.responses import (
+    HTMLResponse,
+    JSONResponse,
+    RedirectResponse,
+    Response,
+    StreamingResponse,
+)
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
@@ -28,8 +34,16 @@ from pcretrieve.errors import CatalogueError, InputError, PcretrieveError
 from pcretrieve.pages.html import page_of, without_folders
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.values import UPWARD
-from pcretrieve.web import documents
 from pcretrieve.web.comparison import Maps, compared, mesh_of, scene_document
+from pcretrieve.web.documents import (
+    job_document,
+    listing_document,
+    record_of,
+    shape_document,
+    similar_csv,
+    similar_document,
+    similar_to,
+)
 from pcretrieve.web.jobs import Job, Jobs
 from pcretrieve.web.requests import ONE_FILE, Listing, Refused, Similar, checked_suffix, received
 
@@ -124,7 +138,7 @@ class _Asked:
 
     @property
     def record(self) -> Record:
-        return documents.record_of(self.catalogue, self.name)
+        return record_of(self.catalogue, self.name)
 
     @property
     def job(self) -> Job:
@@ -145,17 +159,17 @@ class _Asked:
     def answer(self, job: Job | None = None) -> Answer:
         """The neighbours of the scan of a job, or else of the shape that the path names."""
         if job is None:
-            return documents.similar_to(self.catalogue, self.record.id, self.similar, self.site.options)
+            return similar_to(self.catalogue, self.record.id, self.similar, self.site.options)
         if job.described is None:
             raise InputError(
                 f"the scan has no signature, it is {job.state}: ask for /scans/{job.id} until it is done"
             )
-        return documents.similar_to(self.catalogue, job.described, self.similar, self.site.options)
+        return similar_to(self.catalogue, job.described, self.similar, self.site.options)
 
     def found(self, job: Job | None = None) -> dict[str, Any]:
         """The neighbours as a document."""
         name = self.name if job is None else job.name
-        return documents.similar_document(
+        return similar_document(
             self.catalogue, name, self.similar, self.site.options, self.answer(job)
         )
 
@@ -178,7 +192,7 @@ def _collection(asked: _Asked) -> Response:
     return asked.page(
         "collection.html",
         listing=listing,
-        found=documents.listing_document(asked.catalogue, listing),
+        found=listing_document(asked.catalogue, listing),
         classes=asked.classes,
         suffixes=() if asked.site.given_jobs is None else ONE_FILE,
         most_bytes=asked.site.most_bytes,
@@ -192,7 +206,7 @@ def _shape(asked: _Asked) -> Response:
     record = asked.record
     return asked.page(
         "shape.html",
-        shape=documents.shape_document(record),
+        shape=shape_document(record),
         asked=asked.similar,
         found=asked.found() if record.status == "done" else None,
         classes=asked.classes,
@@ -203,7 +217,9 @@ def _shape(asked: _Asked) -> Response:
 
 def _compare(asked: _Asked) -> Response:
     pair, site = [asked.request.query_params.get(name, "") for name in ("a", "b")], asked.site
-    return asked.page("compare.html", **compared(asked.catalogue, pair, site.options, site.thumbnails))
+    return asked.page(
+        "compare.html", **compared(asked.catalogue, pair, site.options, site.thumbnails)
+    )
 
 
 def _scan(asked: _Asked) -> Response:
@@ -213,7 +229,7 @@ def _scan(asked: _Asked) -> Response:
         "scan.html",
         asked=asked.similar,
         found=None if described is None else asked.found(job),
-        job=documents.job_document(job),
+        job=job_document(job),
         classes=asked.classes,
         has_picture=described is not None and described.picture is not None,
         can_be_kept=job.scan is not None and asked.site.keeps_scans,
@@ -241,7 +257,7 @@ def _download(content: bytes, name: str, kind: str) -> Response:
 
 def _table(name: str, answer: Answer) -> Response:
     return _download(
-        documents.similar_csv(name, answer).encode("utf-8", "replace"), "similar.csv", "text/csv"
+        similar_csv(name, answer).encode("utf-8", "replace"), "similar.csv", "text/csv"
     )
 
 
@@ -289,7 +305,7 @@ async def _new_scan(request: Request) -> Response:
         if isinstance(error, ClientDisconnect):
             return Response(status_code=400)
         raise
-    document = documents.job_document(job)
+    document = job_document(job)
     jobs.submit(job, path)
     return _Json(document, 202, location=f"/scans/{job.id}")
 
@@ -297,7 +313,7 @@ async def _new_scan(request: Request) -> Response:
 async def _keep_scan(request: Request) -> Response:
     """For scripts: the fields are in the address, and the answer is JSON."""
     record = await _kept(request, request.query_params)
-    return _Json(documents.shape_document(record), 201, location=f"/shapes/{quote(record.id, safe='')}")
+    return _Json(shape_document(record), 201, location=f"/shapes/{quote(record.id, safe='')}")
 
 
 async def _keep_scan_by_form(request: Request) -> Response:
@@ -327,10 +343,14 @@ async def _say_up(request: Request) -> Response:
 
 async def _turn(request: Request) -> Response:
     """One shape is turned by a quarter."""
-    forwards, site, name = (await _form(request)).get("way") == "forwards", _site(request), _name(request)
+    forwards, site, name = (
+        (await _form(request)).get("way") == "forwards",
+        _site(request),
+        _name(request),
+    )
     await site.drawing.read(
         lambda catalogue: site.thumbnails.turn(
-            catalogue, documents.record_of(catalogue, name), forwards=forwards
+            catalogue, record_of(catalogue, name), forwards=forwards
         )
     )
     return RedirectResponse(f"/shape/{quote(name, safe='')}", 303, headers=FRESH)
@@ -354,7 +374,7 @@ async def _events(jobs: Jobs, job_id: str) -> AsyncIterator[str]:
     while True:
         job = jobs.job(job_id)
         has_ended = job.has_ended
-        if (now := json.dumps(documents.job_document(job))) != last:
+        if (now := json.dumps(job_document(job))) != last:
             last = now
             yield f"data: {now}\n\n"
         if has_ended:
@@ -362,7 +382,10 @@ async def _events(jobs: Jobs, job_id: str) -> AsyncIterator[str]:
         await asyncio.sleep(LOOK)
 
 
-TURNS = (Route("/up", _say_up, methods=["POST"]), Route("/shape/{id}/turn", _turn, methods=["POST"]))
+TURNS = (
+    Route("/up", _say_up, methods=["POST"]),
+    Route("/shape/{id}/turn", _turn, methods=["POST"]),
+)
 
 # --- addresses --------------------------------------------------------------------------------------------
 
@@ -370,10 +393,10 @@ TURNS = (Route("/up", _say_up, methods=["POST"]), Route("/shape/{id}/turn", _tur
 SEARCHES: dict[str, Callable[[_Asked], Response]] = {
     "/shape/{id}": _shape,
     "/scan/{id}": _scan,
-    "/shapes/{id}": lambda asked: _Json(documents.shape_document(asked.record)),
+    "/shapes/{id}": lambda asked: _Json(shape_document(asked.record)),
     "/shapes/{id}/similar": lambda asked: _Json(asked.found()),
     "/shapes/{id}/similar.csv": lambda asked: _table(asked.name, asked.answer()),
-    "/scans/{id}": lambda asked: _Json(documents.job_document(asked.job)),
+    "/scans/{id}": lambda asked: _Json(job_document(asked.job)),
     "/scans/{id}/similar": lambda asked: _Json(asked.found(asked.job)),
     "/scans/{id}/similar.csv": lambda asked: _table(asked.job.name, asked.answer(asked.job)),
 }
@@ -385,7 +408,7 @@ OTHERS: dict[str, Callable[[_Asked], Response]] = {
     "/compare": _compare,
     "/scan/{id}/inspection": _inspection,
     "/shapes": lambda asked: _Json(
-        documents.listing_document(asked.catalogue, Listing.of(asked.request.query_params))
+        listing_document(asked.catalogue, Listing.of(asked.request.query_params))
     ),
     "/shapes/{id}/thumbnail.png": _thumbnail,
     "/shapes/{id}/scene": _scene,
@@ -407,15 +430,23 @@ def application(site: Site) -> Starlette:
             *(() if site.given_jobs is None else TURNS),
             Mount("/assets", StaticFiles(packages=[("pcretrieve.pages", "assets")])),
         ],
-        exception_handlers={PcretrieveError: _refused, HTTPException: _nowhere, Exception: _refused},
+        exception_handlers={
+            PcretrieveError: _refused,
+            HTTPException: _nowhere,
+            Exception: _refused,
+        },
     )
     made.state.site = site
     return made
 
 
-def _read(answer: Callable[[_Asked], Response], readers: Readers) -> Callable[[Request], Awaitable[Response]]:
+def _read(
+    answer: Callable[[_Asked], Response], readers: Readers
+) -> Callable[[Request], Awaitable[Response]]:
     async def handler(request: Request) -> Response:
-        return await readers.read(lambda catalogue: answer(_Asked(_site(request), catalogue, request)))
+        return await readers.read(
+            lambda catalogue: answer(_Asked(_site(request), catalogue, request))
+        )
 
     return handler
 
@@ -437,7 +468,9 @@ async def _refused(request: Request, error: Exception) -> Response:
     told = _Json({"error": type(error).__name__, "message": message}, status)
     if request.method in ("GET", "HEAD"):
         return told
-    return StreamingResponse(_then_silent(told.body), status, {**told.headers, "connection": "close"})
+    return StreamingResponse(
+        _then_silent(told.body), status, {**told.headers, "connection": "close"}
+    )
 
 
 async def _nowhere(request: Request, error: Exception) -> Response:
@@ -458,7 +491,9 @@ def _status(error: Exception) -> tuple[int, str]:
         return status, without_folders(error.message) if status == 400 else error.message
     logger.error("a request failed: %s", error, exc_info=error)
     is_told = isinstance(error, CatalogueError)
-    return 500, without_folders(str(error)) if is_told else "the server failed to answer; its log says why"
+    return 500, without_folders(
+        str(error)
+    ) if is_told else "the server failed to answer; its log says why"
 
 
 async def _then_silent(body: bytes | memoryview) -> AsyncIterator[bytes]:

@@ -37,7 +37,9 @@ def compared(
     records = [record_of(catalogue, shape_id) for shape_id in pair]
     for record in records:
         if record.status != "done":
-            raise InputError(f"{record.id} failed in the stage {record.stage}: it cannot be compared")
+            raise InputError(
+                f"{record.id} failed in the stage {record.stage}: it cannot be compared"
+            )
     index = catalogue.index(options)
     distance = float(index.between(pair)[0, 1])
     score = None if index.scores is None else float(index.scores.of(np.array([distance]))[0])
@@ -65,14 +67,19 @@ def scene_document(
     from pcretrieve.pages.scene import surface_scene
 
     mesh, up = _mesh_and_up(catalogue, shape_id, thumbnails)
-    return surface_scene(mesh, up, None if other is None else _mesh_and_up(catalogue, other, thumbnails)[0])
+    return surface_scene(
+        mesh, up, None if other is None else _mesh_and_up(catalogue, other, thumbnails)[0]
+    )
 
 
 def _mesh_and_up(
     catalogue: Catalogue, shape_id: str, thumbnails: Thumbnails
 ) -> tuple[TriangleMesh, FloatArray | None]:
     """A surface, simplified if it has too many faces, and the direction that is up in its picture."""
-    mesh, picture = mesh_of(catalogue, shape_id), thumbnails.of(catalogue, record_of(catalogue, shape_id))
+    mesh, picture = (
+        mesh_of(catalogue, shape_id),
+        thumbnails.of(catalogue, record_of(catalogue, shape_id)),
+    )
     if len(mesh.faces) > MOST_FACES:
         coarse = mesh.to_open3d().simplify_quadric_decimation(MOST_FACES)
         mesh = TriangleMesh(np.array(coarse.vertices), np.array(coarse.triangles, dtype=np.int32))
@@ -125,7 +132,9 @@ class Maps:
         with self._lock:
             if self._places is None or key != self._key:
                 self._key = key
-                self._places = self._thread.submit(catalogue.cache.places, index.points[rows], revision)
+                self._places = self._thread.submit(
+                    catalogue.cache.places, index.points[rows], revision
+                )
             places = self._places
         try:
             return places.result(PATIENCE)

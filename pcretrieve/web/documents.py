@@ -77,7 +77,9 @@ def listing_document(catalogue: Catalogue, listing: Listing) -> Document:
         times = defaultdict(str, catalogue.times())  # without shapes that were stored since
         first, last = str(listing.since or ""), str(listing.until or "9999-12-31")
         chosen = [shape_id for shape_id in chosen if first <= times[shape_id][:DAY] <= last]
-    if listing.sort.endswith("label"):  # a stable sort, so that shapes of one class are in the order of ids
+    if listing.sort.endswith(
+        "label"
+    ):  # a stable sort, so that shapes of one class are in the order of ids
         chosen.sort(key=lambda shape_id: (labels[shape_id] is None, labels[shape_id] or ""))
     elif listing.sort.endswith("added"):
         chosen.sort(key=times.__getitem__)

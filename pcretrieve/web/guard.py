@@ -59,7 +59,9 @@ class Guard:
             await send({"type": "websocket.close"})
             return
         send = _with_headers(send, time.perf_counter())
-        headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
+        headers = {
+            name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]
+        }
         host = headers.get("host", "")
         query = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
         given = dict(query).get("token")
@@ -74,9 +76,15 @@ class Guard:
             path = "/" + scope["raw_path"].decode("latin-1").lstrip("/\\")
             # Not the token of the address, which may be wrong if the request has another that is right.
             cookie = (
-                f"{COOKIE}{_name_and_port(host)[1]}={self._token.decode()}; Path=/; HttpOnly; SameSite=Strict"
+                f"{COOKIE}{_name_and_port(host)[1]}={self._token.decode()}"
+                "; Path=/; HttpOnly; SameSite=Strict"
             )
-            await _sent(send, 303, {"location": f"{path}?{rest}" if rest else path, "set-cookie": cookie}, "")
+            await _sent(
+                send,
+                303,
+                {"location": f"{path}?{rest}" if rest else path, "set-cookie": cookie},
+                "",
+            )
         else:
             raw = {**scope, "path": scope["raw_path"].decode("latin-1")}
             await self._application(raw, receive, send)
@@ -86,7 +94,10 @@ class Guard:
     ) -> tuple[int, str] | None:
         """The status and the words of a request that is not answered."""
         if _name_and_port(host)[0] not in HOSTS:
-            return (400, "This server answers at 127.0.0.1 and localhost only: use the address it printed.\n")
+            return (
+                400,
+                "This server answers at 127.0.0.1 and localhost only: use the address it printed.\n",
+            )
         origin = headers.get("origin")
         if origin not in (None, f"http://{host}"):
             return (403, "Pages of other sites may not use this server.\n")
@@ -100,11 +111,16 @@ class Guard:
                 "ends in ?token=..., or send the header Authorization: Bearer TOKEN.\n",
             )
         if method not in SAFE_METHODS and origin is None and not by_header:
-            return (403, "A request that changes something needs an Origin, or the token in Authorization.\n")
+            return (
+                403,
+                "A request that changes something needs an Origin, or the token in Authorization.\n",
+            )
         return None
 
     def _is_token(self, given: str | None) -> bool:
-        return given is not None and hmac.compare_digest(given.encode("utf-8", "replace"), self._token)
+        return given is not None and hmac.compare_digest(
+            given.encode("utf-8", "replace"), self._token
+        )
 
 
 def _name_and_port(host: str) -> tuple[str | None, int]:

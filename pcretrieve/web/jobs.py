@@ -100,7 +100,9 @@ class Jobs:
         """Make room for a scan before it is received."""
         with self._lock:
             if len(self._open) >= MOST_WAITING:
-                raise Refused(f"{MOST_WAITING} scans are waiting already: try again in a minute", 503)
+                raise Refused(
+                    f"{MOST_WAITING} scans are waiting already: try again in a minute", 503
+                )
             folder = Path(tempfile.mkdtemp(prefix="upload-", dir=self._folder.path))
             job = Job(secrets.token_urlsafe(12), name, folder)
             self._open.add(job.id)
@@ -126,7 +128,9 @@ class Jobs:
         with self._lock:
             job = self._jobs.get(job_id)
         if job is None:
-            raise Refused("there is no such scan: it was uploaded to an earlier server, or is too long ago")
+            raise Refused(
+                "there is no such scan: it was uploaded to an earlier server, or is too long ago"
+            )
         if job.state == "running":
             job.stages = stages_of(job.folder)
         return job
@@ -174,7 +178,9 @@ class Jobs:
         page = None
         try:
             items = [(job.name, f"/scan/{job.id}", scan)]
-            running = in_processes(self._inspected, items, idle=self._idle_inspecting, **self._limits)
+            running = in_processes(
+                self._inspected, items, idle=self._idle_inspecting, **self._limits
+            )
             ((_, outcome),) = running
             page = outcome if isinstance(outcome, bytes) else None
         except Exception as error:  # noqa: BLE001  as above

@@ -34,7 +34,10 @@ def described(options: PipelineOptions, item: tuple[Path, str | None]) -> Descri
     item: (Path, str or None), the file, and the axis that points upwards on its picture.
     """
     scan, up = item
-    stages, handler = logging.getLogger("pcretrieve.pipeline"), logging.FileHandler(scan.parent / LOG)
+    stages, handler = (
+        logging.getLogger("pcretrieve.pipeline"),
+        logging.FileHandler(scan.parent / LOG),
+    )
     stages.setLevel(logging.INFO)
     stages.addHandler(handler)
     try:
@@ -106,11 +109,15 @@ class Collection:
         from pcretrieve import ingest  # here, because the server does not need the stages
 
         labels = None if label is None else {target.name: label}
-        done = ingest([target], store, labels=labels, workers=1, timeout=self.timeout, memory=self.memory)
+        done = ingest(
+            [target], store, labels=labels, workers=1, timeout=self.timeout, memory=self.memory
+        )
         for _, other in done.duplicates:
             raise InputError(f"the catalogue has this scan already, as {other.id!r}")
         for record in done.failed:
             store.remove(record.id)
-            raise InputError(f"the scan failed in {record.stage}: {without_folders(record.message or '')}")
+            raise InputError(
+                f"the scan failed in {record.stage}: {without_folders(record.message or '')}"
+            )
         (record,) = done.done + done.held
         return record

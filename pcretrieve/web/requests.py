@@ -20,7 +20,20 @@ if TYPE_CHECKING:
 
 # Formats with all of a scan in one file. Left out are archives (.npz .3mf), and formats that name other files
 # of the computer that reads them (.conf .gltf .glb .txt).
-ONE_FILE = (".ply", ".pcd", ".off", ".stl", ".obj", ".xyz", ".pts", ".ptx", ".las", ".laz", ".e57", ".npy")
+ONE_FILE = (
+    ".ply",
+    ".pcd",
+    ".off",
+    ".stl",
+    ".obj",
+    ".xyz",
+    ".pts",
+    ".ptx",
+    ".las",
+    ".laz",
+    ".e57",
+    ".npy",
+)
 
 LONGEST_NAME = 200
 
@@ -89,7 +102,9 @@ async def received(request: Request, path: Path, *, most_bytes: int) -> None:
     if announced.isdecimal() and int(announced[:20]) > most_bytes:
         raise Refused(message, 413)
     try:
-        size = await asyncio.wait_for(_stored(request.stream(), path, most_bytes), RECEIVING_TIMEOUT)
+        size = await asyncio.wait_for(
+            _stored(request.stream(), path, most_bytes), RECEIVING_TIMEOUT
+        )
     except asyncio.TimeoutError as error:
         raise Refused(
             f"the scan has not arrived within {RECEIVING_TIMEOUT:g} s: reduce it, or use `pcretrieve query`",

@@ -93,22 +93,38 @@ def serve(
     from pcretrieve.web.jobs import Jobs
     from pcretrieve.web.keeping import Collection
 
-    threading.Thread(target=__import__, args=("sklearn.manifold",), daemon=True).start()  # for maps, .8 s
+    threading.Thread(
+        target=__import__, args=("sklearn.manifold",), daemon=True
+    ).start()  # for maps, .8 s
     with Catalogue(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
-        store.index(chosen)  # so that it is made, and what it lacks is said, before the first request
+        store.index(
+            chosen
+        )  # so that it is made, and what it lacks is said, before the first request
         title, thumbnails = Path(store.location).name, Thumbnails(store, up)
         scanned = store.options.model_copy(update={"signature": chosen.signature})
     key = token or secrets.token_urlsafe(24)
     if not TOKEN.fullmatch(key):
-        raise InputError("the token must be ASCII letters, digits, - and _ only, as it is part of an address")
+        raise InputError(
+            "the token must be ASCII letters, digits, - and _ only, as it is part of an address"
+        )
     if keep is not None and (read_only or not Path(keep).is_dir()):
-        raise InputError(f"scans are kept in a folder, by a server that is not read-only, got {keep}")
+        raise InputError(
+            f"scans are kept in a folder, by a server that is not read-only, got {keep}"
+        )
     location, jobs = str(catalogue), None
     if not read_only:
-        kept = None if keep is None else Collection(location, Path(keep).absolute(), timeout, memory)
+        kept = (
+            None if keep is None else Collection(location, Path(keep).absolute(), timeout, memory)
+        )
         jobs = Jobs(
-            location, title, scanned, timeout=timeout, memory=memory, thumbnails=thumbnails, collection=kept
+            location,
+            title,
+            scanned,
+            timeout=timeout,
+            memory=memory,
+            thumbnails=thumbnails,
+            collection=kept,
         )
     searching, drawing = Readers(location, 1), Readers(location, N_DRAWING)
     site = Site(searching, drawing, title, chosen, jobs, most_bytes, thumbnails)
@@ -116,7 +132,9 @@ def serve(
         with _listening(port) as listener:
             address = f"http://{ADDRESS}:{listener.getsockname()[1]}/?token={key}"
             searching.prepare(lambda catalogue: catalogue.index(chosen).load())
-            drawing.prepare(lambda catalogue: site.maps.shown(catalogue, chosen))  # seconds, of many shapes
+            drawing.prepare(
+                lambda catalogue: site.maps.shown(catalogue, chosen)
+            )  # seconds, of many shapes
             _run(Guard(application(site), key), listener, lambda: on_start(address))
     finally:
         if jobs is not None:
@@ -135,7 +153,9 @@ def _listening(port: int) -> socket.socket:
         listener.listen(128)
     except (OSError, OverflowError) as error:
         listener.close()
-        raise InputError(f"cannot serve at port {port}: {error}; give another --port, or 0") from error
+        raise InputError(
+            f"cannot serve at port {port}: {error}; give another --port, or 0"
+        ) from error
     return listener
 
 

@@ -38,7 +38,9 @@ Item = TypeVar("Item")
 Answer = TypeVar("Answer")
 
 TABLE = Table(
-    Column("executor", 44, align="<"), Column("scans/s", 8, ".3f"), Column("first outcome, s", 17, ".1f")
+    Column("executor", 44, align="<"),
+    Column("scans/s", 8, ".3f"),
+    Column("first outcome, s", 17, ".1f"),
 )
 
 # Number of points of a scan.
@@ -64,8 +66,12 @@ class Run(NamedTuple):
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the rates and their ratios."""
     parser = argument_parser(__doc__)
-    parser.add_argument("--scans", type=positive, default=40, help="number of scans (default: %(default)s)")
-    parser.add_argument("--rounds", type=positive, default=3, help="ingests by each (default: %(default)s)")
+    parser.add_argument(
+        "--scans", type=positive, default=40, help="number of scans (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--rounds", type=positive, default=3, help="ingests by each (default: %(default)s)"
+    )
     given = parser.parse_args(arguments)
     if given.scans < 4:
         parser.error(f"--scans must be at least 4, got {given.scans}")

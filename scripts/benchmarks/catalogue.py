@@ -100,10 +100,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
     parser = argument_parser(__doc__)
     parser.add_argument(
-        "--shapes", type=positive, nargs="*", default=[100_000, 1_000_000], help="sizes of the catalogues"
+        "--shapes",
+        type=positive,
+        nargs="*",
+        default=[100_000, 1_000_000],
+        help="sizes of the catalogues",
     )
-    parser.add_argument("--meshes", type=int, default=5000, help="meshes that are ingested; 0 for none")
-    parser.add_argument("--merged", type=int, default=100_000, help="shapes that are merged; 0 for none")
+    parser.add_argument(
+        "--meshes", type=int, default=5000, help="meshes that are ingested; 0 for none"
+    )
+    parser.add_argument(
+        "--merged", type=int, default=100_000, help="shapes that are merged; 0 for none"
+    )
     parser.add_argument(
         "--postgresql", metavar="URL", help="a database into which the meshes are ingested too"
     )
@@ -116,7 +124,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(str(error))
 
 
-def _lines(sizes: Sequence[int], n_merged: int, n_meshes: int, database: str | None) -> Iterator[str]:
+def _lines(
+    sizes: Sequence[int], n_merged: int, n_meshes: int, database: str | None
+) -> Iterator[str]:
     yield TABLE.head
     for n_shapes in sizes:
         yield f"{n_shapes:,} shapes"
@@ -125,7 +135,9 @@ def _lines(sizes: Sequence[int], n_merged: int, n_meshes: int, database: str | N
     if n_merged:
         with tempfile.TemporaryDirectory() as folder:
             seconds = merged_in(Path(folder), OPTIONS, n_merged, N_PARTS, SEED)
-            yield TABLE.row(f"{N_PARTS} parts of {n_merged // N_PARTS:,} shapes merged", f"{seconds:.1f} s")
+            yield TABLE.row(
+                f"{N_PARTS} parts of {n_merged // N_PARTS:,} shapes merged", f"{seconds:.1f} s"
+            )
     if n_meshes:
         yield f"{n_meshes:,} meshes of {N_VERTICES} vertices"
         with tempfile.TemporaryDirectory() as folder:
@@ -148,7 +160,9 @@ def _catalogue(path: Path, n_shapes: int) -> Iterator[str]:
     )
     with Catalogue(path) as catalogue:
         seconds, _ = timed(catalogue.signatures)
-    yield TABLE.row("  Catalogue.signatures", f"{seconds:.2f} s, {seconds / n_shapes * 1e6:.1f} µs a shape")
+    yield TABLE.row(
+        "  Catalogue.signatures", f"{seconds:.2f} s, {seconds / n_shapes * 1e6:.1f} µs a shape"
+    )
     query = ("query", synthetic_id(n_shapes // 3), "-c", str(path), "-k", str(K), *WHITENED)
     seconds, peak = run_command(*query)
     arrays = sum(file.stat().st_size for file in path.parent.rglob("*.npy")) / MIB
@@ -161,7 +175,9 @@ def _catalogue(path: Path, n_shapes: int) -> Iterator[str]:
     yield TABLE.row(
         "  pcretrieve query ID, whose index is kept", f"median {seconds:.2f} s, peak {peak:.0f} MiB"
     )
-    yield TABLE.row("  pcretrieve list, first line", f"{_first_line('list', '-c', str(path)):.2f} s")
+    yield TABLE.row(
+        "  pcretrieve list, first line", f"{_first_line('list', '-c', str(path)):.2f} s"
+    )
     for whitening in WHITENINGS_OF_QUERIES:
         for distance in DISTANCES:
             yield from _queries(path, distance, whitening)
@@ -204,7 +220,8 @@ def _queries(path: Path, distance: str, whitening: str) -> Iterator[str]:
         f"made in {building:.1f} s, opens in {opening * 1e3:.0f} ms",
     )
     yield TABLE.row(
-        f"  index.query, {N_WORKERS} threads", f"{len(values) / batch:.0f} queries/s of wall-clock time"
+        f"  index.query, {N_WORKERS} threads",
+        f"{len(values) / batch:.0f} queries/s of wall-clock time",
     )
 
 
@@ -238,7 +255,8 @@ def _agrees(index: SignatureIndex, row: int) -> bool:
     order = np.argsort(distances[0], kind="stable")[:K]  # ids ascend with the rows
     found = index.nearest(index.ids[row], K)
     return (
-        found.ids == tuple(index.ids[at] for at in order) and (found.distances == distances[0][order]).all()
+        found.ids == tuple(index.ids[at] for at in order)
+        and (found.distances == distances[0][order]).all()
     )
 
 
@@ -274,7 +292,9 @@ def _ingestion(folder: Path, n_meshes: int, database: str | None) -> Iterator[st
 def _rate(scans: Path, location: str, n_meshes: int) -> str:
     """The rate of an ingest."""
     before = _processor_seconds()
-    seconds, peak = run_command("ingest", str(scans), "-c", location, "--workers", str(N_WORKERS), "--quiet")
+    seconds, peak = run_command(
+        "ingest", str(scans), "-c", location, "--workers", str(N_WORKERS), "--quiet"
+    )
     # Unlike the rate, the processor time is hardly slowed by other load on the machine.
     each = (_processor_seconds() - before) / n_meshes
     return (

@@ -25,12 +25,34 @@ HEADER_BYTES = 640  # of the first lines, which hold counts and sizes
 NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 # Numbers at which types, sizes and lists end.
 NUMBERS = (
-    *(b"0", b"-1", b"1", b"2", b"3", b"255", b"256", b"65536", b"2147483647", b"2147483648", b"4294967295"),
-    *(b"99999999999", b"1" + b"0" * 30, b"9" * 5000, b"0.5", b"1e30", b"-1e30", b"1e-320", b"1e400"),
+    *(
+        b"0",
+        b"-1",
+        b"1",
+        b"2",
+        b"3",
+        b"255",
+        b"256",
+        b"65536",
+        b"2147483647",
+        b"2147483648",
+        b"4294967295",
+    ),
+    *(
+        b"99999999999",
+        b"1" + b"0" * 30,
+        b"9" * 5000,
+        b"0.5",
+        b"1e30",
+        b"-1e30",
+        b"1e-320",
+        b"1e400",
+    ),
     *(b"nan", b"inf", b"-inf", b"0x10", b"1_000", b"", b"x", b"\xff", b"\xc2\xb2"),
 )
 LIMITS = [
-    bytes.fromhex(word) for word in ("00000000", "ffffffff", "ffffff7f", "00000080", "0000a07f", "01000000")
+    bytes.fromhex(word)
+    for word in ("00000000", "ffffffff", "ffffff7f", "00000080", "0000a07f", "01000000")
 ]
 
 # What a disk or a memory does, where nothing moves.
@@ -42,7 +64,9 @@ def damaged_once(data: bytes, damage: str, rng: np.random.Generator) -> bytes:
     at, n = int(rng.integers(len(data) + 1)), int(rng.integers(1, MOST_BYTES))
     match damage:
         case "flip":
-            return data[:at] + bytes(byte ^ 1 << n % 8 for byte in data[at : at + 1]) + data[at + 1 :]
+            return (
+                data[:at] + bytes(byte ^ 1 << n % 8 for byte in data[at : at + 1]) + data[at + 1 :]
+            )
         case "overwrite":
             return data[:at] + LIMITS[int(rng.integers(len(LIMITS)))] + data[at + 4 :]
         case "cut":
@@ -83,7 +107,9 @@ class HangError(BaseException):
 def limited_memory(n_bytes: int = MEMORY) -> Iterator[None]:
     """Let further allocations of more than so many bytes in total raise a MemoryError."""
     status = Path("/proc/self/status").read_text(encoding="ascii")
-    (used,) = (int(line.split()[1]) << 10 for line in status.splitlines() if line.startswith("VmData"))
+    (used,) = (
+        int(line.split()[1]) << 10 for line in status.splitlines() if line.startswith("VmData")
+    )
     before = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(resource.RLIMIT_DATA, (used + n_bytes, before[1]))
     try:
@@ -109,7 +135,11 @@ def limited_time(seconds: float) -> Iterator[None]:
 
 
 def read_damaged(
-    path: Path, contents: Callable[[int], bytes], read: Callable[[Path], object], n_seeds: int, named: str
+    path: Path,
+    contents: Callable[[int], bytes],
+    read: Callable[[Path], object],
+    n_seeds: int,
+    named: str,
 ) -> tuple[int, list[str]]:
     """Read a file that is damaged anew from each seed: the number of errors, and each fault with its seed.
 

@@ -107,7 +107,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given.workers == 1:
         use_one_core()
     try:
-        print_lines(_of_bodies(given.bodies) if given.bodies else _run(given, _configurations(given)))
+        print_lines(
+            _of_bodies(given.bodies) if given.bodies else _run(given, _configurations(given))
+        )
     except PcretrieveError as error:
         sys.exit(str(error))
 
@@ -118,14 +120,47 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("--set", action="append", choices=SETS, help="one set only; may be repeated (default: all)")
     add("--conditions", nargs="+", choices=CONDITIONS, default=["typical-uniform"], metavar="NAME")
-    add("--config", action="append", type=Path, default=[], metavar="TOML|PRESET", help="may be repeated")
+    add(
+        "--config",
+        action="append",
+        type=Path,
+        default=[],
+        metavar="TOML|PRESET",
+        help="may be repeated",
+    )
     add("--name", action="append", help="names of the configurations (default: those of the files)")
-    add("--limit", type=positive, metavar="N", help="scan N meshes only, evenly spread over the set")
-    add("--rescans", type=positive, default=0, metavar="N", help="scan a few meshes N times, for the spread")
-    add("--bodies", nargs="+", type=positive, metavar="N", help="only scan analytic bodies, with N points")
-    add("--textbook", type=positive, default=0, metavar="K", help="time the textbook pipeline on K scans")
+    add(
+        "--limit", type=positive, metavar="N", help="scan N meshes only, evenly spread over the set"
+    )
+    add(
+        "--rescans",
+        type=positive,
+        default=0,
+        metavar="N",
+        help="scan a few meshes N times, for the spread",
+    )
+    add(
+        "--bodies",
+        nargs="+",
+        type=positive,
+        metavar="N",
+        help="only scan analytic bodies, with N points",
+    )
+    add(
+        "--textbook",
+        type=positive,
+        default=0,
+        metavar="K",
+        help="time the textbook pipeline on K scans",
+    )
     add("--csv", type=Path, metavar="FILE", help="append the rows to this file")
-    add("--workers", type=positive, default=1, metavar="N", help="processes; more than 1 spoil times")
+    add(
+        "--workers",
+        type=positive,
+        default=1,
+        metavar="N",
+        help="processes; more than 1 spoil times",
+    )
     return parser
 
 
@@ -134,7 +169,9 @@ def _configurations(given: argparse.Namespace) -> dict[str, PipelineOptions]:
     loaded = [PipelineOptions.of(name) for name in given.config] or [PipelineOptions()]
     names = given.name or [path.stem for path in given.config] or ["default"]
     if not len(set(names)) == len(names) == len(loaded):
-        raise InputError(f"configurations must have distinct names, one for each, got {', '.join(names)}")
+        raise InputError(
+            f"configurations must have distinct names, one for each, got {', '.join(names)}"
+        )
     return {
         name: options.changed(signature={"method": "r-bihdm", "n_values": N_VALUES})
         for name, options in zip(names, loaded, strict=True)
@@ -146,7 +183,8 @@ def _run(given: argparse.Namespace, configurations: dict[str, PipelineOptions]) 
     for name in given.set or SETS:
         items = SETS[name](given.data, given.limit)
         truths = {
-            label: _truth(name, items, options, given.workers) for label, options in configurations.items()
+            label: _truth(name, items, options, given.workers)
+            for label, options in configurations.items()
         }
         yield f"{name}:"
         yield TABLE.head
@@ -162,7 +200,10 @@ def _run(given: argparse.Namespace, configurations: dict[str, PipelineOptions]) 
 
 TURNED = Table(
     Column("body", 10, align="<"),
-    *(Column(title, 9, form) for title, form in (("points", ",d"), ("turned", ""), ("dropped", ",d"))),
+    *(
+        Column(title, 9, form)
+        for title, form in (("points", ",d"), ("turned", ""), ("dropped", ",d"))
+    ),
     *(Column(title, 9, ".3%") for title in ("median", "99 %", "largest")),
     *(Column(title, 9, form) for title, form in (("signature", ".4f"), ("time/s", ".1f"))),
 )
@@ -173,7 +214,10 @@ def _of_bodies(numbers: Sequence[int]) -> Iterator[str]:
     from the bodies, relative to the diagonal; and of the signature of the turned one from the other.
     """
     yield TURNED.head
-    options, turn = PipelineOptions().changed(signature=JUDGED), Rotation.random(random_state=1).as_matrix()
+    options, turn = (
+        PipelineOptions().changed(signature=JUDGED),
+        Rotation.random(random_state=1).as_matrix(),
+    )
     for n, (name, body) in product(numbers, BODIES.items()):
         points = points_of(body, n, np.random.default_rng(0))
         logs: list[FloatArray] = []
@@ -185,8 +229,14 @@ def _of_bodies(numbers: Sequence[int]) -> Iterator[str]:
             cleaned = next(step for step in shape.provenance if step.stage == "clean")
             meshes = [surface.mesh for surface in shape.surfaces if surface.mesh is not None]
             vertices = np.concatenate([mesh.vertices for mesh in meshes]) @ axes
-            apart = np.linalg.norm(vertices - feet(body, vertices), axis=1) / PointCloud(points).diagonal
-            measured = (int(cleaned.sizes["outliers"]), *np.quantile(apart, (0.5, 0.99, 1)).tolist())
+            apart = (
+                np.linalg.norm(vertices - feet(body, vertices), axis=1)
+                / PointCloud(points).diagonal
+            )
+            measured = (
+                int(cleaned.sizes["outliers"]),
+                *np.quantile(apart, (0.5, 0.99, 1)).tolist(),
+            )
             is_turned = "no" if len(logs) == 1 else "yes"
             moved = float(np.linalg.norm(logs[-1] - logs[0]))
             yield TURNED.row(name, n, is_turned, *measured, moved, seconds)
@@ -204,7 +254,9 @@ def _truth(name: str, items: list[Item], options: PipelineOptions, workers: int)
     return stacked(done)
 
 
-def _scanned(name: str, items: list[Item], condition: str, given: argparse.Namespace, folder: Path) -> Scans:
+def _scanned(
+    name: str, items: list[Item], condition: str, given: argparse.Namespace, folder: Path
+) -> Scans:
     """Scan every mesh of a set, scan some of them repeatedly, and time the textbook pipeline on some."""
     title = f"{name} {condition}"
     paths = [
@@ -234,7 +286,9 @@ def _scanned(name: str, items: list[Item], condition: str, given: argparse.Names
 def _row(scans: Scans, name: str, options: PipelineOptions, truth: Signatures, workers: int) -> Row:
     """Run one configuration on the scans of one condition; `truth` has the clean signatures."""
     title, n = f"{scans.set} {scans.condition} {name}", len(scans.items)
-    arguments = [(path, item.mesh, options) for path, item in zip(scans.paths, scans.items, strict=True)]
+    arguments = [
+        (path, item.mesh, options) for path, item in zip(scans.paths, scans.items, strict=True)
+    ]
     examined: list[Examination | None] = answers(title, examine, arguments, workers=workers)
     again = [(path, options) for own in scans.again for path in own]
     signed = iter(answers(f"{title} again", signature, again, workers=workers))
@@ -264,9 +318,13 @@ def _row(scans: Scans, name: str, options: PipelineOptions, truth: Signatures, w
         **{f"clean_{measure}": value for measure, value in clean.items()},
         "seconds": median(answer.seconds for answer in done),
         "processor_seconds": median(answer.processor for answer in done),
-        "stages": json.dumps({s: round(median(a.stages.get(s, 0.0) for a in done), 4) for s in stages}),
+        "stages": json.dumps(
+            {s: round(median(a.stages.get(s, 0.0) for a in done), 4) for s in stages}
+        ),
         "peak_mib": max((answer.peak for answer in done), default=NAN),
-        "rescan_spread": relative_spread(repeats, found.values, [scans.items[k].label for k in rows]),
+        "rescan_spread": relative_spread(
+            repeats, found.values, [scans.items[k].label for k in rows]
+        ),
         "textbook_seconds": textbook,
         "textbook_ratio": textbook / median(a.seconds for k in scans.timed if (a := examined[k])),
     }
@@ -279,12 +337,45 @@ NAN = float("nan")
 # that did not fail. Errors are of log-signatures with the scale relative; the spread of rescans is of
 # signatures by the options of the configuration. Values that were not or cannot be measured are NaN.
 COLUMNS = (
-    *("set", "condition", "name", "digest", "scans", "failed", "normals_right", "closed", "euler_right"),
+    *(
+        "set",
+        "condition",
+        "name",
+        "digest",
+        "scans",
+        "failed",
+        "normals_right",
+        "closed",
+        "euler_right",
+    ),
     *("distance_mean", "distance_hausdorff", "log_error_median", "log_error_mean"),
-    *("nn", "map", "nn_within", "map_within", "clean_nn", "clean_map", "clean_nn_within", "clean_map_within"),
+    *(
+        "nn",
+        "map",
+        "nn_within",
+        "map_within",
+        "clean_nn",
+        "clean_map",
+        "clean_nn_within",
+        "clean_map_within",
+    ),
     *("seconds", "stages", "peak_mib", "rescan_spread", "textbook_seconds", "textbook_ratio"),
-    *("nn_relative", "map_relative", "nn_pca", "map_pca", "clean_nn_relative", "clean_map_relative"),
-    *("clean_nn_pca", "clean_map_pca", "nn_sized", "map_sized", "clean_nn_sized", "clean_map_sized"),
+    *(
+        "nn_relative",
+        "map_relative",
+        "nn_pca",
+        "map_pca",
+        "clean_nn_relative",
+        "clean_map_relative",
+    ),
+    *(
+        "clean_nn_pca",
+        "clean_map_pca",
+        "nn_sized",
+        "map_sized",
+        "clean_nn_sized",
+        "clean_map_sized",
+    ),
     "processor_seconds",
 )
 
@@ -304,7 +395,10 @@ def lines_of(row: Row) -> Iterator[str]:
     yield "    " + ", ".join(f"{stage} {s:.2f} s ({s / total:.1%})" for stage, s in stages.items())
     for name, text in (
         ("processor_seconds", "processor time of a scan: {processor_seconds:.2f} s"),
-        ("rescan_spread", "spread of rescans / distance to the nearest other class: {rescan_spread:.3f}"),
+        (
+            "rescan_spread",
+            "spread of rescans / distance to the nearest other class: {rescan_spread:.3f}",
+        ),
         (
             "textbook_ratio",
             "textbook: median {textbook_seconds:.1f} s, {textbook_ratio:.1f} times as long as pcretrieve",
@@ -380,7 +474,9 @@ def retrieval(
     return found
 
 
-def relative_spread(repeats: list[list[FloatArray]], values: FloatArray, labels: list[str]) -> float:
+def relative_spread(
+    repeats: list[list[FloatArray]], values: FloatArray, labels: list[str]
+) -> float:
     """Spread of the signatures of repeated scans, relative to the distance of the nearest other class.
 
     repeats: signatures (L,) of the repeated scans of some bodies; values: (n, L), of one scan of each body.
@@ -481,7 +577,10 @@ def stacked(many: Sequence[Signatures]) -> Signatures:
     """The signatures of many shapes."""
     lengths = (N_VALUES, N_VALUES, N_LONGER, N_VALUES + 1)
     return Signatures(
-        *(np.array([one[k] for one in many]).reshape(-1, length) for k, length in enumerate(lengths))
+        *(
+            np.array([one[k] for one in many]).reshape(-1, length)
+            for k, length in enumerate(lengths)
+        )
     )
 
 
@@ -520,17 +619,25 @@ TIMEOUT = 900.0
 
 
 def answers(
-    title: str, function: Callable[..., Answer], arguments: Sequence[tuple[object, ...]], *, workers: int
+    title: str,
+    function: Callable[..., Answer],
+    arguments: Sequence[tuple[object, ...]],
+    *,
+    workers: int,
 ) -> list[Answer | None]:
     """Call a function once for each tuple of arguments, each in a process."""
     found: list[Answer | None] = [None] * len(arguments)
     calls = partial(_called, function)
     running = in_processes(calls, enumerate(arguments), workers=workers, timeout=TIMEOUT)
     with closing(running):
-        for (number, given), outcome in tqdm(running, title, len(arguments), disable=None, leave=False):
+        for (number, given), outcome in tqdm(
+            running, title, len(arguments), disable=None, leave=False
+        ):
             if isinstance(outcome, PcretrieveError):
                 place = given[0].name if isinstance(given[0], Path) else "a mesh"
-                tqdm.write(f"{title}: {place}: {type(outcome).__name__}: {outcome}", file=sys.stderr)
+                tqdm.write(
+                    f"{title}: {place}: {type(outcome).__name__}: {outcome}", file=sys.stderr
+                )
             else:
                 found[number] = outcome
     return found
@@ -561,7 +668,9 @@ def textbook_seconds(path: Path, timeout: float) -> float:
     if not isinstance(cloud, PointCloud):
         raise BenchmarkError(f"the textbook pipeline begins with points, got a mesh: {path}")
     framed = open3d_cloud(Frame.around(cloud.points, offset=DOUBLE_OFFSET).inward(cloud.points))
-    _, kept = framed.remove_statistical_outlier(nb_neighbors=OUTLIER_NEIGHBORS, std_ratio=OUTLIER_RATIO)
+    _, kept = framed.remove_statistical_outlier(
+        nb_neighbors=OUTLIER_NEIGHBORS, std_ratio=OUTLIER_RATIO
+    )
     points = cloud.points[np.sort(np.asarray(kept, dtype=np.int32))]
     normals = estimate_normals(points, n_neighbors=PLANE_NEIGHBORS)
     normals = orient_by_tangent_planes(points, normals, n_neighbors=TANGENT_NEIGHBORS)

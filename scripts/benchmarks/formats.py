@@ -45,7 +45,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print one line for each mesh and format."""
     parser = argument_parser(__doc__)
     add_data(parser)
-    parser.add_argument("--meshes", nargs="+", default=["cat0", "david0"], help="default: %(default)s")
+    parser.add_argument(
+        "--meshes", nargs="+", default=["cat0", "david0"], help="default: %(default)s"
+    )
     given = parser.parse_args(arguments)
     use_one_core()
     print_lines(_lines(given.data / "tosca", given.meshes))
@@ -62,7 +64,9 @@ def _lines(folder: Path, names: Sequence[str]) -> Iterator[str]:
                 _write(mesh, path)
                 change = np.abs(np.log(signature(path, R_BIHDM).values) - expected).max()
                 verdict = inspect_scan(path, n_rescans=0).verdict
-                yield TABLE.row(name, suffix, change, f"{defects(as_mesh(read_scan(path)))}; {verdict}")
+                yield TABLE.row(
+                    name, suffix, change, f"{defects(as_mesh(read_scan(path)))}; {verdict}"
+                )
 
 
 def touching(mesh: TriangleMesh) -> TriangleMesh:

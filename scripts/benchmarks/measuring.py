@@ -70,7 +70,11 @@ def resident_memory(pid: int) -> float:
 
 def _resident(pid: int) -> float:
     with contextlib.suppress(OSError, IndexError):
-        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / MIB
+        return (
+            int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+            * os.sysconf("SC_PAGE_SIZE")
+            / MIB
+        )
     return 0.0
 
 
@@ -112,7 +116,9 @@ POLL_SECONDS = 0.02
 def run_command(*arguments: str) -> tuple[float, float]:
     """Run ``pcretrieve`` in a process of its own, and discard its standard output."""
     # With byte code, as pip installs it: without it Python compiles the package at each start, .05 s.
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    environment = {
+        name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"
+    }
     command = [sys.executable, "-m", "pcretrieve", *arguments]
     started = time.perf_counter()
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=environment)
@@ -208,7 +214,8 @@ class Table:
 
     def _line(self, cells: Iterable[str]) -> str:
         padded = (
-            f"{cell:{column.align}{column.width}}" for column, cell in zip(self.columns, cells, strict=True)
+            f"{cell:{column.align}{column.width}}"
+            for column, cell in zip(self.columns, cells, strict=True)
         )
         return " ".join(padded).rstrip()
 

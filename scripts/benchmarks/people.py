@@ -49,7 +49,17 @@ LOCAL, ASYMMETRY = 0.25, 0.03
 # Beginnings of the names of the local changes that are drawn. Those of eyes, lips and nostrils are finer than
 # the spacing of the points.
 CHANGED = (
-    *("upperarm", "lowerarm", "measure", "upperleg", "lowerleg", "leg-valgus", "hip", "torso", "stomach"),
+    *(
+        "upperarm",
+        "lowerarm",
+        "measure",
+        "upperleg",
+        "lowerleg",
+        "leg-valgus",
+        "hip",
+        "torso",
+        "stomach",
+    ),
     *(
         "buttocks",
         "hand",
@@ -102,7 +112,9 @@ class People:
             matrix = torch.as_tensor(turn.as_matrix(), dtype=torch.float32)
             motions[0, self._model.bone_labels.index(bone), :3, :3] = matrix
         with torch.no_grad():
-            found = self._model(pose_parameters=motions, phenotype_kwargs=shape, local_changes_kwargs=local)
+            found = self._model(
+                pose_parameters=motions, phenotype_kwargs=shape, local_changes_kwargs=local
+            )
         x, y, z = found["vertices"][0].double().numpy().T  # z up, and the face looks along -y
         return TriangleMesh(np.column_stack([x, z, -y]), self.faces)
 
@@ -125,7 +137,9 @@ def joints(pose: str, rng: np.random.Generator) -> dict[str, Rotation]:
     """
 
     def turn(x: float = 0.0, y: float = 0.0, z: float = 0.0, error: float = 0.0) -> Rotation:
-        return Rotation.from_euler("xyz", np.array([x, y, z]) + rng.normal(0, error, 3), degrees=True)
+        return Rotation.from_euler(
+            "xyz", np.array([x, y, z]) + rng.normal(0, error, 3), degrees=True
+        )
 
     def between(low: float, high: float) -> float:
         return float(rng.uniform(low, high))
@@ -161,7 +175,9 @@ def joints(pose: str, rng: np.random.Generator) -> dict[str, Rotation]:
         hips, knees = [0.9 * crouch] * 2, [1.3 * crouch] * 2
     turns = {}
     for side, sign, row in (("L", 1, 0), ("R", -1, 1)):
-        turns[f"upperarm01.{side}"] = turn(x=-ahead[row], error=3) * turn(y=-sign * lowered[row], error=3)
+        turns[f"upperarm01.{side}"] = turn(x=-ahead[row], error=3) * turn(
+            y=-sign * lowered[row], error=3
+        )
         turns[f"lowerarm01.{side}"] = turn(x=-bent[row], error=4) * turn(z=-sign * inwards)
         turns[f"wrist.{side}"] = turn(error=8)
         turns[f"upperleg01.{side}"] = turn(x=-hips[row], y=-sign * spread[row], error=2)

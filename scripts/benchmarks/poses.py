@@ -17,18 +17,25 @@ _PERSON: dict[str, Pose] = {
     "reach_up": Pose(both(clavicle=(0, 22, 0), shoulder=(10, 88, 0)) | turn(neck=-12)),
     "bow": Pose(both(hip=38, knee=-6, shoulder=(45, -25, 0)) | turn(spine=52, neck=15)),
     "kick": Pose(
-        both(shoulder=(0, 15, 0), elbow=20) | left(hip=78, knee=-14) | right(knee=-10) | turn(spine=-8)
+        both(shoulder=(0, 15, 0), elbow=20)
+        | left(hip=78, knee=-14)
+        | right(knee=-10)
+        | turn(spine=-8)
     ),
     "arms_crossed": Pose(
         left(shoulder=(22, -30, 62), elbow=96) | right(shoulder=(36, -22, 62), elbow=96),
         contacts=(
             Contact(("left_forearm", "left_hand"), _TRUNK, ("left_shoulder",)),
-            Contact(("right_forearm", "right_hand"), ("left_forearm", "left_hand"), ("right_shoulder",)),
+            Contact(
+                ("right_forearm", "right_hand"), ("left_forearm", "left_hand"), ("right_shoulder",)
+            ),
         ),
     ),
     "hands_clasped": Pose(
         left(shoulder=(34, -32, 58), elbow=66) | right(shoulder=(24, -32, 58), elbow=66),
-        contacts=(Contact(("left_fingers",), ("right_hand",), ("left_shoulder", "right_shoulder")),),
+        contacts=(
+            Contact(("left_fingers",), ("right_hand",), ("left_shoulder", "right_shoulder")),
+        ),
     ),
     "legs_crossed": Pose(
         both(shoulder=(30, -30, 0), elbow=40)
@@ -77,19 +84,26 @@ _ANIMAL: dict[str, Pose] = {
         both(hip=72, knee=-50, hock=25, shoulder=-52, elbow=25) | turn(spine=45, neck=-42, tail=-30)
     ),
     "look_up": Pose(_STAND | turn(neck=-28, head=-38, tail=-70)),
-    "look_back": Pose(_STAND | turn(neck=(0, 70, 0), head=(0, 30, 0), spine=(0, 30, 0), tail=(0, 50, 0))),
+    "look_back": Pose(
+        _STAND | turn(neck=(0, 70, 0), head=(0, 30, 0), spine=(0, 30, 0), tail=(0, 50, 0))
+    ),
     "rear": Pose(
         both(hip=-22, knee=-52, hock=36, shoulder=30, elbow=75, wrist=-50)
         | turn(pelvis=-52, spine=-16, neck=25)
     ),
     "play_bow": Pose(
-        _HIND | both(shoulder=(52, 6, 0), elbow=28, wrist=-6) | turn(pelvis=22, spine=-18, neck=-22, tail=-95)
+        _HIND
+        | both(shoulder=(52, 6, 0), elbow=28, wrist=-6)
+        | turn(pelvis=22, spine=-18, neck=-22, tail=-95)
     ),
-    "sit": Pose(_FOLDED_HIND | both(shoulder=-28, elbow=22, wrist=-8) | turn(pelvis=-46, neck=30, tail=-25)),
+    "sit": Pose(
+        _FOLDED_HIND | both(shoulder=-28, elbow=22, wrist=-8) | turn(pelvis=-46, neck=30, tail=-25)
+    ),
     "lie": Pose(
         _FOLDED_HIND | both(shoulder=(-42, 4, 0), elbow=100, wrist=-4) | turn(tail=(10, 25, 0)),
         contacts=tuple(
-            Contact((f"{side}_shank",), ("loins", "ribs"), (f"{side}_hip",)) for side in ("left", "right")
+            Contact((f"{side}_shank",), ("loins", "ribs"), (f"{side}_hip",))
+            for side in ("left", "right")
         ),
     ),
     "legs_together": Pose(
@@ -111,7 +125,9 @@ _ANIMAL: dict[str, Pose] = {
 
 
 def _on_palm(*fingers: str) -> tuple[Contact, ...]:
-    return tuple(Contact((f"{finger}_3",), ("palm",), (f"{finger}_1", f"{finger}_2")) for finger in fingers)
+    return tuple(
+        Contact((f"{finger}_3",), ("palm",), (f"{finger}_1", f"{finger}_2")) for finger in fingers
+    )
 
 
 _CLOSED = (80.0, 95.0, 50.0)
@@ -119,25 +135,37 @@ _THUMB_IN = turn(thumb_1=24, thumb_2=30, thumb_3=38)
 _SIDE_BY_SIDE = (("index", "middle"), ("ring", "middle"), ("little", "ring"))
 
 _HAND: dict[str, Pose] = {
-    "spread": Pose(turn(index_1=(-6, -8, 0), ring_1=(-6, 6, 0), little_1=(-8, 14, 0), thumb_1=(-16, 10, 0))),
+    "spread": Pose(
+        turn(index_1=(-6, -8, 0), ring_1=(-6, 6, 0), little_1=(-8, 14, 0), thumb_1=(-16, 10, 0))
+    ),
     "grasp": Pose(curl(FINGERS, (42, 48, 28)) | turn(thumb_1=20, thumb_2=22)),
     "claw": Pose(curl(FINGERS, (-12, 75, 48)) | turn(thumb_2=30, thumb_3=35)),
     "table": Pose(curl(FINGERS, (78, 6, 4)) | turn(thumb_1=8)),
     "wave": Pose(turn(wrist=(-38, 14, 0)) | curl(FINGERS, (10, 12, 8))),
-    "fan": Pose(turn(index_1=0, middle_1=25, ring_1=50, little_1=72, middle_2=15, ring_2=32, little_2=45)),
+    "fan": Pose(
+        turn(index_1=0, middle_1=25, ring_1=50, little_1=72, middle_2=15, ring_2=32, little_2=45)
+    ),
     "thumb_out": Pose(curl(FINGERS, (55, 72, 40)) | turn(thumb_1=-14, thumb_3=-10)),
     "fist": Pose(curl(FINGERS, _CLOSED) | _THUMB_IN, contacts=_on_palm(*FINGERS)),
     "point": Pose(
         curl(FINGERS[1:], _CLOSED) | _THUMB_IN,
-        contacts=(*_on_palm(*FINGERS[1:]), Contact(("thumb_3",), ("middle_2", "middle_3"), ("thumb_1",))),
+        contacts=(
+            *_on_palm(*FINGERS[1:]),
+            Contact(("thumb_3",), ("middle_2", "middle_3"), ("thumb_1",)),
+        ),
     ),
     "victory": Pose(
         curl(FINGERS[2:], _CLOSED) | _THUMB_IN,
-        contacts=(*_on_palm(*FINGERS[2:]), Contact(("thumb_3",), ("ring_2", "ring_3"), ("thumb_1",))),
+        contacts=(
+            *_on_palm(*FINGERS[2:]),
+            Contact(("thumb_3",), ("ring_2", "ring_3"), ("thumb_1",)),
+        ),
     ),
     "together": Pose(
         contacts=tuple(
-            Contact((f"{finger}_2", f"{finger}_3"), (f"{next_to}_2", f"{next_to}_3"), (f"{finger}_1",))
+            Contact(
+                (f"{finger}_2", f"{finger}_3"), (f"{next_to}_2", f"{next_to}_3"), (f"{finger}_1",)
+            )
             for finger, next_to in _SIDE_BY_SIDE
         )
     ),

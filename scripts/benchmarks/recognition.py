@@ -30,7 +30,14 @@ from scipy.stats import hypergeom
 from sklearn.neural_network import MLPRegressor
 
 import pcretrieve.retrieval
-from benchmarks.measuring import Column, Table, all_in_workers, argument_parser, draw_curves, print_lines
+from benchmarks.measuring import (
+    Column,
+    Table,
+    all_in_workers,
+    argument_parser,
+    draw_curves,
+    print_lines,
+)
 from benchmarks.sets import to_faces
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
@@ -69,12 +76,16 @@ class Scans(NamedTuple):
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the curve, or learn."""
     parser = argument_parser(__doc__)
-    parser.add_argument("catalogues", nargs="+", type=Path, help="catalogues of labelled scans of people")
+    parser.add_argument(
+        "catalogues", nargs="+", type=Path, help="catalogues of labelled scans of people"
+    )
     parser.add_argument(
         "--unseen", type=int, help="judge by so many people, drawn at random, and learn from others"
     )
     parser.add_argument("--learn", action="store_true", help="write the moments into the package")
-    parser.add_argument("--coarser", action="store_true", help="add what coarser meshes of the scans change")
+    parser.add_argument(
+        "--coarser", action="store_true", help="add what coarser meshes of the scans change"
+    )
     parser.add_argument("--methods", nargs="+", default=["hapt+r-bihdm", "hapt", "r-bihdm"])
     parser.add_argument("--draw", type=Path, metavar="PICTURE", help="draw the curve")
     given = parser.parse_args(arguments)
@@ -83,7 +94,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         arrays = learned(scans_of(given.catalogues)) if given.learn else dict(np.load(target))
         if given.coarser:
             changed = coarser(given.catalogues) / np.outer(arrays["scale"], arrays["scale"])
-            arrays |= {name: (arrays[name] + changed).astype(np.float32) for name in ("within", "total")}
+            arrays |= {
+                name: (arrays[name] + changed).astype(np.float32) for name in ("within", "total")
+            }
         packed = io.BytesIO()
         np.savez_compressed(packed, allow_pickle=False, **arrays)
         write_file(target, packed.getvalue())
@@ -119,7 +132,9 @@ def learned(scans: Scans) -> dict[str, FloatArray]:
     scale = np.repeat(scale, [part.shape[1] for part in scans.parts.values()])
     points = np.concatenate(list(scans.parts.values()), axis=1) / scale
     n_of = np.bincount(scans.person)
-    means = np.stack([np.bincount(scans.person, column) for column in points.T], axis=1) / n_of[:, None]
+    means = (
+        np.stack([np.bincount(scans.person, column) for column in points.T], axis=1) / n_of[:, None]
+    )
     apart = points - means[scans.person]
     within = apart.T @ apart / (len(points) - len(n_of))
     variances = np.diag(within)
@@ -129,7 +144,12 @@ def learned(scans: Scans) -> dict[str, FloatArray]:
     between = np.cov(means.T) - within * (1 / n_of).mean()
     weights, directions = np.linalg.eigh(between)
     between = (directions * np.maximum(weights, 0)) @ directions.T
-    moments = {"mean": points.mean(axis=0), "within": shrunk, "total": shrunk + between, "scale": scale}
+    moments = {
+        "mean": points.mean(axis=0),
+        "within": shrunk,
+        "total": shrunk + between,
+        "scale": scale,
+    }
     moments["network"] = _network(scans, moments)
     return {name: array.astype(np.float32) for name, array in moments.items()}
 
@@ -217,7 +237,9 @@ def _some(scans: Scans, chosen: Positions) -> Scans:
     return Scans({name: part[rows] for name, part in scans.parts.items()}, person)
 
 
-def _lines(scans: Scans, methods: Sequence[str], n_unseen: int | None, picture: Path | None) -> Iterator[str]:
+def _lines(
+    scans: Scans, methods: Sequence[str], n_unseen: int | None, picture: Path | None
+) -> Iterator[str]:
     n_people, arrays = int(scans.person.max()) + 1, None
     curves: dict[str, FloatArray] = {}
     if n_unseen is not None:
@@ -252,7 +274,9 @@ def fused_points(parts: Mapping[str, FloatArray], options: SignatureOptions) -> 
     """The coordinates (n, L) of signatures by some options, of those of each part."""
     names = fused_names(options.method)
     scale = {name: DESCRIPTORS[name].spread if len(names) > 1 else 1.0 for name in names}
-    columns = [parts[name][:, : {"r-bihdm": options.n_values}.get(name)] / scale[name] for name in names]
+    columns = [
+        parts[name][:, : {"r-bihdm": options.n_values}.get(name)] / scale[name] for name in names
+    ]
     if options.size_weight:
         columns.append(options.size_weight * parts["size"])
     return np.concatenate(columns, axis=1)
@@ -294,15 +318,22 @@ def recognition(points: FloatArray, person: Positions) -> list[Row]:
         later = np.arange(len(points)) > rows[:, np.newaxis]
         genuine.append(gaps[same & later])
         impostor.append(gaps[~same & later].astype(np.float32))
-    errors_of_pairs = verification(*(np.sort(np.concatenate(pairs)) for pairs in (genuine, impostor)))
+    errors_of_pairs = verification(
+        *(np.sort(np.concatenate(pairs)) for pairs in (genuine, impostor))
+    )
     if errors_of_pairs is None:
-        raise BenchmarkError("the scans must be of two people or more, some person with two of them")
+        raise BenchmarkError(
+            "the scans must be of two people or more, some person with two of them"
+        )
     missed, equal = errors_of_pairs.missed(ACCEPTED), errors_of_pairs.equal_error
     nearer, n_people = np.concatenate(n_nearer), len(first)
     known = [size for size in SIZES if size < n_people] + [n_people]
     # Of the people who are nearer than the query's own scans, how many are in a random gallery.
     rates = np.array(
-        [[np.mean(hypergeom.cdf(r - 1, n_people - 1, nearer, n - 1)) for r in (1, 5)] for n in known]
+        [
+            [np.mean(hypergeom.cdf(r - 1, n_people - 1, nearer, n - 1)) for r in (1, 5)]
+            for n in known
+        ]
     )
     used = np.array(known) >= FITTED_FROM
     beyond = [size for size in SIZES if size > n_people] if used.sum() > 1 else []

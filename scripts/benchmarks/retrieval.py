@@ -62,7 +62,12 @@ from pcretrieve.retrieval.whitening import CALIBRATED, calibrated_whitening
 from pcretrieve.values import FloatArray, Metric, SignatureTable
 
 MESHES = {"shrec11": "shrec11", "tosca": "tosca", "people": "humans"}
-SCANS = {"tosca-scans": "tosca", "tosca-sensors": "tosca", "people-scans": "humans", "samples": "scans"}
+SCANS = {
+    "tosca-scans": "tosca",
+    "tosca-sensors": "tosca",
+    "people-scans": "humans",
+    "samples": "scans",
+}
 VECTORS: dict[str, tuple[str, Metric]] = {
     "shrec14-real": ("real.mat", "values"),
     "shrec14-synthetic": ("synthetic.mat", "values"),
@@ -99,7 +104,10 @@ NO_MATCH_TABLE = Table(
     Column("scores from", 12, align="<"),
     Column("whitening", 22, align="<"),
     Column("out", 5, ".1f"),
-    *(Column(title, 9, ".3f") for title in ("sure", "given", "precision", "recall", "matched", "right")),
+    *(
+        Column(title, 9, ".3f")
+        for title in ("sure", "given", "precision", "recall", "matched", "right")
+    ),
 )
 
 N_HALVES = 5
@@ -115,14 +123,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argument_parser(__doc__)
     add_data(parser)
     parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, help="some sets only")
-    parser.add_argument("--samples", type=Path, default=Path("scans"), help="folder of the sample scans")
-    parser.add_argument("--methods", nargs="+", default=["hapt+r-bihdm"], help="descriptors")
-    parser.add_argument("--n-values", type=int, nargs="+", default=[23], help="lengths of the descriptors")
-    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the catalogues in this folder")
     parser.add_argument(
-        "--no-match", action="store_true", help='print how good the answer "no match" is, on classes left out'
+        "--samples", type=Path, default=Path("scans"), help="folder of the sample scans"
     )
-    parser.add_argument("--atoms", action="store_true", help="print what atoms learned from labels are worth")
+    parser.add_argument("--methods", nargs="+", default=["hapt+r-bihdm"], help="descriptors")
+    parser.add_argument(
+        "--n-values", type=int, nargs="+", default=[23], help="lengths of the descriptors"
+    )
+    parser.add_argument(
+        "--keep", type=Path, metavar="FOLDER", help="keep the catalogues in this folder"
+    )
+    parser.add_argument(
+        "--no-match",
+        action="store_true",
+        help='print how good the answer "no match" is, on classes left out',
+    )
+    parser.add_argument(
+        "--atoms", action="store_true", help="print what atoms learned from labels are worth"
+    )
     given = parser.parse_args(arguments)
     use_one_core()
     print_lines(_lines(given))
@@ -183,7 +201,9 @@ def _catalogue_rows(
                 yield from rows(name, table, chosen.signature, failed)
 
 
-def _files(name: str, folder: Path, given: argparse.Namespace) -> tuple[Path, dict[str, str] | None]:
+def _files(
+    name: str, folder: Path, given: argparse.Namespace
+) -> tuple[Path, dict[str, str] | None]:
     """The folder of the files of a set, which are written if they do not exist, and their classes."""
     if name == "samples" or MESHES.get(name) in ("shrec11", "tosca"):
         return _needed(name, given), None
@@ -233,7 +253,13 @@ def _no_match_rows(
         found = no_match_measures(table, left_out=out, labelled=labelled, moments=known)
         facts = name, "labels" if labelled else "neighbours", found.whitening, out
         yield NO_MATCH_TABLE.row(
-            *facts, found.sure, found.given, found.precision, found.recall, found.matched, found.right
+            *facts,
+            found.sure,
+            found.given,
+            found.precision,
+            found.recall,
+            found.matched,
+            found.right,
         )
 
 
@@ -241,7 +267,11 @@ def _atoms_rows(name: str, catalogue: Catalogue, options: PipelineOptions) -> It
     """What learned atoms are worth for other classes, and for other shapes of the same classes."""
     shipped = options.changed(signature={"method": "dl-supervised"})
     before = catalogue.signatures(shipped)
-    labels = {key: label for key, label in zip(before.ids, before.labels, strict=True) if label is not None}
+    labels = {
+        key: label
+        for key, label in zip(before.ids, before.labels, strict=True)
+        if label is not None
+    }
     retrieval = RetrievalOptions(whitening="none")
     for what in ("classes", "shapes"):
         rng, rows = np.random.default_rng(SEED), []
@@ -249,17 +279,27 @@ def _atoms_rows(name: str, catalogue: Catalogue, options: PipelineOptions) -> It
             kinds = rng.permutation(sorted(set(labels.values()))).tolist()
             known = {key for key, label in labels.items() if label in kinds[: len(kinds) // 2]}
             if what == "shapes":
-                members = [[key for key, label in labels.items() if label == kind] for kind in kinds]
+                members = [
+                    [key for key, label in labels.items() if label == kind] for kind in kinds
+                ]
                 known = {
-                    key for own in members for key in rng.permutation(own)[: (len(own) + 1) // 2].tolist()
+                    key
+                    for own in members
+                    for key in rng.permutation(own)[: (len(own) + 1) // 2].tolist()
                 }
             own = {key: labels[key] for key in sorted(known)}
-            atoms = learned_atoms(map(catalogue.mesh, own), [*own.values()], shipped.signature.n_modes)
+            atoms = learned_atoms(
+                map(catalogue.mesh, own), [*own.values()], shipped.signature.n_modes
+            )
             after = catalogue.signatures(shipped.changed(signature={"atoms": atoms.tolist()}))
             others = [key for key in labels if key not in known]
-            rows.append([evaluate_table(one.select(others), retrieval).map for one in (before, after)])
+            rows.append(
+                [evaluate_table(one.select(others), retrieval).map for one in (before, after)]
+            )
         gains = np.diff(rows, axis=1)
-        yield ATOMS_TABLE.row(name, what, *np.mean(rows, axis=0), gains.mean(), gains.min(), gains.max())
+        yield ATOMS_TABLE.row(
+            name, what, *np.mean(rows, axis=0), gains.mean(), gains.min(), gains.max()
+        )
 
 
 # Random draws of the classes of the fit, and their seed.
@@ -280,9 +320,15 @@ def calibrated_measures(
     rows = []
     for _ in range(N_DRAWS):
         drawn = {classes[number] for number in rng.choice(len(classes), n_classes, replace=False)}
-        fitted = [shape_id for shape_id, label in zip(table.ids, table.labels, strict=True) if label in drawn]
+        fitted = [
+            shape_id
+            for shape_id, label in zip(table.ids, table.labels, strict=True)
+            if label in drawn
+        ]
         others = [shape_id for shape_id in table.ids if shape_id not in set(fitted)]
-        whitening = replace(calibrated_whitening(table.select(fitted), options, moments), kind=CALIBRATED)
+        whitening = replace(
+            calibrated_whitening(table.select(fitted), options, moments), kind=CALIBRATED
+        )
         misses = {shape_id: label for shape_id, label in failed.items() if label not in drawn}
         measures = evaluate_table(table.select(others), options, whitening=whitening, failed=misses)
         rows.append(measure_values(measures))
@@ -385,7 +431,9 @@ def _split(
         raise BenchmarkError(
             f"classes can be left out of two classes of {SMALLEST} shapes or more, got {len(classes)}"
         )
-    known = set(rng.permutation(classes)[: len(classes) - max(1, round(left_out * len(classes)))].tolist())
+    known = set(
+        rng.permutation(classes)[: len(classes) - max(1, round(left_out * len(classes)))].tolist()
+    )
     gallery: list[int] = []
     queries: list[int] = []
     for label in classes:

@@ -16,7 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.measuring import Column, Table, add_data, all_in_workers, argument_parser, print_lines
+from benchmarks.measuring import (
+    Column,
+    Table,
+    add_data,
+    all_in_workers,
+    argument_parser,
+    print_lines,
+)
 from benchmarks.paper.shapes import noisy, without_faces
 from benchmarks.recognition import fused_points
 from benchmarks.sets import SETS, Item, left_out, to_faces
@@ -72,7 +79,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argument_parser(__doc__)
     add_data(parser)
     parser.add_argument("--limit", type=int, default=None, help="bodies of each set (default: all)")
-    parser.add_argument("--only", nargs="+", choices=SETS, default=list(SETS), help="some sets only")
+    parser.add_argument(
+        "--only", nargs="+", choices=SETS, default=list(SETS), help="some sets only"
+    )
     given = parser.parse_args(arguments)
     print_lines(_lines(given.data, given.limit, given.only))
 
@@ -86,7 +95,9 @@ def _lines(data: Path, limit: int | None, only: Sequence[str]) -> Iterator[str]:
         bodies = items(data, limit)
         made: dict[str, list[Parts | None]] = {}
         for change in CHANGES:
-            made[change] = all_in_workers(parts, [Task(body, change) for body in bodies], f"{name}, {change}")
+            made[change] = all_in_workers(
+                parts, [Task(body, change) for body in bodies], f"{name}, {change}"
+            )
         for change, queries in made.items():
             gallery = queries if change == SCANS else list(made["as it is"])
             classes = np.array([body.label for body in bodies])
@@ -119,20 +130,28 @@ def parts(task: Task) -> Parts | None:
     options = PipelineOptions().changed(surface={"mode": "auto" if change == SCANS else "keep"})
     try:
         shape = process(CHANGES[change](item.mesh, rng=rng), options)
-        made = (SignatureOptions(method=method, n_values=59) for method in ("hapt", "r-bihdm", "moments"))
+        made = (
+            SignatureOptions(method=method, n_values=59)
+            for method in ("hapt", "r-bihdm", "moments")
+        )
         return Parts(*(describe(shape, one).values for one in made))
     except ShapeError:
         return None
 
 
-def _copies(gallery: Sequence[Parts | None], queries: Sequence[Parts | None]) -> tuple[float, float]:
+def _copies(
+    gallery: Sequence[Parts | None], queries: Sequence[Parts | None]
+) -> tuple[float, float]:
     """The share of the queries that are near their own shape, and the number of other near pairs."""
     known, points = (
-        np.log([one.moments if one else np.full(6, np.nan) for one in side]) for side in (gallery, queries)
+        np.log([one.moments if one else np.full(6, np.nan) for one in side])
+        for side in (gallery, queries)
     )
     near = pairwise("log", points, known) <= SAME
     is_own = np.eye(len(near), dtype=bool)
-    return float("nan") if gallery is queries else float(near[is_own].mean()), float(near[~is_own].sum() / 2)
+    return float("nan") if gallery is queries else float(near[is_own].mean()), float(
+        near[~is_own].sum() / 2
+    )
 
 
 def _map(

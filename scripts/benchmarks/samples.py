@@ -61,7 +61,9 @@ def write(path: Path, surface: TriangleMesh, placed: FloatArray, rng: np.random.
     return scanned(path, surface, placed, rng)
 
 
-def write_views(path: Path, surface: TriangleMesh, placed: FloatArray, rng: np.random.Generator) -> Path:
+def write_views(
+    path: Path, surface: TriangleMesh, placed: FloatArray, rng: np.random.Generator
+) -> Path:
     """Write the views of a body on a turntable, each in the frame of the scanner, and their poses.
 
     placed: (4, 4) float64, rigid motion from the frame of the body to the common frame of the views.
@@ -70,7 +72,9 @@ def write_views(path: Path, surface: TriangleMesh, placed: FloatArray, rng: np.r
     names, motions = [], []
     for view, cloud in enumerate(scan_views(surface, rig, rng)):
         to_body = np.eye(4)
-        to_body[:3, :3] = Rotation.from_euler("y", 360 * view / rig.n_views, degrees=True).as_matrix()
+        to_body[:3, :3] = Rotation.from_euler(
+            "y", 360 * view / rig.n_views, degrees=True
+        ).as_matrix()
         to_body[:3, 3] = surface.vertices.mean(axis=0) + rng.normal(0, SLIP, 3)
         to_scanner = np.linalg.inv(to_body).astype(np.float64)
         camera = to_scanner @ camera_pose(surface, rig, view)
@@ -109,5 +113,7 @@ def write_conf(path: Path, names: Sequence[str], motions: FloatArray) -> None:
     lines = []
     for name, motion in zip(names, motions, strict=True):
         inverse = Rotation.from_matrix(motion[:3, :3]).inv().as_quat(canonical=True)
-        lines.append(" ".join(["bmesh", name, *(f"{value:.9g}" for value in (*motion[:3, 3], *inverse))]))
+        lines.append(
+            " ".join(["bmesh", name, *(f"{value:.9g}" for value in (*motion[:3, 3], *inverse))])
+        )
     write_file(path, ("\n".join(lines) + "\n").encode())

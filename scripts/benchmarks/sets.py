@@ -126,7 +126,9 @@ def written_set(items: Sequence[Item], folder: Path, condition: str | None) -> d
 
 def _written(item: Item, folder: Path, condition: str | None) -> Path:
     if condition is not None:
-        return write_scan(folder / item.name, item.mesh, condition, np.random.default_rng(item.number))
+        return write_scan(
+            folder / item.name, item.mesh, condition, np.random.default_rng(item.number)
+        )
     path = folder / f"{item.name}.off"
     write_mesh(item.mesh, path)
     return path
@@ -155,15 +157,31 @@ def described(
             values[shape_id] = describe(catalogue.shape(shape_id, descriptor.needs), options).values
     labels = tuple(failed.pop(shape_id) for shape_id in values)
     table = SignatureTable(
-        tuple(values), np.array([*values.values()]), options.method, labels=labels, metric=descriptor.metric
+        tuple(values),
+        np.array([*values.values()]),
+        options.method,
+        labels=labels,
+        metric=descriptor.metric,
     )
     return table, failed
 
 
 LEVELS: dict[str, dict[str, Any]] = {
-    "easy": {"n_points": 100_000, "noise": 0.0005, "n_holes": 2, "hole_radius": 0.01, "outlier_share": 0.0},
+    "easy": {
+        "n_points": 100_000,
+        "noise": 0.0005,
+        "n_holes": 2,
+        "hole_radius": 0.01,
+        "outlier_share": 0.0,
+    },
     "typical": asdict(UniformOptions()),
-    "harsh": {"n_points": 20_000, "noise": 0.003, "n_holes": 10, "hole_radius": 0.02, "outlier_share": 0.01},
+    "harsh": {
+        "n_points": 20_000,
+        "noise": 0.003,
+        "n_holes": 10,
+        "hole_radius": 0.02,
+        "outlier_share": 0.01,
+    },
 }
 
 # The options that cameras add to a level: the number of pixels, which suffices for its points, and flying
@@ -190,7 +208,9 @@ def write_scan(stem: Path, mesh: TriangleMesh, condition: str, rng: np.random.Ge
         return path
     level, sampling, *sensors = condition.split("-")
     if sampling == "uniform":
-        cloud = scan_uniformly(mesh, UniformOptions(**LEVELS[level] | {"sensors": bool(sensors)}), rng)
+        cloud = scan_uniformly(
+            mesh, UniformOptions(**LEVELS[level] | {"sensors": bool(sensors)}), rng
+        )
     else:
         numbers = {name: value for name, value in LEVELS[level].items() if name != "sensors"}
         cloud = scan(mesh, RigOptions(**numbers | CAMERAS[level]), rng)
@@ -230,7 +250,10 @@ def damaged(mesh: TriangleMesh, options: DamageOptions, rng: np.random.Generator
         return near
 
     # Flaps and the second surface are copied from the mesh before holes are cut.
-    sheets = [_turned(mesh.vertices, mesh.faces[patch(options.radius)], rng) for _ in range(options.n_flaps)]
+    sheets = [
+        _turned(mesh.vertices, mesh.faces[patch(options.radius)], rng)
+        for _ in range(options.n_flaps)
+    ]
     if options.shell_radius > 0:
         beneath = mesh.vertices - options.shell_depth * mesh.diagonal * vertex_normals(mesh)
         sheets.append((beneath, mesh.faces[patch(options.shell_radius)]))
@@ -242,7 +265,9 @@ def damaged(mesh: TriangleMesh, options: DamageOptions, rng: np.random.Generator
     for _ in range(options.n_holes):
         whole &= ~patch(options.radius)
     faces = faces[whole]
-    twice = faces[rng.choice(len(faces), round(options.duplicated_share * len(faces)), replace=False)]
+    twice = faces[
+        rng.choice(len(faces), round(options.duplicated_share * len(faces)), replace=False)
+    ]
     twice[::2] = twice[::2, ::-1]
     vertices, parts = [mesh.vertices], [faces, twice]
     for points, sheet in sheets:
@@ -252,7 +277,9 @@ def damaged(mesh: TriangleMesh, options: DamageOptions, rng: np.random.Generator
     return TriangleMesh(np.concatenate(vertices), np.concatenate(parts))
 
 
-def _turned(vertices: FloatArray, faces: IntArray, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
+def _turned(
+    vertices: FloatArray, faces: IntArray, rng: np.random.Generator
+) -> tuple[FloatArray, IntArray]:
     """All vertices, rotated at random about the mean vertex of some faces, and these faces."""
     middle = vertices[faces].mean(axis=(0, 1))
     turn = Rotation.from_quat(rng.standard_normal(4)).as_matrix()

@@ -76,8 +76,12 @@ def features() -> Iterator[PointFeatures]:
             pose = list(poses.values())[number % len(poses)]
             pairs = unit_eigenpairs(body(make_subject(family, rng), pose, rng), N_MODES + 1)
             share = np.asarray(pairs.mass.sum(axis=1))  # (n,)
-            picked = rng.choice(len(share), POINTS_PER_SUBJECT, replace=False, p=share / share.sum())
-            heat = np.array([heat_features(pairs, scale_invariant=kind)[picked] for kind in (False, True)])
+            picked = rng.choice(
+                len(share), POINTS_PER_SUBJECT, replace=False, p=share / share.sum()
+            )
+            heat = np.array(
+                [heat_features(pairs, scale_invariant=kind)[picked] for kind in (False, True)]
+            )
             yield PointFeatures(heat, wavelet_signatures(pairs, N_MODES)[picked])
 
 
@@ -104,7 +108,9 @@ def surfaces(n_subjects: int, n_poses: int) -> Iterator[tuple[SurfacePoints, str
             subject = make_subject(name, np.random.default_rng((DICTIONARY_SEED, family, number)))
             for turn in range(n_poses):
                 rng = np.random.default_rng((DICTIONARY_SEED, family, number, turn))
-                pose = list(poses.values())[(number + turn * max(1, len(poses) // n_poses)) % len(poses)]
+                pose = list(poses.values())[
+                    (number + turn * max(1, len(poses) // n_poses)) % len(poses)
+                ]
                 pairs = unit_eigenpairs(body(subject, pose, rng), N_MODES + 1)
                 yield surface_points(pairs), f"{name} {number}"
 
@@ -112,8 +118,12 @@ def surfaces(n_subjects: int, n_poses: int) -> Iterator[tuple[SurfacePoints, str
 def dictionaries(bodies: Sequence[tuple[SurfacePoints, str]]) -> FloatArray:
     """(2, 32, d) the atoms learned without labels, and those learned from these with labels."""
     rng = np.random.default_rng(DICTIONARY_SEED)
-    drawn = [rng.choice(len(points.shares), N_POINTS_OF_ATOMS, p=points.shares) for points, _ in bodies]
-    points = np.concatenate([points.features[rows] for (points, _), rows in zip(bodies, drawn, strict=True)])
+    drawn = [
+        rng.choice(len(points.shares), N_POINTS_OF_ATOMS, p=points.shares) for points, _ in bodies
+    ]
+    points = np.concatenate(
+        [points.features[rows] for (points, _), rows in zip(bodies, drawn, strict=True)]
+    )
     atoms = sparse_dictionary(points, N_ATOMS, PENALTY)
     points_of, labels = zip(*bodies, strict=True)
     labelled = supervised_dictionary(points_of, labels, atoms, rng)
@@ -131,7 +141,12 @@ def sparse_dictionary(points: FloatArray, n_atoms: int, penalty: float) -> Float
     from sklearn.exceptions import ConvergenceWarning
 
     learning = MiniBatchDictionaryLearning(
-        n_atoms, alpha=penalty, max_iter=N_PASSES, batch_size=BATCH_SIZE, fit_algorithm="cd", random_state=0
+        n_atoms,
+        alpha=penalty,
+        max_iter=N_PASSES,
+        batch_size=BATCH_SIZE,
+        fit_algorithm="cd",
+        random_state=0,
     )
     with warnings.catch_warnings():
         # Codes of a duality gap of 1e-4 are exact enough: the next step changes the atoms.

@@ -24,7 +24,15 @@ from scipy.linalg import eigh
 from scipy.sparse.linalg import eigsh
 from threadpoolctl import threadpool_limits
 
-from benchmarks.measuring import Column, Table, add_data, argument_parser, print_lines, timed, timed_by_turns
+from benchmarks.measuring import (
+    Column,
+    Table,
+    add_data,
+    argument_parser,
+    print_lines,
+    timed,
+    timed_by_turns,
+)
 from benchmarks.sets import read_mesh
 from benchmarks.synthetic import bumpy_sphere, quartered, unit_square
 from pcretrieve.descriptors import r_bihdm
@@ -59,7 +67,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print the figures."""
     parser = argument_parser(__doc__)
     add_data(parser)
-    parser.add_argument("--part", choices=PARTS, action="append", help="only this part; may be repeated")
+    parser.add_argument(
+        "--part", choices=PARTS, action="append", help="only this part; may be repeated"
+    )
     given = parser.parse_args(arguments)
     with threadpool_limits(1):
         for part in given.part or PARTS:
@@ -158,7 +168,9 @@ def _square(_: Path) -> Iterator[str]:
     boundaries: tuple[Boundary, ...] = ("neumann", "dirichlet")
     for boundary in boundaries:
         errors, orders = square_errors(SQUARES, boundary)
-        for n, error, order in zip(SQUARES, errors, ("", *(f"order {o:.2f}" for o in orders)), strict=True):
+        for n, error, order in zip(
+            SQUARES, errors, ("", *(f"order {o:.2f}" for o in orders)), strict=True
+        ):
             yield f"{boundary:<10} {(n + 1) ** 2:>4} vertices  error {error:.1e}  {order}"
 
 

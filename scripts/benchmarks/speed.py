@@ -44,7 +44,9 @@ from pcretrieve.options import PipelineOptions, RetrievalOptions, SignatureOptio
 from pcretrieve.retrieval import SignatureIndex, fit_whitening, people
 from pcretrieve.values import FloatArray, SignatureTable
 
-TABLE = Table(Column("", 60, align="<"), Column("ours", 12), Column("theirs", 12), Column("ratio", 7, ".2f"))
+TABLE = Table(
+    Column("", 60, align="<"), Column("ours", 12), Column("theirs", 12), Column("ratio", 7, ".2f")
+)
 
 N_ROUNDS, N_SCANS, N_QUERIES, K = 5, 24, 50, 10
 N_AGAINST_TEXTBOOK = 3
@@ -58,7 +60,9 @@ LENGTH = 23
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
     parser = argument_parser(__doc__)
-    parser.add_argument("--part", choices=PARTS, action="append", help="only this part; may be repeated")
+    parser.add_argument(
+        "--part", choices=PARTS, action="append", help="only this part; may be repeated"
+    )
     given = parser.parse_args(arguments)
     print_lines([TABLE.head])
     with tempfile.TemporaryDirectory() as folder:
@@ -70,7 +74,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _row(title: str, ours: float, theirs: float, unit: str, *, by_us: bool = False) -> str:
     """One row; `by_us`: the ratio is ours to theirs."""
     ratio = ours / theirs if by_us else theirs / ours
-    return TABLE.row(title, f"{ours:.3g} {unit}", "" if np.isnan(theirs) else f"{theirs:.3g} {unit}", ratio)
+    return TABLE.row(
+        title, f"{ours:.3g} {unit}", "" if np.isnan(theirs) else f"{theirs:.3g} {unit}", ratio
+    )
 
 
 def _scan(folder: Path) -> Iterator[str]:
@@ -81,7 +87,11 @@ def _scan(folder: Path) -> Iterator[str]:
         for path in paths:
             seconds = [timed(partial(pr.signature, path))[0] for _ in range(N_ROUNDS)]
             theirs.append(textbook_seconds(path, TIMEOUT))
-            ours.append(statistics.median(seconds + [timed(partial(pr.signature, path))[0] for _ in seconds]))
+            ours.append(
+                statistics.median(
+                    seconds + [timed(partial(pr.signature, path))[0] for _ in seconds]
+                )
+            )
     medians = statistics.median(ours), statistics.median(theirs)
     yield _row("scan to signature in a batch; the textbook's chain", *medians, "s")
 
@@ -108,7 +118,9 @@ def _search(_: Path) -> Iterator[str]:
     rng = np.random.default_rng(0)
     options = SignatureOptions()
     drawn = np.stack(list(signatures(options, SEARCHED, rng)))
-    whitened = fit_whitening("people", drawn[:: SEARCHED // 1000], people=people(options)).apply(drawn)
+    whitened = fit_whitening("people", drawn[:: SEARCHED // 1000], people=people(options)).apply(
+        drawn
+    )
     yield from _against_faiss(f"{K} nearest of {SEARCHED:,} × {drawn.shape[1]}, people", whitened)
     isotropic = rng.standard_normal((ISOTROPIC, LENGTH))
     yield from _against_faiss(f"{K} nearest of {ISOTROPIC:,} × {LENGTH}, isotropic", isotropic)
@@ -129,7 +141,10 @@ def _against_faiss(title: str, points: FloatArray) -> Iterator[str]:
     index = SignatureIndex(table, RetrievalOptions(whitening="none"))
     index.load()
     single = np.ascontiguousarray(np.log(table.values), np.float32)
-    flat, panorama = faiss.IndexFlatL2(length), faiss.IndexFlatL2Panorama(length, min(8, length), 512)
+    flat, panorama = (
+        faiss.IndexFlatL2(length),
+        faiss.IndexFlatL2Panorama(length, min(8, length), 512),
+    )
     faiss.omp_set_num_threads(1)
     flat.add(single)
     panorama.add(single)
@@ -156,7 +171,10 @@ def _query(folder: Path) -> Iterator[str]:
     seconds = [run_command(*command)[0] for _ in range(N_ROUNDS)]
     catalogue.unlink()
     yield _row(
-        f"query of a stored id among {STORED:,}, whole command", statistics.median(seconds), np.nan, "s"
+        f"query of a stored id among {STORED:,}, whole command",
+        statistics.median(seconds),
+        np.nan,
+        "s",
     )
 
 
@@ -176,7 +194,10 @@ def _batch(folder: Path) -> Iterator[str]:
     yield TABLE.row("scans/s by two workers; by one", f"{two:.3g} /s", f"{one:.3g} /s", two / one)
     middle = max(peaks[: len(peaks) // 2])
     yield TABLE.row(
-        "largest worker, whole run; its first half", f"{max(peaks):.0f} MiB", f"{middle:.0f} MiB", 1.0
+        "largest worker, whole run; its first half",
+        f"{max(peaks):.0f} MiB",
+        f"{middle:.0f} MiB",
+        1.0,
     )
 
 

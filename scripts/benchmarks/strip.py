@@ -36,7 +36,9 @@ BLUE = (0.30, 0.45, 0.68)
 def main(arguments: Sequence[str] | None = None) -> None:
     """Draw the strip for one scan of a catalogue."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("catalogue", type=Path, help="a catalogue that holds the scan and its neighbours")
+    parser.add_argument(
+        "catalogue", type=Path, help="a catalogue that holds the scan and its neighbours"
+    )
     parser.add_argument("scan", type=Path, help="the scan that is searched for")
     parser.add_argument("--output", type=Path, default=Path("docs/strip.png"))
     parser.add_argument("-k", type=int, default=4, help="neighbours that are shown")
@@ -46,7 +48,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         points = as_cloud(read_scan(given.scan)).points
         mesh = reconstruct(given.scan, catalogue.options)
         axes = body_axes(mesh.vertices, mesh.faces)
-        tiles = [("raw scan", _cloud(points, axes)), ("surface", _surface(mesh.vertices, mesh.faces))]
+        tiles = [
+            ("raw scan", _cloud(points, axes)),
+            ("surface", _surface(mesh.vertices, mesh.faces)),
+        ]
         for rank, shape_id in enumerate(found.ids[1:], start=1):  # the scan itself is the nearest
             other = catalogue.mesh(shape_id)
             tiles.append((f"{rank}. {shape_id}", _surface(other.vertices, other.faces)))

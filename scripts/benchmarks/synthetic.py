@@ -91,7 +91,9 @@ def write_small_meshes(folder: Path, n_meshes: int, n_vertices: int, seed: int) 
     rng, sphere = np.random.default_rng(seed), bumpy_sphere(n_vertices)
     for number in range(n_meshes):
         axes = rng.uniform(0.6, 1.6, size=3)
-        write_mesh(replace(sphere, vertices=sphere.vertices * axes), folder / f"body-{number:05}.off")
+        write_mesh(
+            replace(sphere, vertices=sphere.vertices * axes), folder / f"body-{number:05}.off"
+        )
 
 
 def signatures(options: SignatureOptions, n_shapes: int, rng: Generator) -> Iterator[FloatArray]:
@@ -126,7 +128,9 @@ def bumpy_sphere(n: int) -> TriangleMesh:
     flat = np.sqrt(1 - height**2)
     points = np.stack([flat * np.cos(angle), flat * np.sin(angle), height], axis=1)  # (n, 3)
     faces = ConvexHull(points).simplices
-    normals = np.cross(points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]])
+    normals = np.cross(
+        points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]]
+    )
     inwards = (normals * points[faces[:, 0]]).sum(axis=1) < 0
     faces[inwards] = faces[inwards, ::-1]
     x, y, z = points.T
@@ -143,9 +147,12 @@ def unit_square(n: int) -> TriangleMesh:
     """The flat unit square, cut into n × n cells of two triangles each."""
     number = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
     a, b, c, d = (
-        part.ravel() for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
+        part.ravel()
+        for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
     )
-    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])]).astype(np.int32)
+    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])]).astype(
+        np.int32
+    )
     x, y = np.divmod(number.ravel(), n + 1)
     return TriangleMesh(np.column_stack([x, y, 0 * x]) / n, faces)
 
@@ -182,7 +189,9 @@ def written_in(path: Path, n_shapes: int, n_repeats: int) -> WritingTimes:
     return WritingTimes(*map(statistics.median, zip(*times, strict=True)))
 
 
-def merged_in(folder: Path, options: PipelineOptions, n_shapes: int, n_parts: int, seed: int) -> float:
+def merged_in(
+    folder: Path, options: PipelineOptions, n_shapes: int, n_parts: int, seed: int
+) -> float:
     """Seconds of merging the catalogues of a job array."""
     if n_shapes % (n_parts * CLASS_SIZE):
         raise BenchmarkError(

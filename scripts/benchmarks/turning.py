@@ -79,7 +79,9 @@ def write_frames(folder: Path, images: FloatArray, options: TurningOptions) -> l
     from PIL import Image
 
     folder.mkdir(parents=True, exist_ok=True)
-    (fx, cx), (fy, cy) = ((options.focal, (side - 1) / 2) for side in (options.width, options.height))
+    (fx, cx), (fy, cy) = (
+        (options.focal, (side - 1) / 2) for side in (options.width, options.height)
+    )
     camera = {
         "width": options.width,
         "height": options.height,
@@ -107,7 +109,9 @@ def _motion(mesh: TriangleMesh, options: TurningOptions, angle: float) -> FloatA
     axis = (low + high) / 2 + [options.eccentricity, 0, 0]
     axis[1] = low[1]
     turn = Rotation.from_euler("y", angle, degrees=True).as_matrix()
-    feet = np.array([0, -options.camera_height, -options.distance])  # upright, with the camera as origin
+    feet = np.array(
+        [0, -options.camera_height, -options.distance]
+    )  # upright, with the camera as origin
     motion = np.eye(4)
     motion[:3, :3] = _upright(options) @ turn
     motion[:3, 3] = _upright(options) @ (feet - turn @ axis)
@@ -115,13 +119,22 @@ def _motion(mesh: TriangleMesh, options: TurningOptions, angle: float) -> FloatA
 
 
 def _image(
-    scene: RayScene, mesh: TriangleMesh, motion: FloatArray, options: TurningOptions, rng: np.random.Generator
+    scene: RayScene,
+    mesh: TriangleMesh,
+    motion: FloatArray,
+    options: TurningOptions,
+    rng: np.random.Generator,
 ) -> FloatArray:
     """(height, width) depths of one frame."""
     from scipy import ndimage
 
-    u, v = ((np.arange(side) - (side - 1) / 2) / options.focal for side in (options.width, options.height))
-    rays = np.stack([*(grid.ravel() for grid in np.meshgrid(u, v)), np.ones(u.size * v.size)], axis=1)
+    u, v = (
+        (np.arange(side) - (side - 1) / 2) / options.focal
+        for side in (options.width, options.height)
+    )
+    rays = np.stack(
+        [*(grid.ravel() for grid in np.meshgrid(u, v)), np.ones(u.size * v.size)], axis=1
+    )
     to_body = motion[:3, :3].T
     camera = -to_body @ motion[:3, 3]
     # The depth, because the component of each ray along z is 1.
@@ -130,7 +143,9 @@ def _image(
     upright = rays @ _upright(options)  # in axes with y up
     for axis, position in ((1, -options.camera_height), (2, -options.wall)):
         direction = upright[:, axis]
-        plane = np.where(direction * position > 0, position / np.where(direction, direction, 1), np.inf)
+        plane = np.where(
+            direction * position > 0, position / np.where(direction, direction, 1), np.inf
+        )
         nearer = plane < depth
         depth = np.where(nearer, plane, depth)
         normals[nearer] = _upright(options)[:, axis]
@@ -141,8 +156,15 @@ def _image(
     cross = ndimage.generate_binary_structure(2, 1)
     grid = depth.reshape(options.height, options.width)
     behind = ndimage.maximum_filter(grid, footprint=cross, mode="nearest").ravel()
-    flying = (behind > (1 + 4 * options.noise) * depth) & (rng.random(len(depth)) < options.flying_share)
-    error = options.noise * mesh.diagonal * (depth / options.distance) ** 2 * rng.standard_normal(len(depth))
+    flying = (behind > (1 + 4 * options.noise) * depth) & (
+        rng.random(len(depth)) < options.flying_share
+    )
+    error = (
+        options.noise
+        * mesh.diagonal
+        * (depth / options.distance) ** 2
+        * rng.standard_normal(len(depth))
+    )
     mixed = depth + (behind - depth) * rng.random(len(depth))
     image = np.where(measured, np.where(flying, mixed, depth + error), 0)
     return np.asarray(image.reshape(options.height, options.width))

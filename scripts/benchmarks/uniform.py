@@ -38,7 +38,9 @@ class UniformOptions:
     sensors: bool = False
 
 
-def scan_uniformly(mesh: TriangleMesh, options: UniformOptions, rng: np.random.Generator) -> PointCloud:
+def scan_uniformly(
+    mesh: TriangleMesh, options: UniformOptions, rng: np.random.Generator
+) -> PointCloud:
     """Random points of a surface, uniform by area, with isotropic Gaussian noise, holes and outliers."""
     points, _ = uniform_points(mesh, options.n_points, rng)
     centres, _ = uniform_points(mesh, options.n_holes, rng)
@@ -73,7 +75,9 @@ def _sensors(
         rays = points[hidden] - sensors[hidden]  # (h, 3)
         reached, normals, _ = scene.cast(sensors[hidden], rays)  # in lengths of the rays
         cosine = -np.einsum("ij,ij->i", rays, normals) / np.linalg.norm(rays, axis=1)
-        taken = (np.abs(reached - 1) < SAME_PLACE) & (cosine > np.maximum(steepest, rng.random(len(hidden))))
+        taken = (np.abs(reached - 1) < SAME_PLACE) & (
+            cosine > np.maximum(steepest, rng.random(len(hidden)))
+        )
         hidden = hidden[~taken]
     seen = np.ones(len(points), dtype=bool)
     seen[hidden] = False
@@ -117,7 +121,9 @@ def points_of(body: Body, n: int, rng: np.random.Generator) -> FloatArray:
     found = np.zeros((0, 3))
     while len(found) < n:
         places = rng.uniform(-HALF_SIDE, HALF_SIDE, (500_000, 3))
-        places = places[np.linalg.norm(places, axis=1) > LAYER]  # a blob has no radius at its centre
+        places = places[
+            np.linalg.norm(places, axis=1) > LAYER
+        ]  # a blob has no radius at its centre
         places = places[np.abs(_above(body, places)[1][:, 0]) < LAYER]
         found = np.concatenate([found, feet(body, places)])
     return found[:n]

@@ -19,7 +19,14 @@ import numpy as np
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from benchmarks.measuring import Column, Table, add_data, all_in_workers, argument_parser, print_lines
+from benchmarks.measuring import (
+    Column,
+    Table,
+    add_data,
+    all_in_workers,
+    argument_parser,
+    print_lines,
+)
 from benchmarks.sets import SETS, Item, left_out
 from pcretrieve.checks import findings_of, verdict_of
 from pcretrieve.descriptors import describe
@@ -62,8 +69,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
     parser = argument_parser(__doc__)
     add_data(parser)
-    parser.add_argument("--limit", type=int, default=20, help="bodies of each set (default: %(default)s)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write what was found of each scan")
+    parser.add_argument(
+        "--limit", type=int, default=20, help="bodies of each set (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write what was found of each scan"
+    )
     given = parser.parse_args(arguments)
     print_lines(_lines(given.data, given.limit, given.json))
 
@@ -121,7 +132,9 @@ def judged(task: Task) -> Judged:
     return Judged(condition, verdict.judgement, error, verdict.reasons, values)
 
 
-def _kept(points: FloatArray, mesh: TriangleMesh, condition: str, rng: np.random.Generator) -> Positions:
+def _kept(
+    points: FloatArray, mesh: TriangleMesh, condition: str, rng: np.random.Generator
+) -> Positions:
     """(k,) rows of the points that a damage leaves."""
     middle, height = points.mean(axis=0), np.ptp(points, axis=0).max()
     if condition == "hole":

@@ -18,7 +18,13 @@ from numpy.typing import NDArray
 
 from pcretrieve import Catalogue, PipelineOptions, SignatureIndex
 from pcretrieve.catalogue import Content, Record, cache as gallery, sqlite
-from pcretrieve.catalogue.arrays import SHORTEST_COMPRESSED, packed, packed_values, unpacked, unpacked_values
+from pcretrieve.catalogue.arrays import (
+    SHORTEST_COMPRESSED,
+    packed,
+    packed_values,
+    unpacked,
+    unpacked_values,
+)
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import CatalogueError, InputError
 from pcretrieve.options import SignatureOptions
@@ -43,7 +49,9 @@ def filled(location: str | Path, options: PipelineOptions = OPTIONS) -> Catalogu
     for number in range(N_SHAPES):
         name, shape = f"egg{number}", egg(number)
         values = describe(shape, OPTIONS.signature).values
-        store.put(Record(name, f"/{name}.off", name, steps=shape.provenance), Content(shape, values))
+        store.put(
+            Record(name, f"/{name}.off", name, steps=shape.provenance), Content(shape, values)
+        )
     return store
 
 
@@ -70,7 +78,10 @@ def test_what_options_name_is_stored_and_comes_back(keep: tuple[str, ...], tmp_p
             sizes = store.stored_bytes(f"egg{number}")
             parts = {name for name, n_bytes in sizes.items() if n_bytes}
             assert parts == {"record", "signatures", "spectra", "moments", *keep}
-            again, shape = store.shape(f"egg{number}", ("spectrum", "overlaps", "mesh")), egg(number)
+            again, shape = (
+                store.shape(f"egg{number}", ("spectrum", "overlaps", "mesh")),
+                egg(number),
+            )
             for one, other in zip(again.surfaces, shape.surfaces, strict=True):
                 assert one.mesh == (other.mesh if "meshes" in keep else None)
                 assert (one.spectrum == other.spectrum) is bool(keep)
@@ -94,7 +105,9 @@ def test_other_descriptors_are_made_from_the_stored_spectra(
     assert table.digest != catalogue.signatures().digest
     for row, values in enumerate(table.values):
         np.testing.assert_allclose(values, describe(egg(row), options).values, rtol=1e-9)
-    assert catalogue.index(chosen).nearest("egg2") == SignatureIndex(table, chosen.retrieval).nearest("egg2")
+    assert catalogue.index(chosen).nearest("egg2") == SignatureIndex(
+        table, chosen.retrieval
+    ).nearest("egg2")
 
 
 RNG = np.random.default_rng(3)
@@ -135,7 +148,10 @@ def test_every_bit_of_an_array_comes_back_and_a_changed_one_is_noticed() -> None
 
 def test_a_second_writer_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sqlite, "LOCK_TIMEOUT", 0.05)
-    with filled(tmp_path / "eggs.sqlite") as store, closing(sqlite3.connect(store.location)) as writer:
+    with (
+        filled(tmp_path / "eggs.sqlite") as store,
+        closing(sqlite3.connect(store.location)) as writer,
+    ):
         writer.execute("BEGIN IMMEDIATE")
         words = "is locked by another process: wait until that has finished"
         with Catalogue(store.location) as other, pytest.raises(CatalogueError, match=words):
@@ -153,7 +169,9 @@ def put_other(store: Catalogue, number: int) -> None:
     change = np.exp(np.random.default_rng(number).normal(size=59) * 0.3)
     values = describe(egg(0), FEW.signature).values * change
     label = f"kind{number % 5}"
-    store.put(Record(f"s{number:03}", f"/s{number:03}.off", f"h{number}", label), Content(egg(0), values))
+    store.put(
+        Record(f"s{number:03}", f"/s{number:03}.off", f"h{number}", label), Content(egg(0), values)
+    )
 
 
 @pytest.fixture
@@ -195,7 +213,9 @@ def assert_same(index: SignatureIndex, store: Catalogue, options: PipelineOption
 WHITENINGS = ("none", "people", "neighbours", "pca", "within-class")
 
 
-@pytest.mark.parametrize(("distance", "whitening"), [("log", one) for one in WHITENINGS] + [("d1", "none")])
+@pytest.mark.parametrize(
+    ("distance", "whitening"), [("log", one) for one in WHITENINGS] + [("d1", "none")]
+)
 def test_an_index_that_was_kept_answers_as_one_made_anew(
     distance: str, whitening: str, indexed: Catalogue
 ) -> None:

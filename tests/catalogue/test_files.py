@@ -40,7 +40,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scans = tmp_path_factory.mktemp("files") / "scans"
     scans.mkdir()
     for number in range(N_SHAPES):
-        write_mesh(shapes.ellipsoid((1, 1.2, 1.5 + number / 5), subdivisions=3), scans / f"{number}.off")
+        write_mesh(
+            shapes.ellipsoid((1, 1.2, 1.5 + number / 5), subdivisions=3), scans / f"{number}.off"
+        )
     (scans / "bad.off").write_text("OFF\n")
     return scans
 
@@ -66,7 +68,9 @@ def execute(path: Path, *statements: str) -> None:
 
 
 def failure(name: str) -> Record:
-    return Record(name, f"/{name}.ply", "", status="failed", stage="read", error="Bad", message="why")
+    return Record(
+        name, f"/{name}.ply", "", status="failed", stage="read", error="Bad", message="why"
+    )
 
 
 # --- what is no catalogue, or not the one that was meant --------------------------------------------------
@@ -78,18 +82,28 @@ def test_what_is_no_catalogue_is_left_as_it_is(tmp_path: Path, original: Path) -
     for version in (0, 1, 99):
         mail = tmp_path / f"mail{version}.db"
         execute(mail, "CREATE TABLE meta (a TEXT)", f"PRAGMA user_version = {version}")
-    for kind in ("TRIGGER a AFTER INSERT ON shapes BEGIN DELETE FROM meta; END", "VIEW a AS SELECT 1"):
+    for kind in (
+        "TRIGGER a AFTER INSERT ON shapes BEGIN DELETE FROM meta; END",
+        "VIEW a AS SELECT 1",
+    ):
         execute(Path(shutil.copy(original, tmp_path / f"{kind[:4]}.sqlite")), f"CREATE {kind}")
-    words = {".db": "is an SQLite file, but no catalogue", ".sqlite": "has the (trigger|view) 'a', which no"}
+    words = {
+        ".db": "is an SQLite file, but no catalogue",
+        ".sqlite": "has the (trigger|view) 'a', which no",
+    }
     for file in sorted(tmp_path.iterdir()):
         before = file.read_bytes()
         for create in (False, True):
-            with pytest.raises(CatalogueError, match=words.get(file.suffix, "is not a catalogue: give")):
+            with pytest.raises(
+                CatalogueError, match=words.get(file.suffix, "is not a catalogue: give")
+            ):
                 Catalogue(file, create=create)
             assert file.read_bytes() == before
     with pytest.raises(CatalogueError, match="is a folder: name a file for --catalogue"):
         Catalogue(tmp_path, create=True)
-    with pytest.raises(CatalogueError, match=r"there is no folder .*nowhere to put a catalogue into"):
+    with pytest.raises(
+        CatalogueError, match=r"there is no folder .*nowhere to put a catalogue into"
+    ):
         Catalogue(tmp_path / "nowhere" / "c.sqlite", create=True)
 
 
@@ -164,13 +178,19 @@ def test_a_catalogue_that_may_not_be_written_can_be_read(original: Path) -> None
             store.put(failure("other"))
             for suffix in ("", "-wal"):
                 shutil.copy(f"{path}{suffix}", folder / f"killed{suffix}")
-        words = r"is incomplete without its last changes in killed-wal, .*: copy both files elsewhere"
+        words = (
+            r"is incomplete without its last changes in killed-wal, .*: copy both files elsewhere"
+        )
         with read_only(folder), pytest.raises(CatalogueError, match=words):
             Catalogue(folder / "killed")
 
 
 def test_no_other_process_writes_while_one_ends_a_checkpoint(path: Path) -> None:
-    with Catalogue(path) as store, Path(f"{path}-wal").open("rb") as log, ThreadPoolExecutor(1) as thread:
+    with (
+        Catalogue(path) as store,
+        Path(f"{path}-wal").open("rb") as log,
+        ThreadPoolExecutor(1) as thread,
+    ):
         fcntl.flock(log, fcntl.LOCK_EX)
         late = thread.submit(run, "remove", "2", "-c", path)
         assert not wait_for(lambda: late.done() or store.get("2") is None, 1)
@@ -186,7 +206,9 @@ def test_a_log_that_is_lost_is_told(path: Path, caplog: pytest.LogCaptureFixture
         path.with_name(f"{path.name}-wal").write_bytes(log)
         with Catalogue(path) as store:
             assert len(store) == N_SHAPES
-    assert ["-wal is damaged: what was stored last" in said for said in caplog.messages] == 3 * [True]
+    assert ["-wal is damaged: what was stored last" in said for said in caplog.messages] == 3 * [
+        True
+    ]
 
 
 def flipped(column: str, position: int) -> str:
@@ -224,7 +246,9 @@ def test_damaged_bytes_are_an_error(original: Path, tmp_path: Path) -> None:
             store.records()
             store.signatures()
             store.mesh("2")
-        assert re.search(r"is damaged \(.*\): restore a copy, or", str(raised.value), re.DOTALL), damage
+        assert re.search(r"is damaged \(.*\): restore a copy, or", str(raised.value), re.DOTALL), (
+            damage
+        )
 
 
 # --- checks and repairs ---------------------------------------------------------------------------------
@@ -232,9 +256,17 @@ def test_damaged_bytes_are_an_error(original: Path, tmp_path: Path) -> None:
 
 def test_a_whole_catalogue_has_no_defects(path: Path) -> None:
     found = pr.check(path, sample=2, repair=True)
-    assert (found.n_shapes, found.n_failed, found.n_recomputed, found.defects) == (N_SHAPES, 1, 2, ())
+    assert (found.n_shapes, found.n_failed, found.n_recomputed, found.defects) == (
+        N_SHAPES,
+        1,
+        2,
+        (),
+    )
     said = run("catalogue", "check", "-c", path, "--sample", 0).stdout
-    assert said == f"{path}: 5 shapes, 1 failed, 0 signatures computed again, 0 defects; SQLite {VERSION}\n"
+    assert (
+        said
+        == f"{path}: 5 shapes, 1 failed, 0 signatures computed again, 0 defects; SQLite {VERSION}\n"
+    )
 
 
 THIRD = "WHERE shape = (SELECT number FROM shapes WHERE id = '2')"
@@ -253,7 +285,9 @@ def test_a_flipped_bit_of_a_record(
         connection.row_factory = sqlite3.Row
         (row,) = connection.execute(f"{RECORDS} WHERE id = '2'")
         connection.execute("UPDATE shapes SET checksum = ? WHERE id = '2'", [checksum(dict(row))])
-    for number, text in enumerate((LABEL, "/scans/2.off", "versions of shape 2", f"{LABEL}done", None)):
+    for number, text in enumerate(
+        (LABEL, "/scans/2.off", "versions of shape 2", f"{LABEL}done", None)
+    ):
         copy = tmp_path / f"{number}.sqlite"
         pr.backup(path, copy)
         if text is None:
@@ -271,7 +305,11 @@ def test_a_flipped_bit_of_a_record(
         again = pr.ingest(folder, copy, executor=in_this_process)
         assert [record.id for record in again.done] == ["2"]
         for mended, whole in zip(content(copy), content(original), strict=True):
-            assert (mended[0].id, mended[0].path, *mended[1:]) == (whole[0].id, whole[0].path, *whole[1:])
+            assert (mended[0].id, mended[0].path, *mended[1:]) == (
+                whole[0].id,
+                whole[0].path,
+                *whole[1:],
+            )
 
 
 @pytest.mark.parametrize(
@@ -288,7 +326,11 @@ def test_a_shape_with_damaged_arrays_is_processed_again(
 ) -> None:
     execute(path, damage)
     (defect,) = pr.check(path, sample=0, repair=True).defects
-    assert (defect.shape_id, defect.message, defect.repair) == ("2", said, "set to be ingested again")
+    assert (defect.shape_id, defect.message, defect.repair) == (
+        "2",
+        said,
+        "set to be ingested again",
+    )
     with Catalogue(path) as store:
         assert (store.record("2").status, store.record("2").stage) == ("failed", "check")
         assert pr.retry(store, stage="check", executor=in_this_process).done[0].id == "2"

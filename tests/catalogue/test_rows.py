@@ -24,14 +24,18 @@ IDS = ("b", "d", "a", "c")
 def done(name: str, **changes: Any) -> Entry:
     steps = (Step("read", 0.5, {"points": 7}, ("a note",)),)
     area = float(ord(name[0]) - ord("a") + 1)
-    record = Record(name, f"/{name}.ply", f"hash-{name}", "label", steps=steps, area=area, n_faces=4, euler=2)
+    record = Record(
+        name, f"/{name}.ply", f"hash-{name}", "label", steps=steps, area=area, n_faces=4, euler=2
+    )
     bits = name[:1].encode() * 8
     payloads = {payload: bits * number for number, payload in enumerate(PAYLOADS, 1)}
     return Entry(replace(record, **changes), {OWN: bits, "other": bits * 2}, payloads)
 
 
 def failed(name: str, **changes: Any) -> Entry:
-    record = Record(name, f"/{name}.ply", "", status="failed", stage="clean", error="Bad", message="why")
+    record = Record(
+        name, f"/{name}.ply", "", status="failed", stage="clean", error="Bad", message="why"
+    )
     return Entry(replace(record, **changes), {}, {})
 
 
@@ -75,7 +79,9 @@ def test_records_are_found(rows: Rows, new_location: str, monkeypatch: pytest.Mo
 
 def test_signatures_are_listed_in_the_order_of_ids(rows: Rows) -> None:
     entry = rows.store(done("bb")), b"anew"
-    rows.keep("new", [entry, (done("a").record, b"of a"), (done("c", content_hash="old").record, b"late")])
+    rows.keep(
+        "new", [entry, (done("a").record, b"of a"), (done("c", content_hash="old").record, b"late")]
+    )
     for digest, has, packed in (
         (OWN, [True] * 5, b"".join(bytes([bits]) * 8 for bits in b"abbcd")),
         ("new", [True, False, True, False, False], b"of aanew"),
@@ -93,7 +99,9 @@ def test_locations(tmp_path: Path) -> None:
     with Catalogue(f"sqlite://{tmp_path / 'c.sqlite'}") as store:
         assert (store.location, store.options) == (str(tmp_path / "c.sqlite"), options)
     assert [path.name for path in tmp_path.iterdir()] == ["c.sqlite"]
-    with pytest.raises(OptionError, match=r"must be a file, or a database at postgresql://.* got mysql://"):
+    with pytest.raises(
+        OptionError, match=r"must be a file, or a database at postgresql://.* got mysql://"
+    ):
         Catalogue("mysql://host/shapes", create=True)
     with pytest.raises(CatalogueError, match="there is no catalogue"):
         Catalogue(Path("sqlite://rows"))
@@ -125,7 +133,9 @@ def test_schemas_are_catalogues_of_which_a_user_may_read_some(postgresql: str) -
         url = postgresql.replace("tester", "reader")
         with pytest.raises(CatalogueError, match="there is no catalogue"):
             opened(url)
-        with pytest.raises(CatalogueError, match=r"cannot be used by this user .*: grant the privileges"):
+        with pytest.raises(
+            CatalogueError, match=r"cannot be used by this user .*: grant the privileges"
+        ):
             opened(url, "new", create=True)
         server.execute(f"GRANT USAGE ON SCHEMA {QUOTED} TO reader")
         server.execute(f"GRANT SELECT ON ALL TABLES IN SCHEMA {QUOTED} TO reader")
@@ -137,7 +147,9 @@ def test_schemas_are_catalogues_of_which_a_user_may_read_some(postgresql: str) -
 
 
 @pytest.mark.slow
-def test_a_writer_waits_for_another_and_says_so(postgresql: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_writer_waits_for_another_and_says_so(
+    postgresql: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import psycopg
 
     monkeypatch.setattr(postgresql_module, "LOCK_TIMEOUT", 0.05)
@@ -156,7 +168,10 @@ def test_a_writer_waits_for_another_and_says_so(postgresql: str, monkeypatch: py
     ("url", "said"),
     [
         ("postgresql://me:secret@127.0.0.1:1/none", "cannot be used: .*onnection.* refused"),
-        ("postgresql://me:secret@127.0.0.1:port/none", "must be postgresql://user@host:port/database"),
+        (
+            "postgresql://me:secret@127.0.0.1:port/none",
+            "must be postgresql://user@host:port/database",
+        ),
         ("postgresql://me:sec@ret@127.0.0.1/none", "must be postgresql://user@host:port/database"),
         ("postgresql://me:secret@127.0.0.1/none?color=red", 'cannot be used: .*"color"'),
     ],

@@ -62,7 +62,12 @@ ASKED: dict[str, tuple[str, int, set[str], bool]] = {
     "catalogue retry": ("-c c.sqlite --workers 1", 3, {"done", "failed"}, True),
     "query": ("e0 -c c.sqlite -k 2", 0, {"query", "results", "match", "verdict", "distance"}, True),
     "evaluate": ("-c c.sqlite", 0, {"map", "n_queries"}, True),
-    "lab compare": ("c.sqlite c.sqlite", 0, {"first", "second", "difference", "second_options"}, False),
+    "lab compare": (
+        "c.sqlite c.sqlite",
+        0,
+        {"first", "second", "difference", "second_options"},
+        False,
+    ),
     "lab matrix": ("-c c.sqlite -o run.txt", 0, {"matrix", "ids", "n_shapes", "failed"}, True),
     "duplicates": ("-c c.sqlite", 0, set(), True),
     "lab cluster": ("-c c.sqlite --min-size 2", 0, {"id", "label"}, True),
@@ -88,7 +93,9 @@ def test_all_commands_are_asked() -> None:
 
 
 @pytest.mark.parametrize("name", ASKED)
-def test_every_document_has_one_head(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_document_has_one_head(
+    name: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     words, code, keys, has_options = ASKED[name]
     monkeypatch.chdir(folder)
     if name == "remove":
@@ -112,11 +119,16 @@ def test_passwords_are_not_repeated(capsys: pytest.CaptureFixture[str]) -> None:
     assert found["arguments"] == {"catalogue": "postgresql://ann@localhost:1/none"}
     assert "secret" not in json.dumps(found)
     _say_summary(Summary(), "postgresql://ann:secret@localhost:1/none", None)
-    write_words("postgresql://ann:secret@localhost:1/none: 3 shapes; scans are at https://host:80/a@b:c")
+    write_words(
+        "postgresql://ann:secret@localhost:1/none: 3 shapes; scans are at https://host:80/a@b:c"
+    )
     shown = capsys.readouterr()
     assert "secret" not in shown.err + shown.out
     assert "postgresql://ann@localhost:1/none" in shown.err
-    assert shown.out == "postgresql://ann@localhost:1/none: 3 shapes; scans are at https://host:80/a@b:c\n"
+    assert (
+        shown.out
+        == "postgresql://ann@localhost:1/none: 3 shapes; scans are at https://host:80/a@b:c\n"
+    )
 
 
 def test_errors_are_documents_too(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

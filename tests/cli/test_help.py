@@ -56,7 +56,10 @@ def test_the_environment_names_the_catalogue(eggs: Path, tmp_path: Path) -> None
     """The option, where it is given, has priority."""
     path = str(eggs)
     listed = run("list", PCRETRIEVE_CATALOGUE=path).stdout
-    assert listed == run("list", "-c", path, PCRETRIEVE_CATALOGUE=str(tmp_path / "absent.sqlite")).stdout
+    assert (
+        listed
+        == run("list", "-c", path, PCRETRIEVE_CATALOGUE=str(tmp_path / "absent.sqlite")).stdout
+    )
     run("list", PCRETRIEVE_CATALOGUE=None, code=2)
     for words in (("status",), ("catalogue", "check")):
         assert run(*words, PCRETRIEVE_CATALOGUE=path).stdout == run(*words, "-c", path).stdout != ""
@@ -70,8 +73,14 @@ def test_a_similar_name_is_suggested(eggs: Path, monkeypatch: pytest.MonkeyPatch
     for words, said in (
         ("qurey a", "there is no command 'qurey'; did you mean 'query'?"),
         ("list --faield", "did you mean '--failed'?"),
-        ("show egg01", "holds no shape 'egg01'; `pcretrieve list` names them; did you mean 'Egg01'?"),
-        ("query Egg00 --filter label=kind1", "`pcretrieve list` shows the classes; did you mean '<kind 1>'?"),
+        (
+            "show egg01",
+            "holds no shape 'egg01'; `pcretrieve list` names them; did you mean 'Egg01'?",
+        ),
+        (
+            "query Egg00 --filter label=kind1",
+            "`pcretrieve list` shows the classes; did you mean '<kind 1>'?",
+        ),
         ("query Egg00 --filter cat", "must be label=CLASS, got 'cat'"),
         ("query Ego00", "no file and no shape of"),
         ("query Ego00", "did you mean 'Egg00'?"),

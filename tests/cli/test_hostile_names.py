@@ -22,7 +22,14 @@ NAMES = (
     *("<script>alert(1)<!--", "\"><img src=x onerror='alert(1)'>", "<td><style>*{display:none}"),
     *("two\nfailed: [lines", "tab\tand\rreturn", "\x1b[31mred\x1b]0;title\x07", "\x9b31m\x7f"),
     *("reversed\u202egnp.exe", "separated\u2028lines", "'; DROP TABLE shapes; --", "-rf", "--help"),
-    *("=HYPERLINK(1)", "{{7*7}}%s%d\\", "cat#1", "n" * 251, "\u00e4" * 125, os.fsdecode(b"latin-\xe9")),
+    *(
+        "=HYPERLINK(1)",
+        "{{7*7}}%s%d\\",
+        "cat#1",
+        "n" * 251,
+        "\u00e4" * 125,
+        os.fsdecode(b"latin-\xe9"),
+    ),
 )
 # The ids of the shapes: bytes that are not UTF-8 are escaped.
 IDS = [os.fsencode(name).decode("utf-8", "backslashreplace") for name in NAMES]

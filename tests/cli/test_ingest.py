@@ -41,7 +41,9 @@ def folder(tmp_path: Path) -> Path:
 
 
 def ingest(folder: Path, *options: object, code: int | None = None) -> Result:
-    return run("ingest", folder / "scans", "-c", folder / "c.sqlite", "--workers", 1, *options, code=code)
+    return run(
+        "ingest", folder / "scans", "-c", folder / "c.sqlite", "--workers", 1, *options, code=code
+    )
 
 
 def files(folder: Path) -> dict[Path, bytes]:
@@ -62,7 +64,9 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(folder: Path) -> N
     assert "5 to process, 0 failed, 0 known already, 1 duplicates" in done.stderr
     # With a catalogue, it knows what that has: `test_orders`.
     failures = [line for line in ingest(folder).stderr.splitlines() if line.startswith("failed: [")]
-    assert [line.split()[1] for line in failures] == [f"[{name}" for name in bad], "one message each"
+    assert [line.split()[1] for line in failures] == [f"[{name}" for name in bad], (
+        "one message each"
+    )
     answer = json.loads(ingest(folder, "--dry-run", "--json", "--retry-failed").stdout)["result"]
     assert (answer["planned"], answer["held"]) == (bad, ["a", "b"])
 
@@ -70,7 +74,9 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(folder: Path) -> N
 def test_after_so_many_failures_the_ingest_stops_and_can_be_continued(folder: Path) -> None:
     log = folder / "night.log"
     stopped = ingest(folder, "--max-failures", 2, "--log-file", log, code=1)
-    assert "stopped after 2 scans that failed, which is the limit (--max-failures)" in str(stopped.exception)
+    assert "stopped after 2 scans that failed, which is the limit (--max-failures)" in str(
+        stopped.exception
+    )
     with pr.Catalogue(folder / "c.sqlite") as catalogue:
         assert len(catalogue.records(status="failed")) == 2
     progress = ingest(folder, "--max-failures", 2, "--progress", "json", "--quiet", code=3)
@@ -104,11 +110,17 @@ def test_the_status_of_an_ingest_and_a_retry_of_its_failures(folder: Path) -> No
     ingest(folder)
     found = pr.status(catalogue)
     assert (found.state, found.n_scans, found.n_done, found.n_failed) == ("finished", 6, 2, N_BAD)
-    assert (found.n_shapes, found.failures, found.seconds_left) == (2, {"ScanReadError in read": N_BAD}, None)
+    assert (found.n_shapes, found.failures, found.seconds_left) == (
+        2,
+        {"ScanReadError in read": N_BAD},
+        None,
+    )
     assert found.scans_per_second > 0 and sum(found.stages.values()) == pytest.approx(1)
     assert {"read", "spectrum"} <= found.stages.keys()
     assert result("status", "-c", catalogue)["stages"] == found.stages
-    assert pr.backup(catalogue, folder / "d.sqlite") and pr.status(folder / "d.sqlite").state == "none"
+    assert (
+        pr.backup(catalogue, folder / "d.sqlite") and pr.status(folder / "d.sqlite").state == "none"
+    )
     said = run("status", "-c", catalogue).stdout
     assert f"ingest finished: 6 of 6 scans: 2 done, {N_BAD} failed" in said
     assert f"2 shapes, {N_BAD} failed\n" in said
@@ -117,7 +129,9 @@ def test_the_status_of_an_ingest_and_a_retry_of_its_failures(folder: Path) -> No
     refused = refusal("catalogue", "retry", "-c", catalogue, "--stage", "surface")
     assert "failed in the stage surface; stages with failures: read" in refused
     again = result("catalogue", "retry", "-c", catalogue, "--stage", "read", code=3)
-    assert {failure["id"] for failure in again["failed"]} == {f"bad-{number}" for number in range(N_BAD)}
+    assert {failure["id"] for failure in again["failed"]} == {
+        f"bad-{number}" for number in range(N_BAD)
+    }
 
 
 @pytest.mark.slow
@@ -174,7 +188,11 @@ def test_a_scan_of_several_files_arrives_with_the_last_of_its_views(tmp_path: Pa
     conf = tmp_path / "bun.conf"
     conf.write_text("bmesh front.off 0 0 0 0 0 0 1\nbmesh back.off 0 0 0 0 0 0 1\n")
     arrivals = Arrivals(tmp_path)
-    for name, found in (("front", [[], [], []]), ("back", [[], [conf], []]), ("front", [[], [conf], []])):
+    for name, found in (
+        ("front", [[], [], []]),
+        ("back", [[], [conf], []]),
+        ("front", [[], [conf], []]),
+    ):
         egg(tmp_path / f"{name}.off", 2 + len(found[1]) + (name == "front"))
         assert [arrivals.look(), arrivals.look(), arrivals.look()] == found
 
@@ -195,7 +213,11 @@ def test_scans_that_arrive_are_ingested_until_ctrl_c(tmp_path: Path) -> None:
     command = [*(sys.executable, "-m", "pcretrieve", "watch", tmp_path / "scans", "-c", location)]
     command += ["--interval", "0.5", "--workers", "1"]
     with subprocess.Popen(
-        [*map(str, command)], stderr=subprocess.PIPE, text=True, start_new_session=True, cwd=tmp_path
+        [*map(str, command)],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        cwd=tmp_path,
     ) as running:
         try:
             assert wait_for(lambda: done() == {"early"})

@@ -68,7 +68,11 @@ CASES = (
     ("query good.sqlite egg", 2, "write -c before a catalogue: -c good.sqlite"),
     ("query egg -c good.sqlite -k 80x", 2, "'80x' is not a valid whole number"),
     ("matrix -c good.sqlite", 2, "Missing option '--output'"),
-    ("query egg -c good.sqlite --method meshsift", 2, "pcretrieve lab matrix --matcher meshsift -o FILE"),
+    (
+        "query egg -c good.sqlite --method meshsift",
+        2,
+        "pcretrieve lab matrix --matcher meshsift -o FILE",
+    ),
     ("evaluate -c good.sqlite", 1, "give --labels"),
     ("remove egg nobody -c good.sqlite", 1, "holds no shape 'nobody'"),
     ("lab signature --from-catalogue good.sqlite --surface keep", 2, "own: leave out --surface"),
@@ -97,12 +101,22 @@ BY_WORKERS = (
     ("merge ball.ply few.ply -o out.ply", 1, "view 1 must have more than 16"),
     ("lab signature crash.vicious", 3, "the process that worked on it ended with SIGSEGV"),
     ("query crash.vicious -c good.sqlite", 1, "the process that worked on it ended with SIGSEGV"),
-    ("query hang.vicious -c good.sqlite --timeout 2", 1, "not finished within 2 s: raise --timeout"),
-    ("lab signature fill.vicious --memory 1", 3, "than --memory allows: raise that, or thin the scan"),
+    (
+        "query hang.vicious -c good.sqlite --timeout 2",
+        1,
+        "not finished within 2 s: raise --timeout",
+    ),
+    (
+        "lab signature fill.vicious --memory 1",
+        3,
+        "than --memory allows: raise that, or thin the scan",
+    ),
 )
 
 
-@pytest.mark.parametrize("cases", [CASES, pytest.param(BY_WORKERS, marks=pytest.mark.slow)], ids=["", "slow"])
+@pytest.mark.parametrize(
+    "cases", [CASES, pytest.param(BY_WORKERS, marks=pytest.mark.slow)], ids=["", "slow"]
+)
 def test_one_message_and_the_right_exit_code(
     cases: tuple[tuple[str, int, str], ...],
     folder: Path,
@@ -116,7 +130,9 @@ def test_one_message_and_the_right_exit_code(
         printed, said = capsys.readouterr()
         assert words in said and "Traceback" not in said and not printed, (arguments, said)
         assert ended == code, (arguments, said)
-        assert sorted(path for path in folder.iterdir() if path.suffix != ".lock") == before, arguments
+        assert sorted(path for path in folder.iterdir() if path.suffix != ".lock") == before, (
+            arguments
+        )
     # After all of the above, the catalogue still answers.
     assert run("query", folder / "egg.off", "-c", folder / "good.sqlite", "-k", "1") == 0
     assert "egg" in capsys.readouterr().out

@@ -63,10 +63,14 @@ def test_signatures_are_those_of_the_single_scans_in_their_order(
     run("ingest", *files, "-c", catalogue, "--workers", 1, "--quiet", code=3)
     for file in files:
         file.unlink()
-    stored = run("lab", "signature", "--from-catalogue", catalogue, "bad", "b", "--method", "wks", code=3)
+    stored = run(
+        "lab", "signature", "--from-catalogue", catalogue, "bad", "b", "--method", "wks", code=3
+    )
     assert stored.stderr.startswith("failed: [bad / read] ")
     name, *numbers = stored.stdout.strip().split("\t")
-    direct = run("lab", "signature", folder / "b.off", "--method", "wks").stdout.strip().split("\t")[1:]
+    direct = (
+        run("lab", "signature", folder / "b.off", "--method", "wks").stdout.strip().split("\t")[1:]
+    )
     assert name == "b"
     np.testing.assert_allclose([*map(float, numbers)], [*map(float, direct)], rtol=1e-6)
     found = result("lab", "signature", "--from-catalogue", catalogue, "bad", "b", code=3)
@@ -74,7 +78,17 @@ def test_signatures_are_those_of_the_single_scans_in_their_order(
 
 
 def test_each_scan_of_a_folder_is_reconstructed(folder: Path, tmp_path: Path) -> None:
-    done = run("lab", "reconstruct", folder, "-o", tmp_path / "meshes", "--suffix", ".obj", "--json", code=3)
+    done = run(
+        "lab",
+        "reconstruct",
+        folder,
+        "-o",
+        tmp_path / "meshes",
+        "--suffix",
+        ".obj",
+        "--json",
+        code=3,
+    )
     assert {path.name for path in (tmp_path / "meshes").iterdir()} == {"a.obj", "b.obj", "c.obj"}
     by_name = {Path(found["path"]).stem: found for found in json.loads(done.stdout)["result"]}
     assert by_name["bad"]["error"] == "ScanReadError"
@@ -96,13 +110,25 @@ def test_an_inspection_has_checks_numbers_and_pictures(
     monkeypatch.chdir(tmp_path)
     write_ply(Path("body.ply"), shapes.points_on(shapes.body(), 8000))
     Path("fast.toml").write_text(FEW_CELLS)
-    asked = ("body.ply", "-o", "page.html", "--png", "sheet.png", "--config", "fast.toml", "--rescans", 2)
+    asked = (
+        "body.ply",
+        "-o",
+        "page.html",
+        "--png",
+        "sheet.png",
+        "--config",
+        "fast.toml",
+        "--rescans",
+        2,
+    )
     done = run("inspect", *asked, "--json")
     answer = json.loads(done.stdout)["result"]
     assert answer["page"] == str(tmp_path / "page.html")
     assert answer["failure"] is None
     assert answer["shape_verdict"]["uncertainty"] >= answer["spread"]
-    assert {"Points", "Normals", "Handles", "Signature"} <= {check["name"] for check in answer["checks"]}
+    assert {"Points", "Normals", "Handles", "Signature"} <= {
+        check["name"] for check in answer["checks"]
+    }
     for check in answer["checks"]:
         assert f"{check['verdict']:<6}  {check['name']}" in done.stderr
     assert len(answer["signature"]) == len(answer["rescan_deviation"]) == 23
@@ -160,7 +186,9 @@ def test_a_scan_that_fails_is_packed_without_its_points_and_its_folder(
     # Where the process is ended and nothing measured, there are the versions, the options and the error.
     write_mesh(shapes.icosphere(6), private / "ball.off")
     run("lab", "report-problem", private / "ball.off", "--timeout", 1, "--surface", "reconstruct")
-    assert json.loads(packed("ball-problem.zip")["problem.json"])["failure"]["error"] == "StageTimeout"
+    assert (
+        json.loads(packed("ball-problem.zip")["problem.json"])["failure"]["error"] == "StageTimeout"
+    )
 
 
 # --- merge ----------------------------------------------------------------------------------------------
@@ -236,7 +264,9 @@ def test_the_demonstration_finds_whose_the_new_scan_is(tmp_path: Path) -> None:
     head, first, *_ = done.stdout.splitlines()
     assert head.split()[:4] == ["RANK", "DISTANCE", "SCORE", "CLASS"]
     assert first.split()[0] == "1"
-    assert first.split()[3] == DEMO_QUERY.split("_")[0], "the nearest scan is one of the same person"
+    assert first.split()[3] == DEMO_QUERY.split("_")[0], (
+        "the nearest scan is one of the same person"
+    )
     assert "NN" in done.stdout
     page = Path(unquote(urlparse(done.stderr.split()[-1]).path))
     assert page == tmp_path / "my demo" / "index.html"

@@ -46,7 +46,9 @@ def eggs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # --- options --------------------------------------------------------------------------------------------
 
 
-def test_a_file_gives_commands_their_options_and_flags_override_it(eggs: Path, tmp_path: Path) -> None:
+def test_a_file_gives_commands_their_options_and_flags_override_it(
+    eggs: Path, tmp_path: Path
+) -> None:
     """Of R-BiHDM, whose values have a scale."""
     mine, asked = tmp_path / "mine.toml", ("evaluate", "-c", eggs / "eggs.sqlite", *METHOD)
     mine.write_text("[signature]\nn_values = 9\n[retrieval]\nwhitening = 'pca'\ndistance = 'd1'\n")
@@ -113,9 +115,9 @@ def test_incomplete_scans_are_counted_and_a_query_says_so(tmp_path: Path) -> Non
     assert json.loads(done.stdout)["result"]["incomplete"] == ["open"]
     asked = run("query", "-c", catalogue, tmp_path / "other.off")
     assert "other.off is incomplete: closed surface: " in asked.stderr
-    assert [line.split()[4] for line in asked.stdout.splitlines() if line.endswith("  incomplete")] == [
-        "open"
-    ]
+    assert [
+        line.split()[4] for line in asked.stdout.splitlines() if line.endswith("  incomplete")
+    ] == ["open"]
 
 
 def test_a_query_of_another_resolution_is_told(eggs: Path, tmp_path: Path) -> None:
@@ -138,7 +140,14 @@ def test_a_matcher_makes_a_matrix_that_ranks(eggs: Path, tmp_path: Path) -> None
     run("catalogue", "backup", eggs / "eggs.sqlite", catalogue)
     (tmp_path / "broken.off").write_text("OFF\n")
     (tmp_path / "labels.csv").write_text("file,class\nbroken,kind0\n")
-    ingest = ("ingest", tmp_path / "broken.off", "--labels", tmp_path / "labels.csv", "--workers", 1)
+    ingest = (
+        "ingest",
+        tmp_path / "broken.off",
+        "--labels",
+        tmp_path / "labels.csv",
+        "--workers",
+        1,
+    )
     run(*ingest, "-c", catalogue, code=3)
     asked = ("lab", "matrix", "-c", catalogue, "--matcher")
     run(*asked, "heat-hausdorff", "-o", path)
@@ -149,10 +158,15 @@ def test_a_matcher_makes_a_matrix_that_ranks(eggs: Path, tmp_path: Path) -> None
     assert made.labels == tuple(f"kind{shape_id[0]}" for shape_id in made.ids)
     found = result("evaluate", "-c", catalogue, "--matrix", path)
     assert (found["n_queries"], found["n_failed"]) == (17, 1)
-    assert result("query", "-c", catalogue, eggs / "10.off", "--matrix", path)[0]["results"][0]["id"] == "10"
+    assert (
+        result("query", "-c", catalogue, eggs / "10.off", "--matrix", path)[0]["results"][0]["id"]
+        == "10"
+    )
     refused = refusal(*asked, "heat-hausdorff", "--n-values", 9, "-o", tmp_path / "no.txt")
     assert "a matcher has no signatures: leave out --n-values" in refused
-    assert "'sift' is not one of 'heat-hausdorff', " in refusal(*asked, "sift", "-o", tmp_path / "no.txt")
+    assert "'sift' is not one of 'heat-hausdorff', " in refusal(
+        *asked, "sift", "-o", tmp_path / "no.txt"
+    )
     assert not (tmp_path / "no.txt").exists()
 
 
@@ -166,7 +180,9 @@ def test_re_ranking_is_a_row_more_and_works_by_a_matrix(eggs: Path, tmp_path: Pa
     by_matrix = ("evaluate", "--matrix", tmp_path / "eggs.npy", "--rerank", "k-reciprocal")
     assert run(*by_matrix, "--labels", labels).stdout.splitlines() == own
     assert run(*by_matrix, "-c", catalogue).stdout.splitlines() == own
-    refused = refusal("lab", "matrix", *chosen, "--rerank", "k-reciprocal", "-o", tmp_path / "x.npy")
+    refused = refusal(
+        "lab", "matrix", *chosen, "--rerank", "k-reciprocal", "-o", tmp_path / "x.npy"
+    )
     assert "distances are not re-ranked: leave out --rerank" in refused
     np.save(tmp_path / "far.npy", np.where(np.eye(16) > 0, 0, np.inf))
     (tmp_path / "far.ids").write_text((tmp_path / "eggs.ids").read_text())
@@ -180,7 +196,17 @@ def test_two_settings_matrices_and_files_give_one_comparison(eggs: Path, tmp_pat
     catalogue = eggs / "eggs.sqlite"
     settings = {"one": ("--distance", "log"), "two": ("--distance", "d1", "--n-values", "5")}
     for name, flags in settings.items():
-        run("lab", "matrix", "-c", catalogue, *PLAIN, *METHOD, *flags, "-o", tmp_path / f"{name}.txt")
+        run(
+            "lab",
+            "matrix",
+            "-c",
+            catalogue,
+            *PLAIN,
+            *METHOD,
+            *flags,
+            "-o",
+            tmp_path / f"{name}.txt",
+        )
         run("evaluate", "-c", catalogue, *PLAIN, *METHOD, *flags, "--csv", tmp_path / name)
     plain = {"retrieval": {"whitening": "none"}, "signature": {"method": "r-bihdm"}}
     short = {
@@ -219,16 +245,22 @@ def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
     location, options = tmp_path_factory.mktemp("near") / "eggs.sqlite", pr.PipelineOptions()
     with pr.Catalogue(location, create=True) as store:
         for number, (kind, width) in enumerate(product(("a", None), (1, 1.08, 1.0801))):
-            shape = pr.process(shapes.ellipsoid((width, 1, 1.8 if kind else 2.3), 2 if number == 5 else 3))
+            shape = pr.process(
+                shapes.ellipsoid((width, 1, 1.8 if kind else 2.3), 2 if number == 5 else 3)
+            )
             verdict = pr.Verdict("incomplete", 0.5) if number == 5 else pr.Verdict("good", 0.01)
-            content = Content(replace(shape, verdict=verdict), pr.describe(shape, options.signature).values)
+            content = Content(
+                replace(shape, verdict=verdict), pr.describe(shape, options.signature).values
+            )
             store.put(Record(f"{number}", f"/{number}.off", f"hash {number}", kind), content)
     return location
 
 
 def test_copies_of_other_resolution_are_duplicates(near: Path) -> None:
     pair, coarse = pr.duplicates(near)
-    assert pair[:2] == ("1", "2") and coarse[:2] == ("4", "5") and coarse.distance > 5 * pair.distance
+    assert (
+        pair[:2] == ("1", "2") and coarse[:2] == ("4", "5") and coarse.distance > 5 * pair.distance
+    )
     page = near.with_name("pairs.html")
     done = run("duplicates", "-c", near, "--html", page)
     assert [line.split()[2:] for line in done.stdout.splitlines()[1:]] == [["1", "2"], ["4", "5"]]

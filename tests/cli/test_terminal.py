@@ -36,23 +36,36 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three ellipsoids in deep folders, one of them incomplete, and a failure."""
     place, options = tmp_path_factory.mktemp("tables").resolve(), PipelineOptions()
     with Catalogue(place / "c.sqlite", create=True) as store:
-        for number, verdict in enumerate((Verdict("good", 0.1), Verdict("incomplete", 0.4, (REASON,)), None)):
+        for number, verdict in enumerate(
+            (Verdict("good", 0.1), Verdict("incomplete", 0.4, (REASON,)), None)
+        ):
             shape = process(shapes.ellipsoid((1, 0.6 + 0.1 * number, 0.5), 3), options)
             values = describe(shape, options.signature).values
             path = str(place / DEEP / f"egg{number}.off")
             record = Record(f"egg{number}", path, f"hash {number}", label="egg")
             store.put(record, Content(replace(shape, verdict=verdict), values))
-        store.put(Record("bad", str(place / "bad.off"), "", status="failed", stage="read", message="no scan"))
+        store.put(
+            Record(
+                "bad", str(place / "bad.off"), "", status="failed", stage="read", message="no scan"
+            )
+        )
     return place
 
 
 def on_terminal(
-    folder: Path, *words: str, says: bool = False, code: int = 0, program: str = "", **environment: str
+    folder: Path,
+    *words: str,
+    says: bool = False,
+    code: int = 0,
+    program: str = "",
+    **environment: str,
 ) -> str:
     """What a terminal of 80 columns gets, with its codes; messages too, if the command `says` them."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, COLUMNS, 0, 0))
-    known = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "NO_COLOR")}
+    known = {
+        name: value for name, value in os.environ.items() if name not in ("COLUMNS", "NO_COLOR")
+    }
     command = [sys.executable, *(("-c", program) if program else ("-m", "pcretrieve", *words))]
     errors = theirs if says else subprocess.DEVNULL
     with subprocess.Popen(
@@ -60,7 +73,10 @@ def on_terminal(
     ) as running:
         os.close(theirs)
         text = b""
-        with suppress(OSError), os.fdopen(ours, "rb", buffering=0) as screen:  # the other end is closed
+        with (
+            suppress(OSError),
+            os.fdopen(ours, "rb", buffering=0) as screen,
+        ):  # the other end is closed
             while part := screen.read(4096):
                 text += part
     assert running.returncode == code
@@ -102,16 +118,23 @@ def test_messages_are_broken_between_words(folder: Path, monkeypatch: pytest.Mon
     assert " ".join(lines) == f"Error: {run(*asked, code=1).exception}"
 
 
-def test_programs_get_whole_values_under_headings(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_programs_get_whole_values_under_headings(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(folder)
     lines = run("list", "-c", "c.sqlite").stdout.splitlines()
     assert lines[0].split() == ["ID", "VERDICT", "CLASS", "EULER", "SECONDS", "FILE"]
-    assert [line.split()[-1] for line in lines[1:]] == ["bad.off", *(f"{DEEP}/egg{n}.off" for n in range(3))]
+    assert [line.split()[-1] for line in lines[1:]] == [
+        "bad.off",
+        *(f"{DEEP}/egg{n}.off" for n in range(3)),
+    ]
     row = run("list", "-c", "c.sqlite", "--incomplete").stdout
     assert row.endswith(f"  incomplete: {REASON}\n")
     rows = run("query", "-c", "c.sqlite", "egg0").stdout.splitlines()
     assert rows[0].split() == ["RANK", "DISTANCE", "SCORE", "CLASS", "ID", "FILE", "SCAN"]
-    assert [line[line.index("incomplete") :] for line in rows if "incomplete" in line] == ["incomplete"]
+    assert [line[line.index("incomplete") :] for line in rows if "incomplete" in line] == [
+        "incomplete"
+    ]
     starts = {line.index(word) for line, word in zip(rows, ("FILE", *[DEEP] * 3), strict=False)}
     assert len(starts) == 1, "columns are aligned"
     assert not any("\x1b" in line for line in (*lines, *rows))
@@ -152,7 +175,9 @@ time.sleep(1)
 """
 
 
-def test_the_line_of_waiting_has_the_latest_message_and_makes_place_for_others(tmp_path: Path) -> None:
+def test_the_line_of_waiting_has_the_latest_message_and_makes_place_for_others(
+    tmp_path: Path,
+) -> None:
     shown = on_terminal(tmp_path, program=WORKS, says=True)
     states = [state.strip() for state in shown.replace("\n", "\r").split("\r")]
     assert any(state.startswith("count: at work, ") for state in states)
@@ -161,7 +186,9 @@ def test_the_line_of_waiting_has_the_latest_message_and_makes_place_for_others(t
     assert "2 of 2" not in shown, "nothing is said when results are shown"
     assert "\x1b[31mfailed:\x1b[0m the second" in states
     assert [state for state in states if state][-1] == "1"
-    assert "\r" + " " * 60 in shown[: shown.index("failed:")], "the line is cleared before the message"
+    assert "\r" + " " * 60 in shown[: shown.index("failed:")], (
+        "the line is cleared before the message"
+    )
 
 
 # --- streams that are closed, or on a full disk ---------------------------------------------------------
@@ -171,11 +198,18 @@ def redirected(folder: Path, command: str) -> subprocess.CompletedProcess[str]:
     """Run a command with redirections by the shell."""
     program = f"{sys.executable} -m pcretrieve {command}"
     return subprocess.run(
-        ["/bin/sh", "-c", program], cwd=folder, capture_output=True, text=True, timeout=120, check=False
+        ["/bin/sh", "-c", program],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
     )
 
 
-@pytest.mark.parametrize("redirection", ["0<&- 2>&-", ">&-", pytest.param(f"2>{FULL}", marks=needs_full)])
+@pytest.mark.parametrize(
+    "redirection", ["0<&- 2>&-", ">&-", pytest.param(f"2>{FULL}", marks=needs_full)]
+)
 def test_what_cannot_be_printed_ends_no_batch(redirection: str, tmp_path: Path) -> None:
     """Neither messages nor results, of one good scan and one that fails."""
     (tmp_path / "scans").mkdir()

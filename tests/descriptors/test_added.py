@@ -101,8 +101,14 @@ def test_what_a_descriptor_is_given() -> None:
 @pytest.mark.parametrize(
     ("method", "message"),
     [
-        ("sly", "gone: the shape must hold its mesh, but does not: not kept .* or not among the needs"),
-        ("short", "the descriptor 'short' of the package theirs must give 4 values, as its record .* got 3"),
+        (
+            "sly",
+            "gone: the shape must hold its mesh, but does not: not kept .* or not among the needs",
+        ),
+        (
+            "short",
+            "the descriptor 'short' of the package theirs must give 4 values, as its record .* got 3",
+        ),
         ("moody", "must give a Signature with the metric 'logarithms', got Signature"),
         ("hollow", "failed, InputError: signature values must be positive, got 0.0"),
         ("center", r"\[signature\] gone: the shape must hold its points, but does not"),
@@ -118,8 +124,14 @@ def test_what_a_descriptor_may_not_do_fails_its_shape(method: str, message: str)
 
 def test_records_that_declare_what_does_not_exist() -> None:
     for declared, message in (
-        ({"needs": ("voxels",)}, "needs of a descriptor must be of spectrum, .* points, got 'voxels'"),
-        ({"needs": (), "metric": "angles"}, "metric of a descriptor must be of logarithms, .* got 'angles'"),
+        (
+            {"needs": ("voxels",)},
+            "needs of a descriptor must be of spectrum, .* points, got 'voxels'",
+        ),
+        (
+            {"needs": (), "metric": "angles"},
+            "metric of a descriptor must be of logarithms, .* got 'angles'",
+        ),
     ):
         with pytest.raises(OptionError, match=message):
             Descriptor("x", lambda shape, options: Signature(np.ones(1), kind="x"), **declared)

@@ -28,7 +28,11 @@ def test_the_arrowhead_is_the_dense_kernel_with_lumped_mass_only() -> None:
         pairs = eigenpairs(operator, n_pairs=N_MODES + 1)
         projected = operator.mass @ pairs.eigenvectors
         dense = projected.T @ squared_distances(pairs) @ projected
-        assert least <= np.abs(reduced_matrix(pairs, N_MODES) - dense).max() / np.abs(dense).max() < most
+        assert (
+            least
+            <= np.abs(reduced_matrix(pairs, N_MODES) - dense).max() / np.abs(dense).max()
+            < most
+        )
 
 
 def test_one_eigenvalue_is_positive_and_their_sum_zero() -> None:
@@ -61,7 +65,8 @@ def test_the_spectrum_of_bihdm_is_that_of_the_dense_kernel(mesh: TriangleMesh) -
 def test_r_bihdm_approaches_bihdm_as_modes_are_added() -> None:
     pairs = eigenpairs(laplace_beltrami(shapes.body(4)), n_pairs=61)
     gaps = [
-        np.abs(np.log(bihdm(pairs, 5, m).values / r_bihdm(pairs, 5, m).values)).max() for m in (6, 15, 30, 60)
+        np.abs(np.log(bihdm(pairs, 5, m).values / r_bihdm(pairs, 5, m).values)).max()
+        for m in (6, 15, 30, 60)
     ]
     assert (np.diff(gaps) < 0).all(), gaps
     assert 0 < gaps[-1] < 1e-3 * gaps[0]
@@ -71,4 +76,6 @@ def test_sampled_eigenvalues_are_those_of_the_matrix_of_distances_between_vertic
     pairs = unit_eigenpairs(shapes.body(2), 31)
     distances = squared_distances(pairs)
     magnitudes = -np.linalg.eigvalsh(distances)[:9] * pairs.area / len(distances)
-    np.testing.assert_allclose(bihdm_sampled(pairs, 9, 30, scale="absolute").values, magnitudes, rtol=1e-9)
+    np.testing.assert_allclose(
+        bihdm_sampled(pairs, 9, 30, scale="absolute").values, magnitudes, rtol=1e-9
+    )

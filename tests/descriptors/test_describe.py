@@ -90,15 +90,26 @@ def test_a_descriptor_says_what_it_is_and_is_positive(method: str) -> None:
 @pytest.mark.parametrize("change", [shapes.moved, shapes.renumbered])
 def test_it_does_not_see_motion_or_numbering(method: str, change) -> None:  # type: ignore[no-untyped-def]
     other = process(change(shapes.body(3), 1), PipelineOptions())
-    np.testing.assert_allclose(compared(other, method), compared(body(), method), atol=TOLERANCE[method])
+    np.testing.assert_allclose(
+        compared(other, method), compared(body(), method), atol=TOLERANCE[method]
+    )
 
 
 # Powers of length of the values for the scale absolute.
-POWERS = {"r-bihdm": 4, "bihdm": 4, "bihdm-sampled": 4, "shape-dna": 2, "sd-gdm": 3, "sd-gdm-sampled": 3}
+POWERS = {
+    "r-bihdm": 4,
+    "bihdm": 4,
+    "bihdm-sampled": 4,
+    "shape-dna": 2,
+    "sd-gdm": 3,
+    "sd-gdm-sampled": 3,
+}
 
 
 def test_size_is_kept_where_it_is_asked_for_and_nowhere_else(method: str) -> None:
-    twice = process(TriangleMesh(2 * shapes.body(3).vertices, shapes.body(3).faces), PipelineOptions())
+    twice = process(
+        TriangleMesh(2 * shapes.body(3).vertices, shapes.body(3).faces), PipelineOptions()
+    )
     np.testing.assert_allclose(values(twice, method), values(body(), method), rtol=1e-5)
     by_area = values(twice, method, "area")
     np.testing.assert_allclose(by_area, values(body(), method, "area"), rtol=1e-5)
@@ -110,7 +121,9 @@ def test_size_is_kept_where_it_is_asked_for_and_nowhere_else(method: str) -> Non
 
 
 @pytest.mark.parametrize("function", [r_bihdm, bihdm])
-def test_a_descriptor_by_itself_is_that_of_the_default_options(function: Callable[..., Signature]) -> None:
+def test_a_descriptor_by_itself_is_that_of_the_default_options(
+    function: Callable[..., Signature],
+) -> None:
     described = describe(body(), SignatureOptions(method=function.__name__.replace("_", "-")))
     by_itself, relative = function(body().spectrum), function(body().spectrum, scale="relative")
     assert (described, described.digest) == (by_itself, by_itself.digest)
@@ -129,7 +142,9 @@ def test_the_compact_shape_descriptor_of_a_sphere_is_that_of_each_of_its_points(
     np.testing.assert_allclose(found[6:], frequencies / np.linalg.norm(frequencies), atol=0.002)
     assert len(csd(body().eigenpairs, 147).values) == 147  # as the heat kernel has frequencies
     for n_values in (2, 148):
-        with pytest.raises(OptionError, match=f"n_values must be between 3 and 147 for csd, got {n_values}"):
+        with pytest.raises(
+            OptionError, match=f"n_values must be between 3 and 147 for csd, got {n_values}"
+        ):
             csd(body().eigenpairs, n_values)
 
 
@@ -187,7 +202,9 @@ def test_size_is_one_value_more_beside_the_form(method: str) -> None:
     shape = Shape((replace(body().surfaces[0], area=3.0), replace(longer().surfaces[0], area=3.3)))
     weighted = options(method).model_copy(update={"size_weight": 6.0})
     if DESCRIPTORS[method].metric == "histograms":
-        with pytest.raises(OptionError, match=f"size_weight must be 0 for {method}, whose values are a hist"):
+        with pytest.raises(
+            OptionError, match=f"size_weight must be 0 for {method}, whose values are a hist"
+        ):
             describe(shape, weighted)
         return
     form, sized = describe(shape, options(method)), describe(shape, weighted)

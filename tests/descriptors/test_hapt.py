@@ -29,7 +29,9 @@ def tube(radius: float, length: float, *, bend: float = 0.0) -> TriangleMesh:
     if bend:
         arc = (length + 2 * radius) / bend  # radius of the arc of the axis
         turn, reach = vertices[:, 2] / arc, arc - vertices[:, 0]
-        vertices = np.column_stack([arc - reach * np.cos(turn), vertices[:, 1], reach * np.sin(turn)])
+        vertices = np.column_stack(
+            [arc - reach * np.cos(turn), vertices[:, 1], reach * np.sin(turn)]
+        )
     here = np.arange(x.size).reshape(x.shape)
     beside = np.roll(here, -1, axis=1)
     a, b, c, d = (corner.ravel() for corner in (here[:-1], beside[:-1], beside[1:], here[1:]))
@@ -87,7 +89,10 @@ def test_rotation_reflection_scale_and_orientation_change_nothing(make) -> None:
 def test_a_body_that_is_all_length_needs_too_large_a_grid() -> None:
     """A thin tube on three axes: its grid has as many voxels as the cube around it."""
     arm = tube(0.004, 2.0)
-    arms = (TriangleMesh(arm.vertices @ np.roll(np.eye(3), turn, axis=1), arm.faces) for turn in range(3))
+    arms = (
+        TriangleMesh(arm.vertices @ np.roll(np.eye(3), turn, axis=1), arm.faces)
+        for turn in range(3)
+    )
     message = r"at most 16,777,216 voxels of 0.01 √area, got [\d,]+: the"
     with pytest.raises(DegenerateMeshError, match=message):
         hapt(shapes.joined(*arms))

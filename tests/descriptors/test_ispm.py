@@ -55,4 +55,6 @@ def test_wavelet_signatures_are_constant_on_a_sphere() -> None:
     pairs = unit_eigenpairs(shapes.icosphere(4), 49)  # l = 0 … 6
     features = wavelet_signatures(pairs, 48)
     np.testing.assert_allclose(np.linalg.norm(features, axis=1), 1)
-    np.testing.assert_allclose(features, np.broadcast_to(features.mean(axis=0), features.shape), atol=0.01)
+    np.testing.assert_allclose(
+        features, np.broadcast_to(features.mean(axis=0), features.shape), atol=0.01
+    )

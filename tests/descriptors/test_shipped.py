@@ -57,7 +57,8 @@ def test_the_derivative_of_the_loss_is_the_limit_of_differences() -> None:
     direction = random.normal(size=atoms.shape)
     step = 1e-5
     ahead, behind = (
-        triplet_loss(bodies, LABELS, atoms + sign * step * direction, 0.5, 2000)[0] for sign in (1, -1)
+        triplet_loss(bodies, LABELS, atoms + sign * step * direction, 0.5, 2000)[0]
+        for sign in (1, -1)
     )
     assert (gradient * direction).sum() == pytest.approx((ahead - behind) / (2 * step), rel=0.02)
 
@@ -77,7 +78,9 @@ def test_learning_with_labels_separates_surfaces_that_it_has_not_seen() -> None:
     learned = supervised_dictionary(known, labels, start, np.random.default_rng(0))
     np.testing.assert_allclose(np.linalg.norm(learned, axis=1), 1)
     points = np.array([surface.features for surface in unseen])
-    before, after = (triplet_loss(points, np.array(labels), atoms, 0.1)[0] for atoms in (start, learned))
+    before, after = (
+        triplet_loss(points, np.array(labels), atoms, 0.1)[0] for atoms in (start, learned)
+    )
     assert after < 0.75 * before
 
 
@@ -87,5 +90,7 @@ def test_words_are_near_points_of_the_first_subject() -> None:
     pairs = unit_eigenpairs(body(subject, next(iter(POSES["person"].values())), rng), 61)
     for words, kind in zip(shipped("hks_sample.npy"), (False, True), strict=True):
         near = cKDTree(heat_features(pairs, scale_invariant=kind)).query(words[:120])[0]
-        own, other = np.median(np.reshape(near, (2, -1)), axis=1)  # of this subject and of the second
+        own, other = np.median(
+            np.reshape(near, (2, -1)), axis=1
+        )  # of this subject and of the second
         assert 3 * own < other

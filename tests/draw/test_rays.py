@@ -23,7 +23,9 @@ def test_rays_meet_the_same_in_any_unit() -> None:
     expected = here.cast(origins, directions)
     for unit in UNITS:
         there = RayScene(unit * BALL.vertices, BALL.faces)
-        for found, known in zip(there.cast(unit * origins, unit * directions), expected, strict=True):
+        for found, known in zip(
+            there.cast(unit * origins, unit * directions), expected, strict=True
+        ):
             np.testing.assert_array_equal(found, known)
         unscaled = there.cast(unit * origins, directions)[0]
         np.testing.assert_array_equal(unscaled / unit, expected[0])
@@ -43,7 +45,9 @@ def test_rays_meet_the_sphere_where_they_should_even_far_from_the_origin() -> No
         for ray in (0, 2):
             corners = BALL.vertices[BALL.faces[face[ray]]]
             hit = origins[ray] + distance[ray] * directions[ray]
-            assert np.linalg.det(corners - hit) == pytest.approx(0, abs=1e-6)  # in the plane of that face
+            assert np.linalg.det(corners - hit) == pytest.approx(
+                0, abs=1e-6
+            )  # in the plane of that face
             assert normals[ray] @ hit > 0.9  # outwards, as its faces are
         assert scene.distance(place[None]) == pytest.approx(1, abs=0.02)
 

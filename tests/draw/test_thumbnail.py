@@ -32,7 +32,9 @@ def surface(vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh:
 
 
 def box(centre: tuple[float, float, float], sides: tuple[float, float, float]) -> TriangleMesh:
-    return surface(CUBE * sides + centre, [side[:k] + side[k + 1 :] for side in CUBE_SIDES for k in (1, 3)])
+    return surface(
+        CUBE * sides + centre, [side[:k] + side[k + 1 :] for side in CUBE_SIDES for k in (1, 3)]
+    )
 
 
 def pear() -> TriangleMesh:
@@ -130,7 +132,9 @@ def test_what_is_up_can_be_said() -> None:
     np.testing.assert_allclose(axes[1], up)
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(axes) == pytest.approx(1)
-    np.testing.assert_allclose(np.abs(axes[2] @ rotation.as_matrix()), [0, 0, 1], atol=1e-3)  # the broad side
+    np.testing.assert_allclose(
+        np.abs(axes[2] @ rotation.as_matrix()), [0, 0, 1], atol=1e-3
+    )  # the broad side
     rows, columns = rows_and_columns(drawing.thumbnail(mesh.vertices, mesh.faces, up=up) or b"")
     assert np.ptp(columns) > 1.5 * np.ptp(rows)
 

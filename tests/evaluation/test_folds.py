@@ -61,16 +61,22 @@ def test_the_whitening_of_a_fold_is_that_of_the_other_folds() -> None:
 
 
 @pytest.mark.parametrize("distance", DISTANCES)
-def test_queries_are_ranked_against_the_whole_gallery_or_re_ranked_in_their_fold(distance: str) -> None:
+def test_queries_are_ranked_against_the_whole_gallery_or_re_ranked_in_their_fold(
+    distance: str,
+) -> None:
     """Shapes of a fit are dense, and would make others look isolated. A shape without label is no query."""
     table = a_table()
     values = np.vstack([table.values, np.full(8, 50.0)])
-    table = replace(table, ids=(*table.ids, "stranger"), values=values, labels=(*table.labels, None))
+    table = replace(
+        table, ids=(*table.ids, "stranger"), values=values, labels=(*table.labels, None)
+    )
     options, logs = RetrievalOptions(distance=distance), coordinates(table.values)
     seen = []
     for among_fold in (False, True):
         subsets = within_class_subsets(table, options, among_fold=among_fold)
-        for (queries, whitening), subset in zip(within_class_folds(table, options), subsets, strict=True):
+        for (queries, whitening), subset in zip(
+            within_class_folds(table, options), subsets, strict=True
+        ):
             seen += queries.tolist()
             members = queries if among_fold else np.arange(61)
             np.testing.assert_array_equal(subset.members, members)
@@ -102,7 +108,9 @@ def test_an_evaluation_whitens_the_gallery_in_any_order(distance: str, whitening
 
 
 @pytest.mark.parametrize("whitening", ["none", "neighbours", "pca", "within-class"])
-def test_re_ranking_keeps_the_nearest_shape_and_gives_the_plain_rankings_too(whitening: str) -> None:
+def test_re_ranking_keeps_the_nearest_shape_and_gives_the_plain_rankings_too(
+    whitening: str,
+) -> None:
     table = round_classes()
     options = RetrievalOptions(whitening=whitening, rerank="k-reciprocal")
     again, plain = rank_table(table, options)
@@ -136,7 +144,9 @@ def test_ranks_are_those_of_the_re_ranked_lists_and_then_of_the_distances() -> N
     again = rerank(NeighbourLists(nearest, np.take_along_axis(distances, nearest, axis=1)))
     for number, query in enumerate(map(int, found.ids)):
         order = list(again[query])
-        rest = sorted(set(range(n)).difference(order), key=lambda other: (distances[query, other], other))
+        rest = sorted(
+            set(range(n)).difference(order), key=lambda other: (distances[query, other], other)
+        )
         ranked = [labels[other] == labels[query] for other in order + rest]
         expected = np.flatnonzero(ranked)[1:]
         np.testing.assert_array_equal(found.hit_rank[found.hit_query == number], expected)

@@ -40,7 +40,9 @@ def rank_gallery(
 
 def ranked(orders: dict[str, str], labels: Mapping[str, str], failed: str = "") -> Rankings:
     """Shapes that find each other in these orders; and failed ones of some classes."""
-    distances = [[0 if j == i else 1 + order.index(j) for j in orders] for i, order in orders.items()]
+    distances = [
+        [0 if j == i else 1 + order.index(j) for j in orders] for i, order in orders.items()
+    ]
     block = DistanceBlock(np.arange(len(orders)), np.array(distances, dtype=np.float64))
     lost: dict[str, str | None] = {f"failed {number}": label for number, label in enumerate(failed)}
     return rank_gallery([block], list(orders), [labels.get(i) for i in orders], failed=lost)
@@ -124,7 +126,9 @@ def test_ranks_are_those_of_sorting_by_distance_and_id() -> None:
     labels: list[str | None] = [f"class {number}" for number in rng.integers(0, 8, 200)]
     ids, distances = [f"T{number}" for number in rng.permutation(200)], rng.random((200, 200))
     result = rank_gallery(by_rows(np.round(distances, 1)), ids, labels)
-    assert rank_gallery([DistanceBlock(np.arange(200), np.round(distances, 1))], ids, labels) == result
+    assert (
+        rank_gallery([DistanceBlock(np.arange(200), np.round(distances, 1))], ids, labels) == result
+    )
     scores = query_scores(rank_gallery(by_rows(distances), ids, labels))
     names = np.array(labels, dtype=str)
     rates, pairs = verification(result.genuine, result.impostor), ~np.eye(200, dtype=bool)
@@ -136,7 +140,9 @@ def test_ranks_are_those_of_sorting_by_distance_and_id() -> None:
     assert rates.missed(0.3) == 1 - accepted[matched <= 0.3][-1]
     for query in range(200):
         others = [i for i in range(200) if i != query]
-        precision = average_precision_score(names[others] == names[query], -distances[query, others])
+        precision = average_precision_score(
+            names[others] == names[query], -distances[query, others]
+        )
         assert scores.ap[query] == pytest.approx(precision)
         others.sort(key=lambda i: (round(distances[query, i], 1), ids[i]))
         expected = [rank for rank, i in enumerate(others, start=1) if labels[i] == labels[query]]
@@ -145,7 +151,9 @@ def test_ranks_are_those_of_sorting_by_distance_and_id() -> None:
 
 def test_precision_recall_hand_worked() -> None:
     # Query a alone: hits at ranks 1 and 3 of R = 2, so precision 1 up to recall ½ and ⅔ beyond.
-    result = ranked({"a": "bdc", "b": "acd", "c": "abd", "d": "abc"}, {"a": "X", "b": "X", "c": "X"})
+    result = ranked(
+        {"a": "bdc", "b": "acd", "c": "abd", "d": "abc"}, {"a": "X", "b": "X", "c": "X"}
+    )
     curve = precision_recall(result, n_points=5)
     assert curve.recall.tolist() == [0, 0.25, 0.5, 0.75, 1]
     np.testing.assert_allclose(curve.precision, [1, 1, 1, (2 / 3 + 1 + 1) / 3, (2 / 3 + 1 + 1) / 3])
@@ -167,9 +175,20 @@ def test_measures_confusions_and_files_of_classes(tmp_path: Path) -> None:
     assert (found.labels, found.nearest) == (("X", "Y"), ("X", "Y", None))
     assert found.counts.tolist() == [[1, 1, 1], [1, 1, 0]]
     written = write_evaluation(result, tmp_path / "new" / "folder")
-    tables = {path.stem: list(csv.reader(path.read_text(encoding="utf-8").splitlines())) for path in written}
-    assert tables["confusion"] == [["label", "X", "Y", ""], ["X", "1", "1", "1"], ["Y", "1", "1", "0"]]
-    assert [row[:2] for row in tables["classes"]] == [["label", "n_queries"], ["X", "3"], ["Y", "3"]]
+    tables = {
+        path.stem: list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
+        for path in written
+    }
+    assert tables["confusion"] == [
+        ["label", "X", "Y", ""],
+        ["X", "1", "1", "1"],
+        ["Y", "1", "1", "0"],
+    ]
+    assert [row[:2] for row in tables["classes"]] == [
+        ["label", "n_queries"],
+        ["X", "3"],
+        ["Y", "3"],
+    ]
     assert float(tables["classes"][1][7]) == x.means[5]
     assert (tables["queries"][3][0], *tables["queries"][3][-2:]) == ("c", "z", "")
     assert tables["queries"][6][0] == "failed 0"
@@ -212,7 +231,9 @@ def test_small_differences_show_beside_large_ones_between_queries() -> None:
     found = compare_scores(first, second)
     np.testing.assert_allclose(found.difference, np.abs(gains).mean())
     assert (found.interval[0] > 0).all()
-    assert np.ptp(found.interval, axis=1) == pytest.approx([0, 0]), "columns of a row are drawn together"
+    assert np.ptp(found.interval, axis=1) == pytest.approx([0, 0]), (
+        "columns of a row are drawn together"
+    )
     low, high = bootstrap_interval(first.columns)
     assert (high - low > 10 * (found.interval[1] - found.interval[0])).all()
     reverse = compare_scores(second, first)
@@ -242,7 +263,9 @@ def test_results_of_other_shapes_or_classes() -> None:
     with pytest.raises(InputError, match="must have queries in common, got none of 100 and 100"):
         compare_scores(equal_scores(EASE), equal_scores(EASE, start=500))
     other = replace(equal_scores(EASE), labels=("X",) * 98 + ("Y", "Z"))
-    with pytest.raises(InputError, match="the same class in both results, 2 have another, such as 098, 099"):
+    with pytest.raises(
+        InputError, match="the same class in both results, 2 have another, such as 098, 099"
+    ):
         compare_scores(equal_scores(EASE), other)
 
 

@@ -26,7 +26,10 @@ CLOUD = PointCloud(BALL.vertices, NORMALS, 3 * NORMALS)
 
 
 def lines(form: str, decimal: str = ".") -> str:
-    rows = (form.format(*(f"{value!r}".replace(".", decimal) for value in row)) for row in POINTS.tolist())
+    rows = (
+        form.format(*(f"{value!r}".replace(".", decimal) for value in row))
+        for row in POINTS.tolist()
+    )
     return "\n".join(rows)
 
 
@@ -127,11 +130,17 @@ def test_what_is_left_out_is_noted(tmp_path: Path) -> None:
         (tmp_path / "a.xyzn").write_text(f"0 0 0 0 0 1\n1 0 0 {normal}\n")
         found = cloud(tmp_path / "a.xyzn")
         assert found.normals is None
-        assert found.provenance[0].notes == ("ignored the file's normals: 1 of them have no direction",)
+        assert found.provenance[0].notes == (
+            "ignored the file's normals: 1 of them have no direction",
+        )
     np.savez(tmp_path / "a.npz", points=POINTS, viewpoint=[0, np.inf, 0])
     found = cloud(tmp_path / "a.npz")
     assert found.viewpoints is None
-    assert found.provenance[0].notes[-1].startswith("ignored the file's sensor positions: some are NaN")
+    assert (
+        found.provenance[0]
+        .notes[-1]
+        .startswith("ignored the file's sensor positions: some are NaN")
+    )
 
 
 def test_arrays_of_points(tmp_path: Path) -> None:
@@ -202,10 +211,13 @@ def test_every_type_of_number(tmp_path: Path) -> None:
             header = f"element vertex 3\nproperty {type_} x\nproperty uchar red\n"
             header += "property double y\nproperty float z\n"
             rows = [
-                row(form, (value, type_), (7, "uchar"), (0.25, "double"), (0.5, "float")) for value in values
+                row(form, (value, type_), (7, "uchar"), (0.25, "double"), (0.5, "float"))
+                for value in values
             ]
             (tmp_path / "a.ply").write_bytes(ply(form, header, *rows))
-            stored = [struct.unpack(f"<{code}", struct.pack(f"<{code}", value))[0] for value in values]
+            stored = [
+                struct.unpack(f"<{code}", struct.pack(f"<{code}", value))[0] for value in values
+            ]
             found = cloud(tmp_path / "a.ply").points
             np.testing.assert_array_equal(found, [[value, 0.25, 0.5] for value in stored])
 
@@ -213,14 +225,30 @@ def test_every_type_of_number(tmp_path: Path) -> None:
 def test_faces_among_lists_of_other_lengths(tmp_path: Path) -> None:
     """The triangles of polygons of one size come in the order of the file."""
     polygons = [(0, 1, 2), (2, 1, 3), (0, 1, 2, 3), (3, 2, 1), (1, 2), (4, 3, 2, 1, 0), ()]
-    triangles = [(0, 1, 2), (2, 1, 3), (3, 2, 1), (0, 1, 2), (0, 2, 3), (4, 3, 2), (4, 2, 1), (4, 1, 0)]
+    triangles = [
+        (0, 1, 2),
+        (2, 1, 3),
+        (3, 2, 1),
+        (0, 1, 2),
+        (0, 2, 3),
+        (4, 3, 2),
+        (4, 2, 1),
+        (4, 1, 0),
+    ]
     for form in ORDERS:
         for length in ("uchar", "char", "ushort", "short", "uint", "int"):
             header = f"element vertex 5\n{XYZ}element face 7\nproperty uchar red\n"
             header += f"property list uchar float uv\nproperty list {length} int vertex_index\n"
-            rows = [row(form, *((float(k * k + axis), "float") for axis in range(3))) for k in range(5)]
+            rows = [
+                row(form, *((float(k * k + axis), "float") for axis in range(3))) for k in range(5)
+            ]
             rows += [
-                row(form, (7, "uchar"), ([0.5] * (k % 3), "uchar", "float"), (polygon, length, "int"))
+                row(
+                    form,
+                    (7, "uchar"),
+                    ([0.5] * (k % 3), "uchar", "float"),
+                    (polygon, length, "int"),
+                )
                 for k, polygon in enumerate(polygons)
             ]
             (tmp_path / "a.ply").write_bytes(ply(form, header, *rows))

@@ -59,7 +59,9 @@ def is_ball(found: PointCloud, tolerance: float) -> bool:
     distance = np.linalg.norm(outward, axis=1)
     outward /= distance[:, None]
     # Away from the silhouette, where the surface is seen from the side.
-    facing = np.einsum("ij,ij->i", outward, -found.points) > 0.5 * np.linalg.norm(found.points, axis=1)
+    facing = np.einsum("ij,ij->i", outward, -found.points) > 0.5 * np.linalg.norm(
+        found.points, axis=1
+    )
     cosine = np.einsum("ij,ij->i", outward[facing], found.normals[facing])
     return bool(
         len(found.points) > 300
@@ -116,7 +118,9 @@ def test_the_folder_of_the_tum_benchmark(tmp_path: Path) -> None:
     folder = tmp_path / "rgbd_dataset_freiburg2_desk"
     (folder / "depth").mkdir(parents=True)
     (folder / "depth.txt").write_text("# depth maps\n1.0 depth/1.0.png\n")
-    (folder / "groundtruth.txt").write_text("# timestamp tx ty tz qx qy qz qw\n" + "1 0 0 0 0 0 0 1\n" * 9)
+    (folder / "groundtruth.txt").write_text(
+        "# timestamp tx ty tz qx qy qz qw\n" + "1 0 0 0 0 0 0 1\n" * 9
+    )
     camera = TUM_CAMERAS["freiburg2"]
     image = readings((*camera.focal, *camera.center), (640, 480))[..., 2]
     write(folder / "depth" / "1.0.png", np.round(5000 * image).astype(np.uint16))
@@ -151,14 +155,26 @@ def test_readings_without_an_answer_are_dropped_with_a_note(tmp_path: Path) -> N
 def test_a_camera_that_cannot_be_read(tmp_path: Path) -> None:
     write(tmp_path / "a.png", MILLIMETRES)
     for name, text, words in (
-        ("camera.json", "{", "the camera file camera.json must have intrinsic_matrix as Open3D writes it"),
+        (
+            "camera.json",
+            "{",
+            "the camera file camera.json must have intrinsic_matrix as Open3D writes it",
+        ),
         (
             "camera.json",
             json.dumps(OPEN3D | {"width": 81}),
             r"the camera has \(81, 60\) pixels, the image has",
         ),
-        ("camera.toml", FLAT.replace("70", "-70"), "focal lengths and the depth scale must be positive"),
-        ("camera.toml", FLAT + "depth_scale = 0\n", "focal lengths and the depth scale must be positive"),
+        (
+            "camera.toml",
+            FLAT.replace("70", "-70"),
+            "focal lengths and the depth scale must be positive",
+        ),
+        (
+            "camera.toml",
+            FLAT + "depth_scale = 0\n",
+            "focal lengths and the depth scale must be positive",
+        ),
         ("camera.toml", FLAT + "#" * (1 << 16), "must have at most 65536 bytes"),
         ("other.toml", FLAT, "needs the parameters of its camera: put "),
     ):
@@ -201,7 +217,9 @@ def ptx(turn: Rotation, sensor: NDArray[np.float64], grid: NDArray[np.float64]) 
     axes = turn.as_matrix().T
     rows = [*grid.shape[:2], sensor, *axes, *([*axis, 0] for axis in axes), [*sensor, 1]]
     head = "".join(" ".join(f"{value:.9g}" for value in np.atleast_1d(row)) + "\n" for row in rows)
-    return head + "".join("{:.9g} {:.9g} {:.9g} 0.5 1 2 3\n".format(*row) for row in grid.reshape(-1, 3))
+    return head + "".join(
+        "{:.9g} {:.9g} {:.9g} 0.5 1 2 3\n".format(*row) for row in grid.reshape(-1, 3)
+    )
 
 
 def test_readings_of_ptx_in_the_common_frame(tmp_path: Path) -> None:
@@ -215,8 +233,12 @@ def test_readings_of_ptx_in_the_common_frame(tmp_path: Path) -> None:
     assert found.normals is not None
     own, normals = (found.points - SENSOR) @ TURN.as_matrix(), found.normals @ TURN.as_matrix()
     on_wall = np.abs(own[:, 2] - WALL) < 1e-6
-    np.testing.assert_allclose(normals[on_wall], np.tile([0, 0, -1.0], (on_wall.sum(), 1)), atol=1e-6)
-    assert is_ball(PointCloud(own[~on_wall], normals[~on_wall], (found.viewpoints - SENSOR)[~on_wall]), 1e-6)
+    np.testing.assert_allclose(
+        normals[on_wall], np.tile([0, 0, -1.0], (on_wall.sum(), 1)), atol=1e-6
+    )
+    assert is_ball(
+        PointCloud(own[~on_wall], normals[~on_wall], (found.viewpoints - SENSOR)[~on_wall]), 1e-6
+    )
     assert np.einsum("ij,ij->i", normals, -own).min() >= 0
     missing, alone = found.provenance[0].notes
     assert missing == f"dropped {5 * WIDTH} of {WIDTH * HEIGHT} readings without an answer"
@@ -231,7 +253,9 @@ def test_scans_of_one_file_are_joined_by_the_poses_of_their_sensors(tmp_path: Pa
     n = len(alone.points)
     assert both.viewpoints is not None
     np.testing.assert_array_equal(both.points[:n], alone.points)
-    np.testing.assert_allclose(both.points[n:] @ TURN.as_matrix().T + SENSOR, alone.points, atol=1e-6)
+    np.testing.assert_allclose(
+        both.points[n:] @ TURN.as_matrix().T + SENSOR, alone.points, atol=1e-6
+    )
     np.testing.assert_array_equal(both.viewpoints, [SENSOR] * n + [np.zeros(3)] * n)
     first, second = members_of(tmp_path / "both.ptx")
     assert [path.name for path in (first, second)] == ["both.ptx#1", "both.ptx#2"]

@@ -46,7 +46,11 @@ def test_points_of_las(tmp_path: Path) -> None:
             write_las(tmp_path / f"a{suffix}", POINTS, point_format=point_format, classes=classes)
             found = cloud(tmp_path / f"a{suffix}")
             np.testing.assert_allclose(found.points, POINTS[1:], atol=LAS_STEP)
-            assert found.provenance[0].notes[0].startswith("dropped 1 of 500 points that the file classifies")
+            assert (
+                found.provenance[0]
+                .notes[0]
+                .startswith("dropped 1 of 500 points that the file classifies")
+            )
 
 
 @needs(".laz")
@@ -59,8 +63,18 @@ def test_damaged_headers_and_chunks(tmp_path: Path) -> None:
     for whole, at, value, words in (
         (las, 24, b"\2", "its header says version 2.2"),
         (las, 96, struct.pack("<I", 10**9), "its points begin at byte 1000000000"),
-        (las, 100, struct.pack("<I", 2**32 - 1), "its header declares 4294967295 records in 0 bytes"),
-        (las, 107, struct.pack("<I", 2**32 - 1), "its header declares 4294967295 points, 17000 bytes follow"),
+        (
+            las,
+            100,
+            struct.pack("<I", 2**32 - 1),
+            "its header declares 4294967295 records in 0 bytes",
+        ),
+        (
+            las,
+            107,
+            struct.pack("<I", 2**32 - 1),
+            "its header declares 4294967295 points, 17000 bytes follow",
+        ),
         (las, 131, struct.pack("<d", np.nan), "its scale is not finite"),
         (laz[:-100], 0, b"", "its chunks are listed at byte"),
         (laz, layers, struct.pack("<I", 2**32 - 1), "the layers of a chunk have 42949"),
@@ -87,7 +101,9 @@ SENSOR = np.array([4.0, -5.0, 1.5])
 
 @needs(".e57")
 def test_the_pose_of_an_e57_scan_is_its_viewpoint(tmp_path: Path) -> None:
-    write_e57(tmp_path / "a.e57", [{"points": POINTS, "rotation": QUATERNION, "translation": SENSOR}])
+    write_e57(
+        tmp_path / "a.e57", [{"points": POINTS, "rotation": QUATERNION, "translation": SENSOR}]
+    )
     found = cloud(tmp_path / "a.e57")
     np.testing.assert_allclose(found.points, POINTS @ TURN.as_matrix().T + SENSOR, atol=10 * SINGLE)
     assert found.viewpoints is not None
@@ -102,7 +118,9 @@ def test_the_default_pose_is_that_of_a_sensor_if_the_points_are_a_grid(tmp_path:
     grid = {"rowIndex": index % 25, "columnIndex": index // 25}
     write_e57(tmp_path / "grid.e57", [{"points": POINTS + 9, **grid}])
     write_e57(tmp_path / "plain.e57", [{"points": POINTS + 9}])
-    np.testing.assert_array_equal(cloud(tmp_path / "grid.e57").viewpoints, np.zeros((len(POINTS), 3)))
+    np.testing.assert_array_equal(
+        cloud(tmp_path / "grid.e57").viewpoints, np.zeros((len(POINTS), 3))
+    )
     assert cloud(tmp_path / "plain.e57").viewpoints is None
 
 
@@ -223,7 +241,9 @@ def test_views_are_merged_by_their_poses_sensors_included(tmp_path: Path) -> Non
     assert isinstance(found, PointCloud)
     np.testing.assert_allclose(found.points, np.concatenate([POINTS, POINTS]), atol=10 * SINGLE)
     assert found.viewpoints is not None
-    np.testing.assert_allclose(found.viewpoints, np.tile(sensor, (2 * len(POINTS), 1)), atol=10 * SINGLE)
+    np.testing.assert_allclose(
+        found.viewpoints, np.tile(sensor, (2 * len(POINTS), 1)), atol=10 * SINGLE
+    )
     first, second = parts_of(tmp_path / "both.conf")
     assert (first.path, second.path) == (tmp_path / "v0.pcd", tmp_path / "v1.pcd")
     for part, motion in zip((first, second), motions, strict=True):

@@ -12,7 +12,19 @@ import numpy as np
 import pytest
 import shapes
 import trimesh
-from scan_files import CUBE, HALVES, SIDES, SQUARE, collada, glb, gltf, mesh, needs, three_mf, write_gltf
+from scan_files import (
+    CUBE,
+    HALVES,
+    SIDES,
+    SQUARE,
+    collada,
+    glb,
+    gltf,
+    mesh,
+    needs,
+    three_mf,
+    write_gltf,
+)
 
 from pcretrieve import TriangleMesh, read_scan
 from pcretrieve.errors import ScanReadError
@@ -35,7 +47,9 @@ NODES: list[dict[str, Any]] = [
 
 
 def is_cube(found: TriangleMesh) -> bool:
-    return not defects(found) and found.area == pytest.approx(6) and found.volume == pytest.approx(1)
+    return (
+        not defects(found) and found.area == pytest.approx(6) and found.volume == pytest.approx(1)
+    )
 
 
 # --- one mesh ---------------------------------------------------------------------------------------------
@@ -47,7 +61,10 @@ def obj_lines(separator: str = "") -> str:
     lines += ["vt 0.5 0.5", "vn 0 0 1"] * 24
     for k, side in enumerate(SIDES):
         own = [f"{separator}{4 * k + corner + 1}" if separator else "" for corner in range(4)]
-        lines += [f"usemtl paint{k}", "f " + " ".join(f"{v + 1}{o}" for v, o in zip(side, own, strict=True))]
+        lines += [
+            f"usemtl paint{k}",
+            "f " + " ".join(f"{v + 1}{o}" for v, o in zip(side, own, strict=True)),
+        ]
     return "\n".join(lines)
 
 
@@ -84,9 +101,14 @@ def test_vertices_are_merged_at_open_edges_only(tmp_path: Path) -> None:
     """Two cubes that touch in a corner remain two, with or without vertices in common among their faces."""
     faces = np.array([(*side[:1], *side[k : k + 2]) for side in SIDES for k in (1, 2)])
     corners, faces = np.concatenate([CUBE, -CUBE]), np.concatenate([faces, faces[:, ::-1] + 8])
-    for points, numbers in ((corners, faces), (corners[faces].reshape(-1, 3), np.arange(72).reshape(-1, 3))):
+    for points, numbers in (
+        (corners, faces),
+        (corners[faces].reshape(-1, 3), np.arange(72).reshape(-1, 3)),
+    ):
         lines = [f"v {x:g} {y:g} {z:g}" for x, y, z in points]
-        (tmp_path / "a.obj").write_text("\n".join([*lines, *(f"f {a} {b} {c}" for a, b, c in numbers + 1)]))
+        (tmp_path / "a.obj").write_text(
+            "\n".join([*lines, *(f"f {a} {b} {c}" for a, b, c in numbers + 1)])
+        )
         found = mesh(tmp_path / "a.obj")
         np.testing.assert_array_equal(found.vertices[found.faces], corners[faces])
         assert len(found.vertices) == 16 and str(defects(found)) == "2 components"
@@ -103,7 +125,9 @@ def write_all(folder: Path) -> None:
     (folder / "a.3mf").write_bytes(three_mf(BALL, unit="meter", items=items))
 
 
-@pytest.mark.parametrize("name", ["a.gltf", "data.gltf", pytest.param("a.3mf", marks=needs(".3mf"))])
+@pytest.mark.parametrize(
+    "name", ["a.gltf", "data.gltf", pytest.param("a.3mf", marks=needs(".3mf"))]
+)
 def test_a_scene_is_one_mesh_or_several(name: str, tmp_path: Path) -> None:
     write_all(tmp_path)
     both = mesh(tmp_path / name)
@@ -127,7 +151,9 @@ def test_names_in_a_file(tmp_path: Path) -> None:
     write_gltf(tmp_path / "a.gltf", BALL, [{"mesh": 0, "name": name} for name in names])
     found = [path.name for path in members_of(tmp_path / "a.gltf")]
     assert found == [f"a.gltf#{name}" for name in ("a_b", "2", "same", "same-2", "c_d", "6")]
-    with pytest.raises(ScanReadError, match="the file must hold a scan 'x', got a_b, 2, same, same-2, c_d"):
+    with pytest.raises(
+        ScanReadError, match="the file must hold a scan 'x', got a_b, 2, same, same-2, c_d"
+    ):
         read_scan(tmp_path / "a.gltf#x")
     with pytest.raises(ScanReadError, match=r"cannot read .*gone\.gltf: No such file"):
         read_scan(tmp_path / "gone.gltf#x")
@@ -195,7 +221,9 @@ def test_quantized_positions(tmp_path: Path) -> None:
     tree["bufferViews"][1] |= {"byteOffset": 16}
     (tmp_path / "a.glb").write_bytes(glb(tree, rows.tobytes() + binary[48:]))
     found = read_raw(tmp_path / "a.glb")
-    np.testing.assert_array_equal(np.unique(found.points, axis=0), np.unique(2 * np.array(SQUARE), axis=0))
+    np.testing.assert_array_equal(
+        np.unique(found.points, axis=0), np.unique(2 * np.array(SQUARE), axis=0)
+    )
 
 
 def test_the_file_of_a_buffer_belongs_to_the_scan_if_it_lies_below(tmp_path: Path) -> None:
@@ -236,7 +264,9 @@ def test_a_3mf_file_names_its_unit(tmp_path: Path) -> None:
     ):
         (tmp_path / "a.3mf").write_bytes(three_mf(BALL, unit=named))
         assert read_raw(tmp_path / "a.3mf").unit == unit
-        assert mesh(tmp_path / "a.3mf").volume == pytest.approx(METRES[unit] ** 3 * BALL.volume, rel=1e-5)
+        assert mesh(tmp_path / "a.3mf").volume == pytest.approx(
+            METRES[unit] ** 3 * BALL.volume, rel=1e-5
+        )
         assert mesh(tmp_path / "a.3mf").provenance[0].sizes["metres_per_unit"] == 1
     (tmp_path / "b.3mf").write_bytes(three_mf(BALL, unit="parsec"))
     with pytest.raises(ScanReadError, match="its unit is 'parsec'"):
@@ -249,7 +279,9 @@ def test_a_collada_file_says_how_long_its_unit_is(tmp_path: Path) -> None:
         (tmp_path / "a.dae").write_text(collada(BALL, metres=metres, shift=(1, 2, 3)))
         found = read_raw(tmp_path / "a.dae")
         assert found.unit == unit
-        np.testing.assert_allclose(found.points.mean(axis=0), scale * np.array([1, 2, 3]), atol=1e-6)
+        np.testing.assert_allclose(
+            found.points.mean(axis=0), scale * np.array([1, 2, 3]), atol=1e-6
+        )
     twice = 2 * '<instance_node url="#n{}"/>'
     nodes = "".join(f'<node id="n{k}">{twice.format(k - 1, k - 1)}</node>' for k in range(30))
     scene = f'<library_nodes>{nodes}</library_nodes><library_visual_scenes><visual_scene id="scene"><node>'
@@ -272,7 +304,10 @@ def test_damaged_archives_and_those_that_expand_to_much_more(tmp_path: Path) -> 
     for content, words in (
         (file.read_bytes(), r"its members declare 2\d+ bytes in \d+"),
         (three_mf(shapes.icosphere(3), items=items), "its scene declares 1153200 values"),
-        (three_mf(BALL, items=f"<item objectid='31'/>{nested}"), r"its scene has \d{10} bodies, 1000 may"),
+        (
+            three_mf(BALL, items=f"<item objectid='31'/>{nested}"),
+            r"its scene has \d{10} bodies, 1000 may",
+        ),
         (whole[:-6] + b"\xff\xff\0\0" + whole[-2:], "not a complete 3MF file .*Invalid argument"),
         (re.sub(rb"(?s)(PK\x01\x02..).", b"\\g<1>\xff", whole), r"zip file version 25\.5"),
     ):
@@ -287,7 +322,9 @@ def test_a_regular_mesh_which_is_compressed_best_is_read(tmp_path: Path) -> None
     x, y = np.meshgrid(np.arange(n), np.arange(n))
     corner = (np.arange(n - 1)[:, np.newaxis] * n + np.arange(n - 1)).ravel()
     faces = np.concatenate([corner[:, np.newaxis] + side for side in ([0, 1, n], [1, n + 1, n])])
-    grid = TriangleMesh(np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(float), faces.astype(np.int32))
+    grid = TriangleMesh(
+        np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(float), faces.astype(np.int32)
+    )
     (tmp_path / "grid.3mf").write_bytes(three_mf(grid))
     found = read_scan(tmp_path / "grid.3mf")
     assert isinstance(found, TriangleMesh) and len(found.faces) == len(faces)
@@ -303,7 +340,9 @@ def test_entities_of_xml_neither_grow_nor_open_files(tmp_path: Path) -> None:
         '<!ENTITY z SYSTEM "http://127.0.0.1:1/">',
     ):
         head = f"<!DOCTYPE COLLADA [{declared}]>\n<COLLADA"
-        hostile = collada(BALL).replace("<COLLADA", head, 1).replace("<float_array", "&z;<float_array")
+        hostile = (
+            collada(BALL).replace("<COLLADA", head, 1).replace("<float_array", "&z;<float_array")
+        )
         (tmp_path / "a.dae").write_text(hostile)
         with pytest.raises(ScanReadError, match=r"[Ee]ntity"):
             read_scan(tmp_path / "a.dae")

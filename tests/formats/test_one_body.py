@@ -44,7 +44,9 @@ def mesh_writers() -> Writers:
     """Of trimesh, Open3D, VTK (by PyVista) and pycollada."""
     of_trimesh, of_open3d = TOUCHING.to_trimesh(), TOUCHING.to_open3d()
     of_open3d.compute_vertex_normals()
-    of_vtk = pyvista.PolyData.from_regular_faces(np.array(TOUCHING.vertices), TOUCHING.faces.tolist())
+    of_vtk = pyvista.PolyData.from_regular_faces(
+        np.array(TOUCHING.vertices), TOUCHING.faces.tolist()
+    )
 
     def gltf(path: Path) -> None:
         for name, data in of_trimesh.export(file_type="gltf").items():
@@ -54,14 +56,19 @@ def mesh_writers() -> Writers:
         return lambda path: open3d.io.write_triangle_mesh(path, of_open3d, **options)
 
     return {
-        **{f"trimesh.{suffix}": of_trimesh.export for suffix in ("ply", "obj", "off", "stl", "glb")},
+        **{
+            f"trimesh.{suffix}": of_trimesh.export for suffix in ("ply", "obj", "off", "stl", "glb")
+        },
         "trimesh_text.ply": lambda path: path.write_bytes(
             of_trimesh.export(file_type="ply", encoding="ascii")
         ),
         "trimesh_text.stl": lambda path: path.write_text(of_trimesh.export(file_type="stl_ascii")),
         "trimesh.gltf": gltf,
         "trimesh.3mf": trimesh.Scene(of_trimesh).export,
-        **{f"open3d.{suffix}": by_open3d() for suffix in ("ply", "obj", "off", "stl", "glb", "gltf")},
+        **{
+            f"open3d.{suffix}": by_open3d()
+            for suffix in ("ply", "obj", "off", "stl", "glb", "gltf")
+        },
         "open3d_text.ply": by_open3d(write_ascii=True),
         **{f"vtk.{suffix}": of_vtk.save for suffix in ("ply", "obj", "stl")},
         "vtk_text.ply": lambda path: of_vtk.save(path, binary=False),
@@ -143,4 +150,6 @@ def test_the_points_of_every_file_have_one_signature(tmp_path: Path) -> None:
         key = found.points.tobytes()
         if key not in signatures:
             signatures[key] = pr.signature(found, R_BIHDM).values
-        np.testing.assert_allclose(signatures[key], expected, rtol=POINTS_TOLERANCE, err_msg=str(file))
+        np.testing.assert_allclose(
+            signatures[key], expected, rtol=POINTS_TOLERANCE, err_msg=str(file)
+        )

@@ -36,14 +36,26 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize(
     ("code", "words"),
     [
-        ("import a_module_that_is_nowhere", "cannot be loaded, ModuleNotFoundError: No module named"),
+        (
+            "import a_module_that_is_nowhere",
+            "cannot be loaded, ModuleNotFoundError: No module named",
+        ),
         ("raise SystemExit(0)", "cannot be loaded, SystemExit: 0;"),
-        ("read_mesh = None", "cannot be loaded, AttributeError: module 'gridscan' has no attribute"),
+        (
+            "read_mesh = None",
+            "cannot be loaded, AttributeError: module 'gridscan' has no attribute",
+        ),
         ("read_grid = None", "must be a Format, or a function that reads a file, got NoneType;"),
-        ("def read_grid(path): return [1, 2]", "failed, TypeError: a reader must return a RawScan, got list"),
+        (
+            "def read_grid(path): return [1, 2]",
+            "failed, TypeError: a reader must return a RawScan, got list",
+        ),
         ("def read_grid(path): raise SystemExit(0)", "failed, SystemExit: 0"),
         ("def read_grid(path): return path.suffix / 2", "failed, TypeError: unsupported operand"),
-        ("def read_grid(path): return RawScan([1, 2])", "points must have the shape (n, 3), got (2,)"),
+        (
+            "def read_grid(path): return RawScan([1, 2])",
+            "points must have the shape (n, 3), got (2,)",
+        ),
         (
             "def read_grid(path): return RawScan([[1, 2, 3]], normals=[[0, 0, 1]] * 2)",
             "normals must have the shape (1, 3), got (2, 3)",
@@ -52,7 +64,10 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             "def read_grid(path): return RawScan([[1, 2, 3]], faces=[[0, 0, 0.5]])",
             "faces must be whole numbers",
         ),
-        ("def read_grid(path): return RawScan([[1, 2, 3]], unit='ell')", "the unit must be one of um, mm"),
+        (
+            "def read_grid(path): return RawScan([[1, 2, 3]], unit='ell')",
+            "the unit must be one of um, mm",
+        ),
     ],
 )
 def test_a_package_whose_reader_is_broken_fails_its_own_files_only(
@@ -87,7 +102,9 @@ read_grid = Format(read, parts, write_cloud=write)
 """
 
 
-def test_an_installed_package_brings_a_format_of_several_files(plugin: Path, tmp_path: Path) -> None:
+def test_an_installed_package_brings_a_format_of_several_files(
+    plugin: Path, tmp_path: Path
+) -> None:
     (plugin / "gridscan.py").write_text(TILES)
     (tmp_path / "a.grid").write_text("left.xyz right.tile\n")
     write_cloud(PointCloud(CUBE[:2]), tmp_path / "left.grid")
@@ -102,7 +119,9 @@ def test_an_installed_package_brings_a_format_of_several_files(plugin: Path, tmp
 
 def test_a_package_whose_writer_is_broken(plugin: Path, tmp_path: Path) -> None:
     (plugin / "gridscan.py").write_text(TILES)
-    with pytest.raises(InputError, match="of the package gridscan failed, RuntimeError: too many points"):
+    with pytest.raises(
+        InputError, match="of the package gridscan failed, RuntimeError: too many points"
+    ):
         write_cloud(PointCloud(CUBE), tmp_path / "a.grid")
     with pytest.raises(InputError, match=r"a mesh file must end in one of \.ply \.obj"):
         write_mesh(shapes.icosphere(0), tmp_path / "a.grid")

@@ -17,7 +17,10 @@ from pcretrieve.errors import ScanReadError
 ROWS = b"0 0 0\n1 0 0\n0 1 0\n"
 POINTS = f"element vertex 3\n{XYZ}"
 TRIANGLE = f"{POINTS}element face 1\nproperty list char int vertex_index\n"
-LITTLE, FLOATS = "binary_little_endian", np.add.outer(np.arange(3), np.arange(3)).astype("<f4").tobytes()
+LITTLE, FLOATS = (
+    "binary_little_endian",
+    np.add.outer(np.arange(3), np.arange(3)).astype("<f4").tobytes(),
+)
 PCD, BINARY = pcd_header("x", "y", "z", n=3), pcd_header("x", "y", "z", n=3, data="binary")
 GRID = f"2\n2\n{POSE}"
 CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
@@ -52,7 +55,11 @@ REFUSED: list[tuple[str, str | bytes, str]] = [
     ("a.ply", "ply\nformat ascii 1.0\nelement vertex 1\n", "its header has no line 'end_header'"),
     ("a.ply", "ply\nelement vertex 0\nend_header\n", "its header has no line 'format'"),
     ("a.ply", ply("morse", ""), "its header has the line 'format morse 1.0'"),
-    ("a.ply", ply("ascii", "element a 0\nproperty half x\n"), "its header has the line 'property half x'"),
+    (
+        "a.ply",
+        ply("ascii", "element a 0\nproperty half x\n"),
+        "its header has the line 'property half x'",
+    ),
     ("a.ply", ply("ascii", f"element vertex 0\n{XYZ}{XYZ}"), "twice"),
     ("a.ply", ply("ascii", f"element vertex {'9' * 5000}\n{XYZ}"), "declares inf"),
     (
@@ -61,18 +68,34 @@ REFUSED: list[tuple[str, str | bytes, str]] = [
         "its header declares 99999 of face, 18 bytes follow",
     ),
     # PLY: the rows
-    ("a.ply", ply("ascii", "element cat 1\nproperty int n\n", b"1\n"), "must have an element 'vertex'"),
+    (
+        "a.ply",
+        ply("ascii", "element cat 1\nproperty int n\n", b"1\n"),
+        "must have an element 'vertex'",
+    ),
     ("a.ply", ply("ascii", f"element vertex 0\n{XYZ}"), "has none at all"),
     (
         "a.ply",
         ply("ascii", POINTS + "element face 1\nproperty int vertex_indices\n", ROWS, b"0\n"),
         "must have the list vertex_indices or vertex_index",
     ),
-    ("a.ply", ply("ascii", TRIANGLE, ROWS, b"3 0 1 3\n"), "faces must name vertices 0 to 2, got 0 to 3"),
+    (
+        "a.ply",
+        ply("ascii", TRIANGLE, ROWS, b"3 0 1 3\n"),
+        "faces must name vertices 0 to 2, got 0 to 3",
+    ),
     ("a.ply", ply("ascii", TRIANGLE, b"0 0 0\n1 0 0"), "it ends after 1 of 3 lines of vertex"),
-    ("a.ply", ply("ascii", TRIANGLE, ROWS[:-2], b"x\n3 0 1 2\n"), "lines of vertex hold more than numbers"),
+    (
+        "a.ply",
+        ply("ascii", TRIANGLE, ROWS[:-2], b"x\n3 0 1 2\n"),
+        "lines of vertex hold more than numbers",
+    ),
     ("a.ply", ply("ascii", TRIANGLE, ROWS, b"3 0 1 1.5\n"), "by other than whole numbers"),
-    ("a.ply", ply("ascii", TRIANGLE, ROWS, b"1.5 0 1 2\n"), "a list in face cannot have 1.5 values"),
+    (
+        "a.ply",
+        ply("ascii", TRIANGLE, ROWS, b"1.5 0 1 2\n"),
+        "a list in face cannot have 1.5 values",
+    ),
     ("a.ply", ply(LITTLE, TRIANGLE, FLOATS[:-1]), "it ends in the middle of vertex"),
     # PCD
     ("a.pcd", "VERSION 0.7\nFIELDS x y z\n", "its header has no line DATA"),
@@ -91,15 +114,35 @@ REFUSED: list[tuple[str, str | bytes, str]] = [
     ("a.xyz", "header\n" * 60 + "1 2 3\n", "each line must hold 3 numbers, got 'header'"),
     # PTX
     ("a.ptx", "2\n2\n0 0 0\n", "its header is damaged: it must be ten lines"),
-    ("a.ptx", GRID.replace("\n1 0 0 0", "\n2 0 0 0") + "1 2 3\n" * 9, "the matrix is not a rigid motion"),
-    ("a.ptx", GRID + "0 0 0 0.5\n" * 4, "a scan of 2 × 2 readings: none of its 4 readings is an answer"),
+    (
+        "a.ptx",
+        GRID.replace("\n1 0 0 0", "\n2 0 0 0") + "1 2 3\n" * 9,
+        "the matrix is not a rigid motion",
+    ),
+    (
+        "a.ptx",
+        GRID + "0 0 0 0.5\n" * 4,
+        "a scan of 2 × 2 readings: none of its 4 readings is an answer",
+    ),
     ("a.ptx", GRID + "0 0 1\n0 0 2\n0 0 5\n0 0 0\n", "none of its 3 readings has three neighbours"),
     # Arrays
     ("a.npz", npz(points=np.ones((5, 2))), "(n, c) or (h, w, c), c from 3 to 32, got (5, 2)"),
     ("a.npz", npz(points=np.ones((5, 3), dtype=complex)), "must be real numbers, got complex128"),
-    ("a.npz", npz(points=np.zeros(5, dtype=[("x", "f4"), ("y", "f4")])), "must have the fields x y z"),
-    ("a.npz", npz(points=np.ones((5, 3)), faces=np.ones((2, 3))), "faces must be whole numbers (m, 3)"),
-    ("a.npz", npz(ids=np.array(["a"]), values=np.ones(9)), "must hold an array 'points', got ids, values"),
+    (
+        "a.npz",
+        npz(points=np.zeros(5, dtype=[("x", "f4"), ("y", "f4")])),
+        "must have the fields x y z",
+    ),
+    (
+        "a.npz",
+        npz(points=np.ones((5, 3)), faces=np.ones((2, 3))),
+        "faces must be whole numbers (m, 3)",
+    ),
+    (
+        "a.npz",
+        npz(ids=np.array(["a"]), values=np.ones(9)),
+        "must hold an array 'points', got ids, values",
+    ),
     # Meshes
     ("a.obj", CORNERS + f"f 1 2 1{'0' * 30}\n", f"line 4 is 'f 1 2 1{'0' * 30}'"),
     ("a.glb", b"glTF\x02\x00\x00\x00", "not a complete GLB file"),
@@ -110,14 +153,22 @@ REFUSED: list[tuple[str, str | bytes, str]] = [
     ("a.glb", broken(nodes=[{"mesh": 0, "children": [0]}]), "node 0 has more than one parent"),
     ("a.glb", broken(accessors__0__count=5), "its binary part is too short for 5 values"),
     ("a.glb", broken(accessors__0__count=10**9), "its scene declares 1000000006 values"),
-    ("a.glb", broken(accessors__0__type="VEC2"), "positions must be VEC3 and indices SCALAR, one is VEC2"),
+    (
+        "a.glb",
+        broken(accessors__0__type="VEC2"),
+        "positions must be VEC3 and indices SCALAR, one is VEC2",
+    ),
     ("a.glb", broken(accessors__0={"type": "VEC3", "count": 4}), "export it plainly"),
     ("a.glb", broken(buffers__0__uri="http://example.org/a.bin"), "its values lie outside of it"),
     ("a.glb", broken(accessors__0__count=3), "its faces name vertex 3, of 3"),
     # Views
     ("words.conf", "lorem ipsum\n", "must name its views"),
     ("six.conf", "bmesh a.ply 0 0 0 0 0 1\n", "line 1 must read `bmesh FILE tx ty tz qx qy qz qw`"),
-    ("nested.conf", "bmesh nested.conf 0 0 0 0 0 0 1\n", "its view nested.conf: a view must be a single"),
+    (
+        "nested.conf",
+        "bmesh nested.conf 0 0 0 0 0 0 1\n",
+        "its view nested.conf: a view must be a single",
+    ),
     ("missing.conf", "bmesh gone.ply 0 0 0 0 0 0 1\n", "its view gone.ply: cannot read"),
     ("blind.conf", "bmesh blind.xyz 0 0 0 0 0 0 1\n", "its view blind.xyz: it has no points"),
 ]

@@ -58,9 +58,13 @@ def wait_for(file: Path, number: int) -> int:
 
 
 @pytest.mark.slow
-def test_a_scan_that_ends_one_dask_worker_after_the_other_fails_alone(own_cluster: DaskCluster) -> None:
+def test_a_scan_that_ends_one_dask_worker_after_the_other_fails_alone(
+    own_cluster: DaskCluster,
+) -> None:
     """The nannies start the workers again, until the scheduler gives the chunk up."""
-    outcomes = dict(DaskExecutor(scheduler_file=own_cluster.file)(end_dask_worker, range(6), **LIMITS))
+    outcomes = dict(
+        DaskExecutor(scheduler_file=own_cluster.file)(end_dask_worker, range(6), **LIMITS)
+    )
     assert isinstance(outcomes.pop(3), WorkerDied)
     assert outcomes == {number: number for number in (0, 1, 2, 4, 5)}
 
@@ -93,7 +97,9 @@ def test_a_scheduler_that_ends_is_an_error_with_words(
     own_cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cluster_module, "CONNECT_TIMEOUT", 5.0)
-    outcomes = DaskExecutor(scheduler_file=own_cluster.file)(own_process, iter(range(10**9)), **LIMITS)
+    outcomes = DaskExecutor(scheduler_file=own_cluster.file)(
+        own_process, iter(range(10**9)), **LIMITS
+    )
     next(outcomes)
     own_cluster.kill(own_cluster.scheduler)
     with pytest.raises(PcretrieveError, match="the scheduler has ended: the same command"):
@@ -113,7 +119,9 @@ def test_workers_of_other_versions_are_an_error(
     cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cluster_module, "versions", lambda: {"pcretrieve": "0.0.1", "numpy": "1.0"})
-    with pytest.raises(PcretrieveError, match=r"must have the versions .*pcretrieve \S+ instead of 0\.0\.1"):
+    with pytest.raises(
+        PcretrieveError, match=r"must have the versions .*pcretrieve \S+ instead of 0\.0\.1"
+    ):
         list(DaskExecutor(scheduler_file=cluster.file)(own_process, range(3), **LIMITS))
 
 
@@ -125,7 +133,9 @@ def test_one_cluster_must_be_given() -> None:
 
 
 @pytest.mark.slow
-def test_ingest_gives_the_same_catalogue_as_on_one_computer(cluster: DaskCluster, tmp_path: Path) -> None:
+def test_ingest_gives_the_same_catalogue_as_on_one_computer(
+    cluster: DaskCluster, tmp_path: Path
+) -> None:
     paths = [tmp_path / f"egg{number}.off" for number in range(4)]
     for number, path in enumerate(paths):
         write_mesh(shapes.ellipsoid((1, 1 + number / 10, 2), subdivisions=3), path)

@@ -32,12 +32,16 @@ def folder(tmp_path: Path) -> Path:
     return scans
 
 
-def test_a_file_that_cannot_be_read_holds_up_no_other(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_cannot_be_read_holds_up_no_other(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Though it is asked for last, and every thread hangs, as at a network that is not connected."""
     files = {path.name: path for path in sorted(folder.iterdir())}
     hanging, connected = ("0.off", "1.off"), threading.Event()
     monkeypatch.setattr(
-        plan, "file_hash", lambda file, _: connected.wait() if file.name in hanging else file_hash(file)
+        plan,
+        "file_hash",
+        lambda file, _: connected.wait() if file.name in hanging else file_hash(file),
     )
     contents = plan.Contents(files, 1, 1)
     contents.expect(files)
@@ -85,7 +89,9 @@ def test_what_has_not_changed_is_hashed_once(folder: Path, ingested: Ingested) -
     assert ingested(dry_run=True) == ([], [])
 
 
-def test_a_change_is_noticed_though_size_and_time_are_put_back(folder: Path, ingested: Ingested) -> None:
+def test_a_change_is_noticed_though_size_and_time_are_put_back(
+    folder: Path, ingested: Ingested
+) -> None:
     ingested()
     path = folder / "1.off"
     before, text = path.stat(), path.read_text()

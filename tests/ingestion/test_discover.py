@@ -42,7 +42,9 @@ def test_files_folders_and_globs(folder: Path) -> None:
     # Each once, by one name.
     assert names("deep", "a.ply", "deep/c.xyz", "a.ply") == ["deep/c.xyz", "deep/er/d.off", "a.ply"]
     assert names("deep/../deep/./c.xyz", "deep/c.xyz") == ["deep/c.xyz"]
-    assert names("notes.md") == ["notes.md"]  # named outright: reading it will say that it is no scan
+    assert names("notes.md") == [
+        "notes.md"
+    ]  # named outright: reading it will say that it is no scan
 
 
 def test_paths_in_a_manifest_are_relative_to_its_folder(folder: Path) -> None:
@@ -56,7 +58,9 @@ def test_paths_in_a_manifest_are_relative_to_its_folder(folder: Path) -> None:
         assert names(f"deep/{manifest}") == ["a.ply", "deep/c.xyz", "deep/gone.ply"]
 
 
-def test_a_folder_says_what_it_leaves_unread(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_folder_says_what_it_leaves_unread(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     for name in ("1.fbx", "deep/2.FBX", "deep/er/3.step", "a.jpg", "b.jpg", "c.jpg", "LICENSE"):
         (folder / name).write_text("1 2 3\n")
     assert names(".") == SCANS
@@ -67,7 +71,9 @@ def test_a_folder_says_what_it_leaves_unread(folder: Path, caplog: pytest.LogCap
 
 
 def test_views_belong_to_their_conf(folder: Path) -> None:
-    (folder / "both.conf").write_text("bmesh a.ply 0 0 0 0 0 0 1\nbmesh deep/../deep/c.xyz 0 0 0 0 0 0 1\n")
+    (folder / "both.conf").write_text(
+        "bmesh a.ply 0 0 0 0 0 0 1\nbmesh deep/../deep/c.xyz 0 0 0 0 0 0 1\n"
+    )
     (folder / "broken.conf").write_text("bmesh b.OBJ\n")
     assert names(".") == ["b.OBJ", "both.conf", "broken.conf", "deep/er/d.off"]
 
@@ -115,7 +121,9 @@ def locked(folder: Path) -> Iterator[Path]:
     (folder / "deep" / "er").chmod(0o755)
 
 
-def test_a_folder_that_may_not_be_read_is_named(locked: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_folder_that_may_not_be_read_is_named(
+    locked: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     assert names(".") == ["a.ply", "b.OBJ", "deep/c.xyz"]
     with pytest.raises(InputError, match=r"cannot look into deep/er: Permission denied"):
         discover(["deep/er"])
@@ -141,7 +149,9 @@ def test_content_that_cannot_be_had(folder: Path) -> None:
         ("linked", ["a.ply", "alias.ply"]),
         ("many", [f"{k}.ply" for k in range(1001)]),
     ):
-        (folder / f"{conf}.conf").write_text("".join(f"bmesh {view} 0 0 0 0 0 0 1\n" for view in views))
+        (folder / f"{conf}.conf").write_text(
+            "".join(f"bmesh {view} 0 0 0 0 0 0 1\n" for view in views)
+        )
     (folder / "long.conf").write_bytes(b"#" * 4_096_001)
     for name, words in (
         ("gone.ply", r"cannot read .*gone\.ply: No such file"),
@@ -152,8 +162,14 @@ def test_content_that_cannot_be_had(folder: Path) -> None:
         ("link.conf", r"cannot read .*link\.conf"),
         ("pipe.conf", r"pipe\.conf must be a regular file"),
         ("device.conf", r"endless\.ply must be a regular file"),
-        ("again.conf", r"again\.conf: each view must be named once, lines 1 and 3 name deep/\.\./a\.ply"),
-        ("linked.conf", r"linked\.conf: each view must be named once, lines 1 and 2 name alias\.ply"),
+        (
+            "again.conf",
+            r"again\.conf: each view must be named once, lines 1 and 3 name deep/\.\./a\.ply",
+        ),
+        (
+            "linked.conf",
+            r"linked\.conf: each view must be named once, lines 1 and 2 name alias\.ply",
+        ),
         ("many.conf", r"many\.conf: a \.conf file must name at most 1000 views"),
         ("long.conf", r"long\.conf: a \.conf file must have at most 4096000 bytes"),
     ):

@@ -196,11 +196,16 @@ def test_the_power_fails(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPa
                 assert find_defects(store) == [], number
             found = everything(str(path))
         except CatalogueError as error:
-            assert re.search("there is no catalogue|but no catalogue", error.message), (number, error)
+            assert re.search("there is no catalogue|but no catalogue", error.message), (
+                number,
+                error,
+            )
             assert n_noted == 0
         assert found in states[n_noted : n_noted + 2], (number, n_noted, [*found])
         again = ingest(tmp_path / "scans", path, executor=remembered)
-        assert {record.id for record in again.done + again.held} == {f"{one}" for one in range(N_SHAPES)}
+        assert {record.id for record in again.done + again.held} == {
+            f"{one}" for one in range(N_SHAPES)
+        }
         with Catalogue(path) as store:
             assert find_defects(store) == [], number
         shutil.rmtree(place)

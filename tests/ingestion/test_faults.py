@@ -87,7 +87,9 @@ def test_each_fault_is_one_row_with_words_and_the_batch_goes_on(
     """Two good scans come first and last by their names, and vicious ones between them."""
     (tmp_path / "scans").mkdir()
     for name, length in (("a", 1.5), ("z", 2.0)):
-        write_mesh(shapes.ellipsoid((1, 1, length), subdivisions=3), tmp_path / "scans" / f"{name}.off")
+        write_mesh(
+            shapes.ellipsoid((1, 1, length), subdivisions=3), tmp_path / "scans" / f"{name}.off"
+        )
     for deed in EXPECTED:
         (tmp_path / "scans" / f"{deed}.vicious").write_text(deed)
     entry_points = "[pcretrieve.readers]\n.vicious = vicious:FORMAT\n"

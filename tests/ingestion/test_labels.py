@@ -35,7 +35,10 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
         (CLA.removesuffix("7\n").encode(), "class dog declares 1 models, 0 follow"),
         (CLA.replace("2 3", "2 4").encode(), "its header declares 4 models, 3 follow"),
         (CLA.replace("cat 0 2", "cat 0 x").encode(), "invalid literal"),
-        (b'file,class\n"a.ply,cat\nb.ply,dog\n', r"is not a CSV file \(unexpected end of data\): close each"),
+        (
+            b'file,class\n"a.ply,cat\nb.ply,dog\n',
+            r"is not a CSV file \(unexpected end of data\): close each",
+        ),
         (b"PSB", "not a complete .cla file"),
     ):
         (tmp_path / "labels").write_bytes(content)
@@ -67,7 +70,12 @@ def test_a_name_stands_for_one_shape() -> None:
 
 def test_one_label_file_for_two_sets_is_refused() -> None:
     """The numbers are ids in the set that was ingested first; the other one got the next free ids."""
-    paths = {"0": "/Real/0.obj", "1": "/Real/1.obj", "0-2": "/Synthetic/0.obj", "1-2": "/Synthetic/1.obj"}
+    paths = {
+        "0": "/Real/0.obj",
+        "1": "/Real/1.obj",
+        "0-2": "/Synthetic/0.obj",
+        "1-2": "/Synthetic/1.obj",
+    }
     numbers = {"0": "ann", "1": "bob"}
     with pytest.raises(
         BenchmarkError, match=r"'0' stands for 2, such as /Real/0\.obj, /Synthetic/0\.obj: write"
@@ -91,7 +99,9 @@ def test_classes_in_names() -> None:
     ):
         assert labels_of(layout, [path]) == {path: label}
     assert labels_of("tosca", ["/sets/tosca/readme.off", "/x/dog1.off"]) == {"/x/dog1.off": "dog"}
-    with pytest.raises(BenchmarkError, match=r"no path is one of the layout faust \(published at https"):
+    with pytest.raises(
+        BenchmarkError, match=r"no path is one of the layout faust \(published at https"
+    ):
         labels_of("faust", ["/MPI-FAUST/test/scans/test_scan_000.ply"])
 
 
@@ -105,7 +115,10 @@ def test_a_label_file_beside_the_scans_or_above(tmp_path: Path) -> None:
     """Two sets have one each, so that the same numbers are told apart."""
     scans = []
     for track in ("Real", "Synthetic"):
-        write(tmp_path / track / "test.cla", f"PSB 1\n2 3\n\n{track}-a 0 2\n0\n1\n\n{track}-b 0 1\n2\n")
+        write(
+            tmp_path / track / "test.cla",
+            f"PSB 1\n2 3\n\n{track}-a 0 2\n0\n1\n\n{track}-b 0 1\n2\n",
+        )
         scans += [write(tmp_path / track / "Data" / f"{number}.obj") for number in range(3)]
     found = labels_of("psb", scans)
     assert [found[str(path)] for path in scans] == [
@@ -113,5 +126,7 @@ def test_a_label_file_beside_the_scans_or_above(tmp_path: Path) -> None:
         *("Synthetic-a", "Synthetic-a", "Synthetic-b"),
     ]
     write(tmp_path / "Real" / "train.cla", "PSB 1\n0 0\n")
-    with pytest.raises(BenchmarkError, match=r"needs one label file in .*Real, got test\.cla, train\.cla"):
+    with pytest.raises(
+        BenchmarkError, match=r"needs one label file in .*Real, got test\.cla, train\.cla"
+    ):
         labels_of("psb", scans)

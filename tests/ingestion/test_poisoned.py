@@ -39,14 +39,18 @@ def with_garbage(points: FloatArray, share: float, kind: str) -> NDArray[np.gene
     rng = np.random.default_rng(0)
     numbers = points.astype(kind)
     hit = rng.random(len(points)) < share
-    numbers[hit] = np.frombuffer(rng.bytes(int(hit.sum()) * 3 * numbers.itemsize), kind).reshape(-1, 3)
+    numbers[hit] = np.frombuffer(rng.bytes(int(hit.sum()) * 3 * numbers.itemsize), kind).reshape(
+        -1, 3
+    )
     return numbers
 
 
 def far_and_near(share: float) -> FloatArray:
     """The points, a share of them spread over a cube of side 2e49."""
     rng = np.random.default_rng(0)
-    return np.where(rng.random((len(POINTS), 1)) < share, rng.uniform(-1e49, 1e49, POINTS.shape), POINTS)
+    return np.where(
+        rng.random((len(POINTS), 1)) < share, rng.uniform(-1e49, 1e49, POINTS.shape), POINTS
+    )
 
 
 # The same body, in a unit or at a place that single precision cannot bear.
@@ -71,7 +75,9 @@ GARBAGE = {
     "far_and_near": doubles(far_and_near(0.3)),
     "lost_in_the_distance": doubles(POINTS + 1e16),
     "sensors_of_garbage": ply_of(
-        np.column_stack([POINTS, with_garbage(POINTS, 1, "<f8").astype(float)]).astype("<f8").tobytes(),
+        np.column_stack([POINTS, with_garbage(POINTS, 1, "<f8").astype(float)])
+        .astype("<f8")
+        .tobytes(),
         len(POINTS),
         "double",
     ).replace(b"z\n", b"z\nproperty double vp_x\nproperty double vp_y\nproperty double vp_z\n", 1),
@@ -101,5 +107,7 @@ def test_a_batch_stores_every_good_scan_beside_poisoned_ones(tmp_path: Path) -> 
 def test_points_that_single_precision_merges_are_refused() -> None:
     """A tenth of the points so far away that all others coincide, and no thinning that drops them first."""
     options = PipelineOptions().changed(scan={"voxel": 0.0})
-    with pytest.raises(ReconstructionError, match="at least 100 points must be distinct in single precision"):
+    with pytest.raises(
+        ReconstructionError, match="at least 100 points must be distinct in single precision"
+    ):
         reconstruct(far_and_near(0.1), options)

@@ -12,7 +12,14 @@ import numpy as np
 import pytest
 from processes import PATIENCE, wait_for
 
-from pcretrieve.errors import InputError, MemoryExceeded, PcretrieveError, Stage, UnexpectedError, in_stage
+from pcretrieve.errors import (
+    InputError,
+    MemoryExceeded,
+    PcretrieveError,
+    Stage,
+    UnexpectedError,
+    in_stage,
+)
 from pcretrieve.ingestion import pool
 
 HALF_THE_MEMORY = 1 << 29  # bytes, of 1 GiB
@@ -97,7 +104,9 @@ def test_every_item_has_its_outcome_and_no_process_is_left(
 
 
 def test_every_exception_and_every_bad_answer_is_the_outcome_of_its_item() -> None:
-    found: dict[str, Any] = dict(pool.in_processes(do, [*RAISED, "lock", "none", "explosive"], workers=1))
+    found: dict[str, Any] = dict(
+        pool.in_processes(do, [*RAISED, "lock", "none", "explosive"], workers=1)
+    )
     assert found["none"] is None
     for name, (_, kind, stage) in RAISED.items():
         outcome = found[name]
@@ -107,7 +116,11 @@ def test_every_exception_and_every_bad_answer_is_the_outcome_of_its_item() -> No
 
 
 def test_what_lacks_memory_in_a_used_worker_is_tried_in_a_fresh_one() -> None:
-    assert dict(pool.in_processes(keep_half_the_memory, range(3), workers=1, memory=1)) == {0: 0, 1: 1, 2: 2}
+    assert dict(pool.in_processes(keep_half_the_memory, range(3), workers=1, memory=1)) == {
+        0: 0,
+        1: 1,
+        2: 2,
+    }
     with pytest.raises(
         PcretrieveError, match=r"could take a shape.* the last one printed: ZeroDivisionError"
     ):

@@ -56,7 +56,9 @@ def http(tmp_path: Path) -> Iterator[str]:
 def s3(folder: Path) -> Iterator[str]:
     """A bucket of a server that is written in Python; its address is told to clients by the environment."""
     s3fs = pytest.importorskip("s3fs", reason="s3fs is not installed (the extra remote)")
-    server_module = pytest.importorskip("moto.server", reason="moto is not installed (the extra dev)")
+    server_module = pytest.importorskip(
+        "moto.server", reason="moto is not installed (the extra dev)"
+    )
     server = server_module.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
     with pytest.MonkeyPatch.context() as patch:
@@ -79,7 +81,10 @@ def test_ingest_skips_what_it_has_until_the_content_changes(folder: Path, tmp_pa
     store.put(f"{folder}/", memory, recursive=True)
     catalogue, here = tmp_path / "c.sqlite", in_this_process  # as a file system in memory is
     first = ingest(memory, catalogue, options=OPTIONS, executor=here)
-    assert [record.path for record in first.done] == [f"{memory}/egg.ply", f"{memory}/more/cigar.off"]
+    assert [record.path for record in first.done] == [
+        f"{memory}/egg.ply",
+        f"{memory}/more/cigar.off",
+    ]
     assert len(ingest(memory, catalogue, executor=here).held) == 2
     write_mesh(shapes.ellipsoid((2, 2, 3), subdivisions=3), tmp_path / "other.off")
     store.put_file(str(tmp_path / "other.off"), f"{memory}/more/cigar.off")
@@ -96,11 +101,16 @@ def test_ingest_of_a_bucket_equals_that_of_a_folder(s3: str, folder: Path, tmp_p
     ingest(folder, tmp_path / "f.sqlite", options=OPTIONS, labels=folder / "labels.csv")
     with Catalogue(tmp_path / "s3.sqlite") as made, Catalogue(tmp_path / "f.sqlite") as expected:
         assert made.signatures() == expected.signatures()
-        assert sorted(record.path for record in made.records()) == [f"{s3}/egg.ply", f"{s3}/more/cigar.off"]
+        assert sorted(record.path for record in made.records()) == [
+            f"{s3}/egg.ply",
+            f"{s3}/more/cigar.off",
+        ]
     assert "2 known already" in run("ingest", s3, "-c", tmp_path / "s3.sqlite").output
 
 
-def test_copies_of_what_a_scan_names(http: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_copies_of_what_a_scan_names(
+    http: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Files that are elsewhere, or large, are not copied."""
     views = tmp_path / "views"
     views.mkdir()

@@ -47,7 +47,10 @@ def test_a_scan_of_two_runs(folder: Path, tmp_path: Path, caplog: pytest.LogCapt
         yield from in_this_process(function, items, **limits)
 
     ingest(folder / "a.off", tmp_path / "c.sqlite", executor=late)
-    assert f"{folder}/a.off and {folder}/copy.off, of another ingest, are the same scan" in caplog.messages
+    assert (
+        f"{folder}/a.off and {folder}/copy.off, of another ingest, are the same scan"
+        in caplog.messages
+    )
 
 
 def runs_tetwild(pid: int) -> bool:
@@ -58,17 +61,24 @@ def runs_tetwild(pid: int) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc to see other processes")
+@pytest.mark.skipif(
+    not Path("/proc/self/stat").exists(), reason="needs /proc to see other processes"
+)
 @pytest.mark.parametrize(
     ("send", "code"),
     [
-        (lambda pid: os.killpg(pid, signal.SIGINT), 130),  # Ctrl-C reaches every process of the terminal
+        (
+            lambda pid: os.killpg(pid, signal.SIGINT),
+            130,
+        ),  # Ctrl-C reaches every process of the terminal
         (lambda pid: os.kill(pid, signal.SIGTERM), 143),
         (lambda pid: os.kill(pid, signal.SIGKILL), -signal.SIGKILL),
     ],
     ids=["Ctrl-C", "SIGTERM", "SIGKILL"],
 )
-def test_no_process_outlives_an_ingest(send: Callable[[int], None], code: int, tmp_path: Path) -> None:
+def test_no_process_outlives_an_ingest(
+    send: Callable[[int], None], code: int, tmp_path: Path
+) -> None:
     for number in range(4):
         write_ply(tmp_path / f"{number}.ply", shapes.points_on(shapes.body(3), 3000, seed=number))
     (tmp_path / "options.toml").write_text("[remesh]\nmethod = 'tetwild'\n")

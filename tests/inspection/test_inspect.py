@@ -46,7 +46,11 @@ def test_a_good_scan_passes_and_its_spread_is_the_rms_distance_to_the_mean() -> 
     # Two parts lie on either side of their mean.
     rng = np.random.default_rng(0)
     one, two = (
-        np.log(signature(cloud.select(np.sort(rng.choice(20_012, 18_011, replace=False))), OPTIONS).values)
+        np.log(
+            signature(
+                cloud.select(np.sort(rng.choice(20_012, 18_011, replace=False))), OPTIONS
+            ).values
+        )
         for _ in range(2)
     )
     np.testing.assert_allclose(deviation, abs(one - two) / 2, atol=1e-9)
@@ -82,7 +86,9 @@ def test_what_fails_is_shown_as_far_as_it_came(tmp_path: Path) -> None:
     assert few.scan is not None and few.cloud is None and few.spacing > 0
 
     moved = TriangleMesh(BODY.vertices + np.array([7, 0, 0]), BODY.faces)
-    two = inspect_scan(np.concatenate([shapes.points_on(BODY, 9000), shapes.points_on(moved, 9000)]))
+    two = inspect_scan(
+        np.concatenate([shapes.points_on(BODY, 9000), shapes.points_on(moved, 9000)])
+    )
     assert two.failure is not None and two.failure.stage == "surface"
     assert two.cloud is not None and two.cloud.normals is not None and two.mesh is None
 

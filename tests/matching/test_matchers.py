@@ -28,7 +28,13 @@ from pcretrieve.matching.cm_bof import (
     scaled_coordinates,
 )
 from pcretrieve.matching.heat import HeatPoints, heat_distance, heat_points, word_frequencies
-from pcretrieve.matching.meshsift import _warn_once, keypoints, levels, match_distance, mesh_features
+from pcretrieve.matching.meshsift import (
+    _warn_once,
+    keypoints,
+    levels,
+    match_distance,
+    mesh_features,
+)
 from pcretrieve.values import Failure, Shape, Surface, TriangleMesh
 
 BALL = shapes.icosphere(4)
@@ -100,7 +106,9 @@ def test_each_distance_is_that_of_the_matcher_from_the_query() -> None:
     size = [*AREAS.values()]
     matrix = matched(LACKING)
     assert matrix.ids == ("c", "a", "b", "d")
-    np.testing.assert_array_equal(matrix.values, [[lacking(one, two) for two in size] for one in size])
+    np.testing.assert_array_equal(
+        matrix.values, [[lacking(one, two) for two in size] for one in size]
+    )
     calls = []
 
     def counted(query: float, other: float) -> float:
@@ -109,7 +117,9 @@ def test_each_distance_is_that_of_the_matcher_from_the_query() -> None:
 
     matrix = matched(replace(LACKING, distance=counted, symmetric=True))
     assert len(calls) == 4 + 3 + 2 + 1
-    np.testing.assert_array_equal(matrix.values, [[apart(one, two) for two in size] for one in size])
+    np.testing.assert_array_equal(
+        matrix.values, [[apart(one, two) for two in size] for one in size]
+    )
 
 
 def test_a_shape_that_a_matcher_fails_on_is_left_out() -> None:
@@ -154,7 +164,9 @@ def test_surfaces_without_features_are_named() -> None:
 def test_the_distance_is_the_larger_mean_of_smallest_distances() -> None:
     rng = np.random.default_rng(0)
     one, two = rng.normal(size=(7, 6)), rng.normal(size=(5, 6)) + 1
-    sets = [HeatPoints(features, np.full(len(features), 1 / len(features))) for features in (one, two)]
+    sets = [
+        HeatPoints(features, np.full(len(features), 1 / len(features))) for features in (one, two)
+    ]
     gaps = np.linalg.norm(one[:, np.newaxis] - two, axis=2)
     expected = max(gaps.min(axis=1).mean(), gaps.min(axis=0).mean())
     assert heat_distance(*sets) == heat_distance(*sets[::-1]) == pytest.approx(expected)
@@ -298,7 +310,9 @@ def test_a_match_is_clearly_nearer_than_the_second() -> None:
     # From one: .1 of .6, .1 of .4, .75 of 1.4. From two: .1 of .4, .1 of .6; the nearest of the third, .65 of
     # .75, is not mutual, nor clear.
     assert match_distance(one, two) == pytest.approx(1 - (2 + 2) / 2 / 3)
-    assert match_distance(one, two[:2]) == pytest.approx(1 - 2 / 3), "by the larger number of features"
+    assert match_distance(one, two[:2]) == pytest.approx(1 - 2 / 3), (
+        "by the larger number of features"
+    )
     assert match_distance(one, two[:1]) == pytest.approx(1 - 1 / 2 / 3)
 
 

@@ -17,7 +17,9 @@ MATRIX = DistanceMatrix(("a", "c", "b", "d"), VALUES)
 
 
 def test_what_is_no_distance_matrix() -> None:
-    with pytest.raises(InputError, match=r"a distance matrix must have shape \(2, 2\), got \(2, 3\)"):
+    with pytest.raises(
+        InputError, match=r"a distance matrix must have shape \(2, 2\), got \(2, 3\)"
+    ):
         DistanceMatrix(("a", "b"), np.zeros((2, 3)))
     with pytest.raises(InputError, match=r"labels must be as many as ids \(2\), got 1"):
         DistanceMatrix(("a", "b"), np.zeros((2, 2)), ("A",))
@@ -39,13 +41,25 @@ def test_a_matrix_of_a_track_is_plain_rows_of_numbers(tmp_path: Path) -> None:
 
 
 TEXTS = (
-    ("0 1\n1 0\n", None, r"cannot read .*run.ids, which must name the rows of run.txt, one id a line"),
+    (
+        "0 1\n1 0\n",
+        None,
+        r"cannot read .*run.ids, which must name the rows of run.txt, one id a line",
+    ),
     ("0 1\n1 0\n", "a\nb\nc\n", r"run.ids must name the 2 rows of run.txt, got 3 ids"),
-    ("0 1\n1 0\n", "a\na\n", r"run.txt: ids of a distance matrix must be distinct, 'a' comes twice"),
+    (
+        "0 1\n1 0\n",
+        "a\na\n",
+        r"run.txt: ids of a distance matrix must be distinct, 'a' comes twice",
+    ),
     ("0 1 2\n1 0 2\n", "a\nb\n", r"run.txt must hold a square matrix, rows by columns, got 2 by 3"),
     ("0 1\n1 0 2\n", "a\nb\n", r"run.txt is not a distance matrix: .*columns"),
     ("0 x\n1 0\n", "a\nb\n", r"run.txt is not a distance matrix: could not convert string 'x'"),
-    ("0 nan\n1 0\n", "a\nb\n", r"run.txt: a distance matrix must be numbers, got 1 values that are NaN"),
+    (
+        "0 nan\n1 0\n",
+        "a\nb\n",
+        r"run.txt: a distance matrix must be numbers, got 1 values that are NaN",
+    ),
     ("0 -1\n-2 0\n", "a\nb\n", r"run.txt: distances must be 0 or more, got 2 that are negative"),
     ("", "", r"run.txt must hold a square matrix"),
 )
@@ -89,7 +103,14 @@ def test_where_a_matrix_cannot_be_written(tmp_path: Path) -> None:
 def test_labels_name_ids_or_files(tmp_path: Path) -> None:
     (tmp_path / "labels.csv").write_text("file,class\nscans/a.ply,X\nc,X\nb.off,Y\nd,Y\n")
     ranked = evaluate(MATRIX, labels=tmp_path / "labels.csv").ranked.rankings
-    assert dict(zip(ranked.ids, ranked.labels, strict=True)) == {"a": "X", "c": "X", "b": "Y", "d": "Y"}
+    assert dict(zip(ranked.ids, ranked.labels, strict=True)) == {
+        "a": "X",
+        "c": "X",
+        "b": "Y",
+        "d": "Y",
+    }
     (tmp_path / "labels.csv").write_text("file,class\na.ply,X\na.off,Y\n")
-    with pytest.raises(BenchmarkError, match="a shape must have one class, 'a' has 'X' and 'Y' in "):
+    with pytest.raises(
+        BenchmarkError, match="a shape must have one class, 'a' has 'X' and 'Y' in "
+    ):
         evaluate(MATRIX, labels=tmp_path / "labels.csv")

@@ -33,7 +33,9 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 OPTIONS = PipelineOptions().changed(
-    signature={"method": "r-bihdm", "n_values": 10}, spectral={"n_pairs": 61}, retrieval={"whitening": "none"}
+    signature={"method": "r-bihdm", "n_values": 10},
+    spectral={"n_pairs": 61},
+    retrieval={"whitening": "none"},
 )
 
 # Heights of eggs by kind. Kinds 0 to 2 are apart; "mixed" has an egg among those of kind 0, "lone" is alone.
@@ -108,13 +110,17 @@ def test_no_page_needs_another_file_or_runs_what_a_name_says(eggs: Path, tmp_pat
     for page in pages:
         text = page.read_text("utf-8")
         assert "default-src 'none'; img-src data:" in text
-        assert not re.findall(r"""(?:src|href)=["'](?!data:|#)|https?:|@import|url\((?!data:)""", text)
+        assert not re.findall(
+            r"""(?:src|href)=["'](?!data:|#)|https?:|@import|url\((?!data:)""", text
+        )
         assert "<b> %2F" not in text and "&lt;b&gt; %2F" in text
         assert "<kind 2>" not in text and "'\".." not in text and NASTY in words_of(page)
         ids = re.findall(r'\bid="([^"]*)"', text)
         assert len(set(ids)) == len(ids)
         assert set(re.findall(r'(?:href="#|labelledby=")([^"]+)"', text)) <= set(ids)
-    inlined = re.findall(r"\.(p\d+)\{background-image:url\(data:image/png;base64,", pages[0].read_text())
+    inlined = re.findall(
+        r"\.(p\d+)\{background-image:url\(data:image/png;base64,", pages[0].read_text()
+    )
     assert len(set(inlined)) == len(inlined) <= 12, "each picture is inlined once"
 
 
@@ -162,7 +168,9 @@ def test_without_classes_there_is_nothing_to_compare(catalogue: Path, tmp_path: 
     page = report(lonely, tmp_path / "lone.html")
     assert queries_of(page) == ["a-0", "b-0"]
     assert "confidence" not in words_of(page)
-    with pytest.raises(InputError, match=r"no class in .* has two shapes: there are no measures to compare"):
+    with pytest.raises(
+        InputError, match=r"no class in .* has two shapes: there are no measures to compare"
+    ):
         report(lonely, tmp_path / "lone.html", versus=catalogue)
 
 
@@ -175,7 +183,9 @@ def test_the_page_of_one_scan_says_what_the_search_found(eggs: Path, folder: Pat
     assert answer.match is not None and answer.match.label == "<kind 1>"
     assert f"{answer}" in words
     assert "The scan is good" in words
-    assert re.findall(r'<b class="name">(.*?)</b>', page.read_text("utf-8")) == list(answer.neighbors.ids)
+    assert re.findall(r'<b class="name">(.*?)</b>', page.read_text("utf-8")) == list(
+        answer.neighbors.ids
+    )
     assert answer.neighbors.scores is not None
     for gap, score in zip(answer.neighbors.distances, answer.neighbors.scores, strict=True):
         assert f"distance {f'{gap:#.3g}'.rstrip('.')} score {score:.2f}" in words
@@ -187,7 +197,9 @@ def test_doubt_about_an_answer_is_said(eggs: Path, folder: Path) -> None:
     egg(0.4, folder / "flat.off", width=3.0)
     page = query_page(eggs, folder / "flat.off", folder / "none.html", min_score=0.99)
     assert "No match : no shape has a score of 0.99 or more" in words_of(page)
-    assert "least score 0.99" in words_of(page) and '<ol class="results">' not in page.read_text("utf-8")
+    assert "least score 0.99" in words_of(page) and '<ol class="results">' not in page.read_text(
+        "utf-8"
+    )
     page = query_page(eggs, folder / "flat.off", folder / "doubt.html", far=1e-4)
     assert "not in this collection; the nearest class is " in words_of(page)
     assert 'class="stranger"' in page.read_text("utf-8")
@@ -222,7 +234,9 @@ def shown(page: Page) -> list[str]:
 
 
 @pytest.mark.slow
-def test_queries_and_classes_are_searched_and_sorted_without_a_server(page: Page, written: Path) -> None:
+def test_queries_and_classes_are_searched_and_sorted_without_a_server(
+    page: Page, written: Path
+) -> None:
     everything = queries_of(written)
     assert shown(page) == everything
     page.get_by_label("Sort by").select_option("name")

@@ -66,7 +66,9 @@ def has_colour(colour: Colour, pixels: NDArray[np.float64]) -> NDArray[np.bool_]
 
 
 def scene_of(page: bytes) -> dict[str, Any]:
-    (found,) = re.findall(rb'<script type="application/json" id="scene">(.*?)</script>', page, re.DOTALL)
+    (found,) = re.findall(
+        rb'<script type="application/json" id="scene">(.*?)</script>', page, re.DOTALL
+    )
     return dict(json.loads(found))
 
 
@@ -74,11 +76,22 @@ def test_the_viewer_gets_points_normals_and_faces() -> None:
     seen = inspection()
     scene = scene_of(inspection_html(seen))
     layers = {layer["name"]: layer for layer in scene["layers"]}
-    assert list(layers) == ["points", "dropped", "cut", "normals", "surface", "filled", "cuts", "bridges"]
+    assert list(layers) == [
+        "points",
+        "dropped",
+        "cut",
+        "normals",
+        "surface",
+        "filled",
+        "cuts",
+        "bridges",
+    ]
 
     def places(name: str) -> NDArray[np.float64]:
         grid = np.frombuffer(b64decode(layers[name]["at"]), "<u2").reshape(-1, 3).astype(np.float64)
-        places: NDArray[np.float64] = (2 * grid / (2**16 - 1) - 1) * scene["zoom"]  # radius of the body: 1
+        places: NDArray[np.float64] = (2 * grid / (2**16 - 1) - 1) * scene[
+            "zoom"
+        ]  # radius of the body: 1
         return places
 
     assert seen.cloud is not None and seen.cloud.normals is not None and seen.mesh is not None
@@ -140,15 +153,20 @@ def test_the_summary_says_what_is_wrong() -> None:
     seen = inspection()  # with a spread of .2
     error = "the error bar of its signature is ± 0.2."
     assert (seen.verdict, seen.summary) == ("passed", f"A good scan: {error} Look at: outliers.")
-    noisy = replace(seen, checks=(Check("Noise", "look", 1.0, "much", "Hold still.", 1.5), *seen.checks))
+    noisy = replace(
+        seen, checks=(Check("Noise", "look", 1.0, "much", "Hold still.", 1.5), *seen.checks)
+    )
     assert noisy.verdict == "look"
     assert noisy.summary == (
         "An incomplete scan: the error bar of its signature is ± 1.5. Look at: noise, outliers."
     )
-    failed = replace(seen, checks=(Check("Noise", "failed", 1.0, "much", "Hold still."), *seen.checks))
+    failed = replace(
+        seen, checks=(Check("Noise", "failed", 1.0, "much", "Hold still."), *seen.checks)
+    )
     assert failed.verdict == "look"
     assert (
-        failed.summary == f"An incomplete scan: noise failed; by the other checks, {error} Look at: outliers."
+        failed.summary
+        == f"An incomplete scan: noise failed; by the other checks, {error} Look at: outliers."
     )
     stopped = replace(
         failed, signature=None, failure=Failure("b.ply", "surface", "ReconstructionError", "no")
@@ -160,11 +178,17 @@ def test_two_bodies_are_measured_and_compared() -> None:
     slim, stout = (shapes.ellipsoid((width, width, 2.0), subdivisions=3) for width in (1.0, 1.3))
     assert 0.3 < np.median(thicker(stout, slim)) < 0.7 and np.median(thicker(slim, slim)) == 0
     ball = measures(SPHERE, np.array([0.0, 0, 1]))
-    assert ball == pytest.approx({"height": 2, "area": 4 * np.pi, "volume": 4 / 3 * np.pi}, rel=0.01)
+    assert ball == pytest.approx(
+        {"height": 2, "area": 4 * np.pi, "volume": 4 / 3 * np.pi}, rel=0.01
+    )
     subject = make_subject("person", np.random.default_rng(3))
-    stands, walks = (measures(body(subject, POSES["person"][pose]), None) for pose in ("stand", "walk"))
+    stands, walks = (
+        measures(body(subject, POSES["person"][pose]), None) for pose in ("stand", "walk")
+    )
     for name, least in (("head to foot", 1.5), ("waist", 0.6), ("thigh", 0.3), ("upper arm", 0.2)):
-        assert least < stands[name] < 2 * least and walks[name] == pytest.approx(stands[name], rel=0.1), name
+        assert least < stands[name] < 2 * least and walks[name] == pytest.approx(
+            stands[name], rel=0.1
+        ), name
 
 
 # --- the checks ---------------------------------------------------------------------------------------
@@ -184,7 +208,8 @@ def test_worse_numbers_get_worse_verdicts() -> None:
     names = ("filled", "ends", "gaps", "hole", "lost", "noise")
     for index, name in enumerate(names):
         found = [
-            fit_checks(**dict.fromkeys(names, 0.0) | {name: value})[index] for value in (0, 0.006, 0.012, 0.5)
+            fit_checks(**dict.fromkeys(names, 0.0) | {name: value})[index]
+            for value in (0, 0.006, 0.012, 0.5)
         ]
         if name in {"ends", "hole"}:  # they are there, or not
             assert [check.verdict for check in found] == ["passed", "failed", "failed", "failed"]

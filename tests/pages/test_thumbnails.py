@@ -27,7 +27,9 @@ from pcretrieve.pages import thumbnails
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.values import TriangleMesh
 
-OPTIONS = PipelineOptions().changed(signature={"method": "r-bihdm", "n_values": 10}, spectral={"n_pairs": 61})
+OPTIONS = PipelineOptions().changed(
+    signature={"method": "r-bihdm", "n_values": 10}, spectral={"n_pairs": 61}
+)
 
 
 def ingested(folder: Path, name: str) -> Catalogue:
@@ -41,7 +43,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three eggs, which are longest along the axis z."""
     place = tmp_path_factory.mktemp("thumbnails")
     for number in range(3):
-        write_mesh(shapes.ellipsoid((1.0, 1.2, 2.0 + number / 5), subdivisions=3), place / f"{number}.off")
+        write_mesh(
+            shapes.ellipsoid((1.0, 1.2, 2.0 + number / 5), subdivisions=3), place / f"{number}.off"
+        )
     return place
 
 
@@ -84,7 +88,9 @@ def test_a_catalogue_keeps_the_pictures_that_would_be_drawn_and_pages_use_them(
         assert kept == thumbnail(mesh.vertices, mesh.faces) == pictures.of(catalogue, record)
         assert kept and size_of(kept) == (THUMBNAIL_PIXELS, THUMBNAIL_PIXELS)
     assert catalogue.stored_bytes("0")["thumbnails"] > 1000
-    bare = content_of(folder / "0.off", OPTIONS.changed(catalogue={"keep": ()}))  # no surface is stored
+    bare = content_of(
+        folder / "0.off", OPTIONS.changed(catalogue={"keep": ()})
+    )  # no surface is stored
     assert bare.thumbnail == catalogue.thumbnail("0")
     pages = (
         pr.report(catalogue, tmp_path / "report.html"),
@@ -93,7 +99,9 @@ def test_a_catalogue_keeps_the_pictures_that_would_be_drawn_and_pages_use_them(
     )
     assert drawn == []
     for page, pixels in zip(pages, (88, 128, 200), strict=True):
-        inlined = re.findall(r'(?:base64,|data-picture="|")(iVBORw0KGgo[\w+/=]+)', page.read_text("utf-8"))
+        inlined = re.findall(
+            r'(?:base64,|data-picture="|")(iVBORw0KGgo[\w+/=]+)', page.read_text("utf-8")
+        )
         assert {size_of(base64.b64decode(picture))[0] for picture in inlined} == {pixels}, page
 
 
@@ -107,12 +115,22 @@ def test_what_is_up_can_be_said_for_each_page(
     direction["xyz".index(up[-1])] = -1 if up[0] == "-" else 1
     pictures = Thumbnails(catalogue, up)
     assert catalogue.up == up
-    assert [is_upright(pictures.of(catalogue, one) or b"") for one in catalogue.records()] == [stands] * 3
+    assert [is_upright(pictures.of(catalogue, one) or b"") for one in catalogue.records()] == [
+        stands
+    ] * 3
     assert all((one == direction).all() for one in np.array(drawn))
     for axis, words in {"y": "report", "-y": "lab map", "-x": "query 0 -k 3 --html"}.items():
         drawn.clear()
         output = () if "--html" in words else ("-o",)
-        run(*words.split(), *output, tmp_path / f"{axis}.html", "--up", axis, "-c", catalogue.location)
+        run(
+            *words.split(),
+            *output,
+            tmp_path / f"{axis}.html",
+            "--up",
+            axis,
+            "-c",
+            catalogue.location,
+        )
         assert catalogue.up == axis and len(drawn) == 3, words
     pictures.say(catalogue, None)
     assert catalogue.up is None and catalogue.thumbnail("0") is None, "drawn again as it shows"
@@ -132,14 +150,20 @@ def test_bodies_of_one_collection_stand_along_one_axis(tmp_path: Path, drawn: li
         write_mesh(TriangleMesh(places, egg.faces), tmp_path / f"{number:02}.off")
     with ingested(tmp_path, "lying.sqlite") as store:
         pictures, records = Thumbnails(store), store.records()
-        assert [is_upright(pictures.of(store, one) or b"") for one in records] == [False] * 2 + [True] * 10
+        assert [is_upright(pictures.of(store, one) or b"") for one in records] == [False] * 2 + [
+            True
+        ] * 10
         np.testing.assert_array_equal(drawn, [[0, 0, 1]] * 2)
         assert (pictures.said, pictures.up) == (None, "z")
         again = Thumbnails(store)
-        assert [again.of(store, one) for one in records] == [pictures.of(store, one) for one in records]
+        assert [again.of(store, one) for one in records] == [
+            pictures.of(store, one) for one in records
+        ]
         assert len(drawn) == 2, "what was drawn is kept"
         assert store.thumbnail("00") == pictures.of(store, records[0])
-        assert not {defect.message for defect in find_defects(store) if "thumbnail" in defect.message}
+        assert not {
+            defect.message for defect in find_defects(store) if "thumbnail" in defect.message
+        }
 
 
 def test_what_was_not_stored_is_drawn_once_and_kept_if_it_can_be_written(

@@ -42,7 +42,9 @@ def test_points_need_no_surface(scan: ScanLike) -> None:
     assert shape.area == pytest.approx(body.area, rel=0.03)
     assert shape.mesh.area == pytest.approx(shape.area, rel=0.03)
     assert shape.mesh.volume == pytest.approx(body.volume, rel=0.05)  # its faces point outwards
-    error = np.log(signature(scan, options).values) - np.log(signature(body, {"signature": form}).values)
+    error = np.log(signature(scan, options).values) - np.log(
+        signature(body, {"signature": form}).values
+    )
     assert np.abs(error[:23]).max() < 0.15  # which grows with the frequency
 
 
@@ -54,8 +56,12 @@ def test_a_cloud_far_from_the_origin_is_the_same_body(shift: float) -> None:
     here = reconstruct(cloud)
     there = reconstruct(PointCloud(POINTS + shift, viewpoints=3 * POINTS + shift))
     assert there.volume == pytest.approx(here.volume, rel=1e-3)
-    np.testing.assert_allclose(there.vertices.mean(axis=0) - shift, here.vertices.mean(axis=0), atol=1e-3)
-    far, near = (signature(one, {"signature": {"method": "r-bihdm"}}).values for one in (there, here))
+    np.testing.assert_allclose(
+        there.vertices.mean(axis=0) - shift, here.vertices.mean(axis=0), atol=1e-3
+    )
+    far, near = (
+        signature(one, {"signature": {"method": "r-bihdm"}}).values for one in (there, here)
+    )
     np.testing.assert_allclose(np.log(far), np.log(near), atol=0.02)
 
 
@@ -89,7 +95,9 @@ def test_each_preset_makes_a_closed_surface_of_a_scan(preset: str) -> None:
 
 
 def test_poisson_makes_the_same_body_and_says_what_it_does_not_use() -> None:
-    options = PipelineOptions().changed(surface={"method": "poisson", "gap": 0.03, "genus": "sphere"})
+    options = PipelineOptions().changed(
+        surface={"method": "poisson", "gap": 0.03, "genus": "sphere"}
+    )
     shape = process(POINTS, options)
     assert not defects(shape.mesh)
     assert shape.mesh.volume == pytest.approx(shapes.body().volume, rel=0.05)
@@ -102,25 +110,37 @@ def test_poisson_makes_the_same_body_and_says_what_it_does_not_use() -> None:
     assert np.isfinite(described.values).all()
 
 
-def test_each_stage_is_logged_once_with_its_repairs(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_each_stage_is_logged_once_with_its_repairs(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     scan = tmp_path / "body.xyz"
     np.savetxt(scan, [*POINTS, [300.0, 0, 0]])
     with caplog.at_level(logging.INFO, logger="pcretrieve.pipeline"):
         shape = process(scan, PipelineOptions())
     records = [record for record in caplog.records if record.name == "pcretrieve.pipeline"]
-    stages = [record.getMessage().split()[1] for record in records if record.levelno == logging.INFO]
+    stages = [
+        record.getMessage().split()[1] for record in records if record.levelno == logging.INFO
+    ]
     assert stages == [step.stage for step in shape.provenance]
     assert stages[-4:] == ["surface", "surface", "spectrum", "checks"]
     repairs = [record.getMessage() for record in records if record.levelno == logging.WARNING]
-    assert repairs == [f"body.xyz: {step.stage}: {note}" for step in shape.provenance for note in step.notes]
-    assert any("dropped 1 of 8001 points more than 20 median distances" in repair for repair in repairs)
+    assert repairs == [
+        f"body.xyz: {step.stage}: {note}" for step in shape.provenance for note in step.notes
+    ]
+    assert any(
+        "dropped 1 of 8001 points more than 20 median distances" in repair for repair in repairs
+    )
 
 
 def test_bodies_of_one_size_have_one_size_in_the_signature_whatever_unit_their_files_have(
     tmp_path: Path,
 ) -> None:
     """The same body in metres, and in millimetres in a file without a unit."""
-    body, metres, millimetres = shapes.body(2), tmp_path / "metres.glb", tmp_path / "millimetres.off"
+    body, metres, millimetres = (
+        shapes.body(2),
+        tmp_path / "metres.glb",
+        tmp_path / "millimetres.off",
+    )
     write_mesh(body, metres)
     write_mesh(TriangleMesh(1000 * body.vertices, body.faces), millimetres)
     sized = {"signature": {"method": "r-bihdm", "size_weight": 6}}

@@ -57,7 +57,9 @@ def with_arms_that_cross_the_trunk(points: FloatArray) -> FloatArray:
 
 FAULTS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "a tenth of the points": lambda points: points[::10],
-    "the upper half 100 times thinner": lambda points: points[(heights(points) < 0.5) | some(points, 0.01)],
+    "the upper half 100 times thinner": lambda points: points[
+        (heights(points) < 0.5) | some(points, 0.01)
+    ],
     "the left half 10 times thinner": lambda points: points[
         (points[:, 0] < np.median(points[:, 0])) | some(points, 0.1)
     ],
@@ -131,7 +133,9 @@ def test_a_body_without_a_forearm_is_incomplete(side: int, points: FloatArray) -
     across = side * (points[:, 0] - np.median(points[:, 0]))
     shape = process(points[across < across.max() - 0.25 * np.ptp(points[:, 1]) / 1.7])
     assert shape.verdict is not None
-    assert any(reason.startswith(("closed ends: ", "largest hole: ")) for reason in shape.verdict.reasons)
+    assert any(
+        reason.startswith(("closed ends: ", "largest hole: ")) for reason in shape.verdict.reasons
+    )
 
 
 # --- the uncertainty ----------------------------------------------------------------------------------

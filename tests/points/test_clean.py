@@ -42,7 +42,9 @@ def test_outliers_go_and_the_body_stays() -> None:
     assert gaps(BODY.points, cleaned.points).max() < 0.02 * BODY.diagonal
     assert gaps(cleaned.points, BODY.points).max() < 0.02 * BODY.diagonal
     assert any("as outliers" in note for note in cleaned.provenance[-1].notes)
-    assert clean(BODY, OPTIONS)[0].provenance[-1].sizes["outliers"] == 0  # of an exact surface, none
+    assert (
+        clean(BODY, OPTIONS)[0].provenance[-1].sizes["outliers"] == 0
+    )  # of an exact surface, none
 
 
 def test_strays_beside_a_sparse_side_go_and_its_points_stay() -> None:
@@ -63,7 +65,9 @@ def test_each_point_keeps_a_sensor_that_saw_its_voxel() -> None:
     cell = VOXEL * BODY.diagonal
     clear = np.abs(cleaned.points[:, 0]) > cell
     assert cleaned.viewpoints is not None
-    np.testing.assert_array_equal(cleaned.viewpoints[clear, 0], 9 * np.sign(cleaned.points[clear, 0]))
+    np.testing.assert_array_equal(
+        cleaned.viewpoints[clear, 0], 9 * np.sign(cleaned.points[clear, 0])
+    )
 
 
 RANDOM = np.random.default_rng(0).random((500, 3))
@@ -79,5 +83,7 @@ def test_what_is_no_body() -> None:
         with pytest.raises(ReconstructionError, match=words) as raised:
             clean(PointCloud(points), OPTIONS)
         assert raised.value.stage == "clean"
-    with pytest.raises(ReconstructionError, match=r"got \d+: scan more densely, or lower scan\.voxel"):
+    with pytest.raises(
+        ReconstructionError, match=r"got \d+: scan more densely, or lower scan\.voxel"
+    ):
         clean(BODY, ScanOptions(voxel=0.3))

@@ -48,7 +48,9 @@ def test_a_scan_without_background_is_not_changed(sensors: bool) -> None:
     assert kept.provenance[-1].sizes == {"points_in": len(scan.points), "points": len(scan.points)}
 
 
-@pytest.mark.parametrize("stretch", [(1, 1, 0.02), (1, 0.05, 0.05), (1, 1, 1)], ids=["slab", "rod", "cube"])
+@pytest.mark.parametrize(
+    "stretch", [(1, 1, 0.02), (1, 0.05, 0.05), (1, 1, 1)], ids=["slab", "rod", "cube"]
+)
 def test_flat_sides_of_a_body_are_not_the_ground(stretch: FloatArray) -> None:
     """Also if only half of the body was seen, such as three sides of a cube."""
     rng = np.random.default_rng(0)
@@ -75,7 +77,9 @@ def test_readings_at_the_largest_range_are_no_points(share: float) -> None:
     for rays in (at, at / np.linalg.norm(at, axis=1, keepdims=True)):
         kept = cropped(1000 * np.concatenate([body, 65.535 * rays]))
         np.testing.assert_array_equal(kept.points, 1000 * body)
-        assert notes(kept) == (f"dropped {n} of {n + 6000} points at one range: readings without an answer",)
+        assert notes(kept) == (
+            f"dropped {n} of {n + 6000} points at one range: readings without an answer",
+        )
 
 
 def test_ranges_and_box() -> None:
@@ -104,7 +108,9 @@ def test_one_point_far_away() -> None:
     for distance in (1e3, 3e38):  # the largest float32
         kept = cropped(np.concatenate([POINTS, [[distance, 0, 0]]]))
         np.testing.assert_array_equal(kept.points, POINTS)
-        assert notes(kept) == ("dropped 1 of 6001 points more than 20 median distances from the middle",)
+        assert notes(kept) == (
+            "dropped 1 of 6001 points more than 20 median distances from the middle",
+        )
 
 
 @pytest.mark.parametrize("n", [800, 20_000], ids=["few", "most"])

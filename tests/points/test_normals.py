@@ -67,14 +67,18 @@ def test_points_that_coincide_are_neighbours_at_distance_zero() -> None:
 # --- planes -------------------------------------------------------------------------------------------
 
 K = 9
-GROUPS = RNG.normal(size=(200, K, 3)) * [1.0, 0.7, 0.05] @ np.linalg.qr(RNG.normal(size=(3, 3)))[0] + 5
+GROUPS = (
+    RNG.normal(size=(200, K, 3)) * [1.0, 0.7, 0.05] @ np.linalg.qr(RNG.normal(size=(3, 3)))[0] + 5
+)
 OF_GROUP = np.arange(200 * K).reshape(200, K)
 
 
 def test_deviations_are_the_smallest_singular_values() -> None:
     centred = GROUPS - GROUPS.mean(axis=1, keepdims=True)
     expected = np.linalg.svd(centred, compute_uv=False)[:, 2] / np.sqrt(K - 3)
-    np.testing.assert_allclose(plane_deviations(GROUPS.reshape(-1, 3), OF_GROUP), expected, rtol=1e-9)
+    np.testing.assert_allclose(
+        plane_deviations(GROUPS.reshape(-1, 3), OF_GROUP), expected, rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize("unit", [1.0, 2.0**-80])
@@ -125,7 +129,9 @@ def test_noise_is_what_was_added_however_many_points_there_are() -> None:
 @pytest.mark.parametrize(
     ("n", "ratio", "error"), [(20_000, 10, 0.003), (20_000, 30, 0.006), (80_000, 100, 0.006)]
 )
-def test_interpolated_points_are_on_the_surface_and_leave_no_gap(n: int, ratio: float, error: float) -> None:
+def test_interpolated_points_are_on_the_surface_and_leave_no_gap(
+    n: int, ratio: float, error: float
+) -> None:
     """On a sphere of whose upper half one point in `ratio` is left; 20,000 points are .025 apart."""
     points, cell = on_sphere(n), 0.02
     points = points[(points[:, 2] < 0) | (np.random.default_rng(2).random(n) < 1 / ratio)]
@@ -212,7 +218,10 @@ def test_auto_prefers_sensors_to_normals_and_normals_to_a_flood_fill() -> None:
 
 def test_what_a_scan_does_not_have() -> None:
     cloud, _ = scanned(SURFACES["ball"], 500)
-    for method, words in (("given", "with normals, this one has none"), ("viewpoint", "sensor positions")):
+    for method, words in (
+        ("given", "with normals, this one has none"),
+        ("viewpoint", "sensor positions"),
+    ):
         with pytest.raises(ReconstructionError, match=words) as raised:
             oriented_normals(cloud, ScanOptions(orientation=method))
         assert raised.value.stage == "orient"
@@ -224,7 +233,10 @@ def test_open3d_gives_the_same_in_any_unit(unit: float) -> None:
     normals = SURFACES["ball"].vertices
     for found, expected in (
         (estimate_normals(scale * normals, n_neighbors=20) for scale in (unit, 1.0)),
-        (orient_by_tangent_planes(scale * normals, normals, n_neighbors=12) for scale in (unit, 1.0)),
+        (
+            orient_by_tangent_planes(scale * normals, normals, n_neighbors=12)
+            for scale in (unit, 1.0)
+        ),
         (feature_histograms(scale * normals, normals, radius=0.3 * scale) for scale in (unit, 1.0)),
     ):
         np.testing.assert_array_equal(found, expected)

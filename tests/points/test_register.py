@@ -30,7 +30,9 @@ RIG = RigOptions(n_views=6, pixels=120, n_points=None)
 TOLERANCE = 0.005
 
 
-def motion(rng: np.random.Generator, *, angle: float | None = None, shift: float = 3.0) -> FloatArray:
+def motion(
+    rng: np.random.Generator, *, angle: float | None = None, shift: float = 3.0
+) -> FloatArray:
     """(4, 4) random rigid motion, with any rotation, or one by `angle` about a random axis."""
     turn = Rotation.random(rng=rng)
     if angle is not None:
@@ -47,7 +49,9 @@ def views() -> tuple[tuple[PointCloud, ...], FloatArray]:
     return apart(scan_views(shapes.body(), RIG, rng), rng)
 
 
-def apart(seen: list[PointCloud], rng: np.random.Generator) -> tuple[tuple[PointCloud, ...], FloatArray]:
+def apart(
+    seen: list[PointCloud], rng: np.random.Generator
+) -> tuple[tuple[PointCloud, ...], FloatArray]:
     motions = np.array([motion(rng) for _ in seen])
     clouds = []
     for view, away in zip(seen, motions, strict=True):
@@ -97,7 +101,9 @@ def test_given_poses_are_refined_or_kept() -> None:
     rng = np.random.default_rng(2)
     diagonal = shapes.body().diagonal
     truth = np.linalg.inv(motions)
-    rough = np.array([motion(rng, angle=np.radians(2), shift=0.01 * diagonal) @ pose for pose in truth])
+    rough = np.array(
+        [motion(rng, angle=np.radians(2), shift=0.01 * diagonal) @ pose for pose in truth]
+    )
     kept = merge_views(clouds, MergeOptions(refine=False), FAR, poses=rough)
     np.testing.assert_array_equal(kept.poses, rough)
     refined = merge_views(clouds, MergeOptions(), FAR, poses=rough)
@@ -122,12 +128,18 @@ def test_background_is_dropped_before_views_are_matched() -> None:
         wall = sensor + 3 * distance * ahead + rng.normal(0, 0.2 * diagonal, (500, 3))
         lamp = rng.normal(cloud.points.mean(axis=0) + diagonal, 0.01 * diagonal, (50, 3))
         dirty.append(PointCloud(np.concatenate([wall, cloud.points, lamp]), viewpoints=sensor))
-    options, near = MergeOptions(keep_largest=True, refine=False), ScanOptions(max_range=1.7 * distance)
+    options, near = (
+        MergeOptions(keep_largest=True, refine=False),
+        ScanOptions(max_range=1.7 * distance),
+    )
     found = merge_views(dirty, options, near, poses=poses)
     n_clean = sum(len(cloud.points) for cloud in clouds)
     # Outliers of the simulated cameras are components too.
     assert 0.98 * n_clean < len(found.cloud.points) <= n_clean
-    assert np.linalg.norm(found.cloud.points - shapes.body().vertices.mean(axis=0), axis=1).max() < diagonal
+    assert (
+        np.linalg.norm(found.cloud.points - shapes.body().vertices.mean(axis=0), axis=1).max()
+        < diagonal
+    )
     left = merge_views(dirty, MergeOptions(refine=False), FAR, poses=poses)
     assert len(left.cloud.points) == n_clean + 6 * 550
 
@@ -144,21 +156,55 @@ CLOSE: dict[str, Any] = {"max_range": 0.1, "sensor": "origin"}
     ("clouds", "options", "poses", "raised", "words"),
     [
         ([CLOUD], {}, None, InputError, "at least two views, got 1"),
-        ([CLOUD] * 2, {}, STILL[:1], InputError, r"shape \(2, 4, 4\), one for each view, got \(1, 4, 4\)"),
+        (
+            [CLOUD] * 2,
+            {},
+            STILL[:1],
+            InputError,
+            r"shape \(2, 4, 4\), one for each view, got \(1, 4, 4\)",
+        ),
         ([CLOUD] * 2, {}, 2 * STILL, InputError, "rigid motions"),
         ([CLOUD] * 2, {}, STILL * [[-1], [1], [1], [1]], InputError, "rigid motions"),
         ([CLOUD] * 2, {"max_range": 0.0}, None, OptionError, "max_range"),
         ([CLOUD] * 2, {"max_range": 3.0}, None, InputError, "view 0 does not say where that is"),
         ([CLOUD, MOVING], {}, None, InputError, "view 1 was seen by several"),
-        ([CLOUD, PointCloud(CLOUD.points[:9])], {}, None, ReconstructionError, "1 must have more than 16"),
-        ([CLOUD, PointCloud(np.ones((500, 3)))], {}, None, ReconstructionError, "1 must have more than 16"),
-        ([CLOUD, PointCloud(np.empty((0, 3)))], {}, None, ReconstructionError, "view 1 has no points"),
+        (
+            [CLOUD, PointCloud(CLOUD.points[:9])],
+            {},
+            None,
+            ReconstructionError,
+            "1 must have more than 16",
+        ),
+        (
+            [CLOUD, PointCloud(np.ones((500, 3)))],
+            {},
+            None,
+            ReconstructionError,
+            "1 must have more than 16",
+        ),
+        (
+            [CLOUD, PointCloud(np.empty((0, 3)))],
+            {},
+            None,
+            ReconstructionError,
+            "view 1 has no points",
+        ),
         ([FRONT, FLAT], {}, None, ReconstructionError, "no two of the 2 views share a surface"),
-        ([CLOUD] * 2, CLOSE, None, ReconstructionError, "view 0 .* 16 different points in reach, got 0"),
+        (
+            [CLOUD] * 2,
+            CLOSE,
+            None,
+            ReconstructionError,
+            "view 0 .* 16 different points in reach, got 0",
+        ),
     ],
 )
 def test_what_cannot_be_merged_says_why(
-    clouds: list[PointCloud], options: dict[str, Any], poses: FloatArray | None, raised: type, words: str
+    clouds: list[PointCloud],
+    options: dict[str, Any],
+    poses: FloatArray | None,
+    raised: type,
+    words: str,
 ) -> None:
     with pytest.raises(raised, match=words):
         near = ScanOptions(max_range=options.get("max_range", "none"))

@@ -56,7 +56,9 @@ def test_a_turn_before_a_camera_becomes_one_cloud_without_its_background(tmp_pat
     (note,) = step.notes
     n_keys = int(note.split()[-3])
     assert note == f"registered 30 views of a sequence by {n_keys} key frames" and 5 < n_keys < 30
-    assert error(merged.poses @ motions, motions[:1], body().vertices[::50]) < 0.01 * body().diagonal
+    assert (
+        error(merged.poses @ motions, motions[:1], body().vertices[::50]) < 0.01 * body().diagonal
+    )
     assert merged.rms() < 0.003 * merged.scale
     surface = RayScene(moved(motions[0], body().vertices), body().faces)
     # The floor reaches the soles, and noise is not bounded.
@@ -86,13 +88,18 @@ HEADER = "# {}\n# file: 'rgbd_dataset_freiburg1_xyz.bag'\n# timestamp {}\n"
 def pose_line(time: float, pose: FloatArray) -> str:
     """A line of groundtruth.txt, with four digits, and more of the pose."""
     quaternion = Rotation.from_matrix(pose[:3, :3]).as_quat()
-    return " ".join([f"{time:.4f}", *(f"{value:.6f}" for value in (*pose[:3, 3], *quaternion))]) + "\n"
+    return (
+        " ".join([f"{time:.4f}", *(f"{value:.6f}" for value in (*pose[:3, 3], *quaternion))]) + "\n"
+    )
 
 
 def write_folder(folder: Path, images: FloatArray, poses: FloatArray) -> None:
     """Write a sequence: depth.txt, rgb.txt, groundtruth.txt with a pose every 10 ms, accelerometer.txt."""
     depths = np.round(TUM_SCALE * images).astype(np.uint16)
-    for kind, pictures in (("depth", depths), ("rgb", np.zeros((len(images), 480, 640, 3), np.uint8))):
+    for kind, pictures in (
+        ("depth", depths),
+        ("rgb", np.zeros((len(images), 480, 640, 3), np.uint8)),
+    ):
         (folder / kind).mkdir()
         lines = HEADER.format(f"{kind} maps", "filename")
         for number, picture in enumerate(pictures):
@@ -106,7 +113,9 @@ def write_folder(folder: Path, images: FloatArray, poses: FloatArray) -> None:
         lines += "".join(pose_line(START + number / 30 + late, pose) for late in (-0.004, 0.006))
     (folder / "groundtruth.txt").write_text(lines)
     accelerometer = "".join(f"{START + k / 100:.6f} -0.5 8.1 -4.0\n" for k in range(20))
-    (folder / "accelerometer.txt").write_text(HEADER.format("accelerometer data", "ax ay az") + accelerometer)
+    (folder / "accelerometer.txt").write_text(
+        HEADER.format("accelerometer data", "ax ay az") + accelerometer
+    )
 
 
 @pytest.mark.slow
@@ -132,11 +141,16 @@ def test_poses_of_a_folder_are_where_registration_starts(tmp_path: Path) -> None
 def test_associations_have_poses_or_times(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     poses = np.tile(np.eye(4), (2, 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = Rotation.random(2, rng=rng).as_matrix(), rng.normal(size=(2, 3))
+    poses[:, :3, :3], poses[:, :3, 3] = (
+        Rotation.random(2, rng=rng).as_matrix(),
+        rng.normal(size=(2, 3)),
+    )
     images = [tmp_path / "depth" / name for name in ("1.png", "2.png")]
     associations, trajectory = tmp_path / "associations.txt", tmp_path / "groundtruth.txt"
     # associate.py depth.txt groundtruth.txt
-    with_poses = [f"{10 + k} depth/{k + 1}.png {pose_line(10.015 + k, pose)}" for k, pose in enumerate(poses)]
+    with_poses = [
+        f"{10 + k} depth/{k + 1}.png {pose_line(10.015 + k, pose)}" for k, pose in enumerate(poses)
+    ]
     associations.write_text("".join(with_poses))
     assert trajectory_file(images) == associations
     np.testing.assert_allclose(np.array(image_poses(images, associations)), poses, atol=1e-5)

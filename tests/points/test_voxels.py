@@ -33,7 +33,9 @@ def test_distances_are_exact_up_to_the_limit(limit: float) -> None:
         for share in (0.002, 0.1):
             sources = np.random.default_rng(0).random(shape) < share
             sources[0, 0, 0] = True
-            expected = np.minimum(ndimage.distance_transform_edt(~sources), limit).astype(np.float32)
+            expected = np.minimum(ndimage.distance_transform_edt(~sources), limit).astype(
+                np.float32
+            )
             np.testing.assert_array_equal(distances(sources, limit), expected)
     assert (distances(np.zeros((3, 4, 5), dtype=bool), limit) == limit).all()  # without sources
 
@@ -67,7 +69,9 @@ def test_voxels_of_a_ball_are_inside_and_those_of_a_cavity_are_not() -> None:
 
 def test_lines_through_vertices_and_edges_are_counted_once() -> None:
     """A cube whose vertices, edges and faces are on the lines of the grid."""
-    corners = np.array(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij")).reshape(3, -1).T
+    corners = (
+        np.array(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij")).reshape(3, -1).T
+    )
     faces = np.array(
         [
             *([0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]),

@@ -77,11 +77,19 @@ def test_what_has_no_distance_or_no_coordinates() -> None:
         pairwise("D2", np.zeros((1, 3)), np.zeros((1, 3)))
     metric: Metric
     for values, metric, message in (
-        ([0.5, 0.0, 0.25], "logarithms", r"must be positive and finite, got 0.0 \(1 such values of 3\)"),
+        (
+            [0.5, 0.0, 0.25],
+            "logarithms",
+            r"must be positive and finite, got 0.0 \(1 such values of 3\)",
+        ),
         ([-1.0], "logarithms", "must be positive and finite, got -1.0"),
         ([np.nan], "logarithms", "must be positive and finite, got nan"),
         ([1.0, np.inf], "values", "signature values must be finite, got inf"),
-        ([1.0, -1.0], "histograms", r"must be bins of a histogram, not negative, got -1.0 \(1 such"),
+        (
+            [1.0, -1.0],
+            "histograms",
+            r"must be bins of a histogram, not negative, got -1.0 \(1 such",
+        ),
         ("bunny", "logarithms", "must be an array of numbers, got 'bunny'"),
     ):
         with pytest.raises(InputError, match=message):
@@ -112,7 +120,9 @@ def assert_exact(
     found: Neighbors, made: SignatureIndex, table: SignatureTable, values: FloatArray, k: int
 ) -> None:
     """Results are the first k of all shapes, sorted by (distance, id)."""
-    query, gallery = (made.whitening.apply(coordinates(v)) for v in (values[np.newaxis], table.values))
+    query, gallery = (
+        made.whitening.apply(coordinates(v)) for v in (values[np.newaxis], table.values)
+    )
     distances = pairwise(made._distance, query, gallery)[0]
     ranked = sorted(zip(distances.tolist(), table.ids, strict=True))[:k]
     assert [*zip(found.distances.tolist(), found.ids, strict=True)] == ranked
@@ -125,8 +135,12 @@ OWN = (
 
 
 @pytest.mark.parametrize("whitening", ("none", "pca"))
-@pytest.mark.parametrize("distance", (*DISTANCES.values(), *OWN), ids=lambda distance: distance.name)
-def test_agrees_with_brute_force(distance: Distance, whitening: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "distance", (*DISTANCES.values(), *OWN), ids=lambda distance: distance.name
+)
+def test_agrees_with_brute_force(
+    distance: Distance, whitening: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Before and after compiled code is loaded; as arrays that are mapped, as a pickle, and as a matrix."""
     monkeypatch.setattr(index, "N_ALL", 0)
     table = a_table(300, copies=60)
@@ -170,8 +184,14 @@ def test_what_is_no_index_and_no_query() -> None:
         with pytest.raises(OptionError, match=f"k must be a whole number of at least 1, got {k}"):
             made.query(np.ones(15), k)  # type: ignore[arg-type]
     for other, message in (
-        (Signature(np.ones(15), "shape-dna", "3f2a"), "same method and options.*got 'shape-dna' '3f2a'"),
-        (Signature(np.ones(15), "r-bihdm", "77b1"), "same method and options.*got 'r-bihdm' '77b1'"),
+        (
+            Signature(np.ones(15), "shape-dna", "3f2a"),
+            "same method and options.*got 'shape-dna' '3f2a'",
+        ),
+        (
+            Signature(np.ones(15), "r-bihdm", "77b1"),
+            "same method and options.*got 'r-bihdm' '77b1'",
+        ),
         (np.r_[np.ones(14), 0.0], "positive and finite, got 0.0"),
         (np.ones(14), r"the query must have shape \(15,\)"),
         ("nobody", "must be one of the 5 ranked shapes, got 'nobody'"),
@@ -199,7 +219,9 @@ def test_arrays_are_mapped_and_checked(tmp_path: Path, monkeypatch: pytest.Monke
     again = SignatureIndex.from_arrays(mapped)
     assert isinstance(again.points, np.memmap)
     assert again.nearest("T7") == made.nearest("T7")
-    with pytest.raises(InputError, match="must be made by the same method and options as the table"):
+    with pytest.raises(
+        InputError, match="must be made by the same method and options as the table"
+    ):
         again.query(Signature(a_table(300).values[0], "wks", "3f2a"))
     for missing in ("id_text", "gallery", "whitening_matrix", "distance"):
         less = {name: array for name, array in mapped.items() if name != missing}
@@ -246,14 +268,21 @@ def test_no_signature_lies_within_a_distance_and_beyond_its_limit(
 ) -> None:
     """By numpy and compiled, with few and all directions, of rows and of whole blocks."""
     gallery = galleries()[name]
-    queries = (gallery[0], gallery[-1], gallery[0] + 1e-7, np.random.default_rng(6).normal(size=12) * 300)
+    queries = (
+        gallery[0],
+        gallery[-1],
+        gallery[0] + 1e-7,
+        np.random.default_rng(6).normal(size=12) * 300,
+    )
     for n_leading in (1, 24):
         monkeypatch.setattr(bounds, "N_LEADING", n_leading)
         monkeypatch.setattr(bounds, "SHARE", 0.0)
         made = LowerBounds.of(gallery)
         for query in queries:
             exact = pairwise("log", query[np.newaxis], gallery)[0]
-            rounding = index.ROUNDING * N_VALUES**2 * max(np.abs(gallery).max(), np.abs(query).max())
+            rounding = (
+                index.ROUNDING * N_VALUES**2 * max(np.abs(gallery).max(), np.abs(query).max())
+            )
             found = [bounds_of_all(made, query, scan) for scan in SCANS]
             np.testing.assert_allclose(found[1], found[0], rtol=1e-5, atol=1e-6)
             blocks = made._to_blocks((query - made.mean) @ made.axes)
@@ -268,7 +297,9 @@ def test_no_signature_lies_within_a_distance_and_beyond_its_limit(
 def test_where_no_directions_lead_few_signatures_are_compared() -> None:
     gallery = np.random.default_rng(7).normal(size=(3000, 60))
     exact = np.linalg.norm(gallery - gallery[0], axis=1)
-    found = LowerBounds.of(gallery).candidates(gallery[0], 5, lambda rows: np.sort(exact[rows])[4], SCANS[0])
+    found = LowerBounds.of(gallery).candidates(
+        gallery[0], 5, lambda rows: np.sort(exact[rows])[4], SCANS[0]
+    )
     assert np.isin(np.argsort(exact)[:5], found).all()
     assert len(found) <= bounds.N_LAST * 5
 

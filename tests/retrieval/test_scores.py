@@ -34,7 +34,10 @@ def scores_of(table: SignatureTable) -> MatchScores:
 
 def test_a_score_is_the_share_among_new_pairs_that_near() -> None:
     found = scores_of(classes(120, 8, seed=0, spread=0.25))
-    assert found.reason == "share of pairs of one class among pairs as near, of 460320 pairs of 120 classes"
+    assert (
+        found.reason
+        == "share of pairs of one class among pairs as near, of 460320 pairs of 120 classes"
+    )
     new = classes(120, 8, seed=1, spread=0.25)
     first, second = np.triu_indices(len(new), k=1)
     logs, labels = np.log(new.values), np.array(new.labels)
@@ -74,7 +77,9 @@ def test_sure_answers_are_right_and_strangers_are_told() -> None:
     assert (sure[~is_known[asked]] < UNLIKELY).mean() > 0.8
     assert found.reach(0.001) < found.reach(0.1) < np.inf
     _, near, far = scores_of(classes(8, 6, seed=0)).certainty
-    assert near <= 0 <= far  # slopes with the logarithms of the distance, and of its ratio to the next class
+    assert (
+        near <= 0 <= far
+    )  # slopes with the logarithms of the distance, and of its ratio to the next class
 
 
 def test_an_answer_is_one_line() -> None:

@@ -73,7 +73,9 @@ def test_within_class_makes_spread_within_classes_equal() -> None:
     np.testing.assert_allclose(product, product[0, 0] * np.eye(8), atol=1e-10 * product[0, 0])
     strangers = 100 + np.random.default_rng(1).normal(size=(3, 8))
     alone = fit_whitening("within-class", logs, labels)
-    among = fit_whitening("within-class", np.vstack([strangers, logs]), [None, "single", None, *labels])
+    among = fit_whitening(
+        "within-class", np.vstack([strangers, logs]), [None, "single", None, *labels]
+    )
     assert among.n_fitted == alone.n_fitted == len(logs)
     np.testing.assert_allclose(among.matrix, alone.matrix, rtol=1e-12)
 
@@ -91,16 +93,22 @@ def test_values_with_different_units_do_not_depend_on_the_units() -> None:
     np.testing.assert_allclose(gaps(logs, "values"), gaps(logs * units, "values"), rtol=1e-6)
     assert np.abs(gaps(logs, "logarithms") - gaps(logs * units, "logarithms")).max() > 0.1
     constant = np.column_stack([logs, np.ones(len(logs))])
-    assert np.isfinite(fit_whitening("within-class", constant, labels, metric="values").matrix).all()
+    assert np.isfinite(
+        fit_whitening("within-class", constant, labels, metric="values").matrix
+    ).all()
 
 
 def test_what_cannot_be_fitted() -> None:
     logs, labels = labelled_logs()
-    with pytest.raises(OptionError, match=r"whitening must be one of auto, none, people, .*, got 'zca'"):
+    with pytest.raises(
+        OptionError, match=r"whitening must be one of auto, none, people, .*, got 'zca'"
+    ):
         fit_whitening("zca", logs)
     for kind in FITTED:
         for shrinkage in (0.0, -0.1, 1.5, np.nan):
-            with pytest.raises(OptionError, match=rf"shrinkage must lie in \(0, 1\], got {shrinkage}"):
+            with pytest.raises(
+                OptionError, match=rf"shrinkage must lie in \(0, 1\], got {shrinkage}"
+            ):
                 fit_whitening(kind, logs, labels, shrinkage=shrinkage)
     too_few = "whitening needs at least 2 distinct shapes.*use the"
     for kind, rows, given, message in (
@@ -110,15 +118,28 @@ def test_what_cannot_be_fitted() -> None:
         ("pca", np.zeros(3), "", r"must be finite and have shape \(N, L\)"),
         ("pca", np.full((3, 2), np.nan), "", r"must be finite and have shape \(N, L\)"),
         ("within-class", np.ones((4, 3)), "aabb", f"within-class {too_few}"),
-        ("within-class", np.repeat(np.eye(3), 2, axis=0), "aabbcc", "got equal signatures in every class"),
-        ("within-class", np.eye(4), ["a", "b", "c", None], "with at least 2 shapes, got 3 classes and none"),
+        (
+            "within-class",
+            np.repeat(np.eye(3), 2, axis=0),
+            "aabbcc",
+            "got equal signatures in every class",
+        ),
+        (
+            "within-class",
+            np.eye(4),
+            ["a", "b", "c", None],
+            "with at least 2 shapes, got 3 classes and none",
+        ),
     ):
         with pytest.raises(InputError, match=message):
             fit_whitening(kind, rows, given)
     arrays = fit_whitening("none", np.zeros((2, 3))).to_arrays()
     for changed, message in (
         ({"kind": np.array("zca")}, "whitening must be one of"),
-        ({"matrix": np.eye(2)}, r"the matrix of a whitening must have shape \(3, 3\), got \(2, 2\)"),
+        (
+            {"matrix": np.eye(2)},
+            r"the matrix of a whitening must have shape \(3, 3\), got \(2, 2\)",
+        ),
         ({"mean": np.full(3, np.nan)}, "must be finite"),
     ):
         with pytest.raises((InputError, OptionError), match=message):
@@ -158,7 +179,9 @@ def test_classes_that_overlap_by_pose_are_separated() -> None:
 def some_people(known: People, n_people: int = 60) -> tuple[FloatArray, list[str]]:
     """Three scans of each of some people, drawn from the two normal distributions of the metric."""
     rng = np.random.default_rng(0)
-    between = rng.multivariate_normal(known.mean, known.total - known.within, n_people, method="eigh")
+    between = rng.multivariate_normal(
+        known.mean, known.total - known.within, n_people, method="eigh"
+    )
     within = rng.multivariate_normal(0 * known.mean, known.within, 3 * n_people, method="eigh")
     return np.repeat(between, 3, axis=0) + within, [f"{row // 3}" for row in range(3 * n_people)]
 
@@ -184,7 +207,9 @@ def test_the_metric_of_people_finds_them(method: str, size_weight: float) -> Non
     # Scans of others are compared by their own neighbours, the more so the less they are like people.
     far = known.mean + 30 * (logs - known.mean)
     assert fit_whitening("auto", far, people=known).kind == "neighbours"
-    assert "% from neighbours: " in fit_whitening("people", 2 * logs - known.mean, people=known).reason
+    assert (
+        "% from neighbours: " in fit_whitening("people", 2 * logs - known.mean, people=known).reason
+    )
     # Three scans are compared by the simulated people alone.
     assert fit_whitening("unsupervised", logs[:3], people=known).n_fitted == 0
     # Labelled scans adapt it; of others, the classes alone are used.
@@ -195,9 +220,16 @@ def test_the_metric_of_people_finds_them(method: str, size_weight: float) -> Non
 
 
 def test_the_metric_of_people_is_known_for_these_signatures_alone() -> None:
-    for name, value in (("method", "csd"), ("n_modes", 59), ("n_values", 60), ("scale", "relative")):
+    for name, value in (
+        ("method", "csd"),
+        ("n_modes", 59),
+        ("n_values", 60),
+        ("scale", "relative"),
+    ):
         assert people(SignatureOptions.model_validate({name: value})) is None
-    fused, alone = (people(SignatureOptions(method=method)) for method in ("r-bihdm+hapt", "r-bihdm"))
+    fused, alone = (
+        people(SignatureOptions(method=method)) for method in ("r-bihdm+hapt", "r-bihdm")
+    )
     assert fused is not None and alone is not None
     spread = DESCRIPTORS["r-bihdm"].spread
     np.testing.assert_allclose(fused.within[:23, :23] * spread**2, alone.within, rtol=1e-5)
@@ -205,8 +237,12 @@ def test_the_metric_of_people_is_known_for_these_signatures_alone() -> None:
     assert default is not None and default.network.size and not fused.network.size
     logs = some_people(default)[0]
     whitening = fit_whitening("people", logs, people=default)
-    assert (Whitening.from_arrays(whitening.to_arrays()).apply(logs[5:6]) == whitening.apply(logs)[5]).all()
+    assert (
+        Whitening.from_arrays(whitening.to_arrays()).apply(logs[5:6]) == whitening.apply(logs)[5]
+    ).all()
     moved = corrected(logs, default.network)
     assert (moved[:, -1] == logs[:, -1]).all() and (moved[:, :-1] != logs[:, :-1]).all()
-    with pytest.raises(OptionError, match="whitening 'people' is known for hapt, r-bihdm and their fusion"):
+    with pytest.raises(
+        OptionError, match="whitening 'people' is known for hapt, r-bihdm and their fusion"
+    ):
         fit_whitening("people", np.ones((3, 8)))

@@ -53,7 +53,9 @@ def test_contacts_are_closed_whatever_the_jitter(family: str) -> None:
         jittered = pose.jittered(subject.joints, 2.0, rng)
         moved, mesh = motions(subject, close_contacts(own, jittered)), body(subject, jittered)
         for contact in pose.contacts:
-            coming = mesh.vertices[np.isin(own.owner, [subject.number(bone) for bone in contact.bones])]
+            coming = mesh.vertices[
+                np.isin(own.owner, [subject.number(bone) for bone in contact.bones])
+            ]
             flesh = []
             for number in map(subject.number, contact.onto):
                 back = np.linalg.inv(moved[number])
@@ -73,9 +75,14 @@ def test_bend_goes_to_the_front_and_spread_away_from_the_body() -> None:
 
 def test_the_skin_of_a_rod_is_a_capsule_and_converges() -> None:
     radius, length = 0.3, 1.0
-    area, volume = 2 * np.pi * radius * (length + 2 * radius), np.pi * radius**2 * (length + 4 / 3 * radius)
+    area, volume = (
+        2 * np.pi * radius * (length + 2 * radius),
+        np.pi * radius**2 * (length + 4 / 3 * radius),
+    )
     start, end = (0.0, 0.0, 0.0), (0.0, length, 0.0)
-    rod = Bone("rod", None, start, end, (0, 0, 1), (RoundCone(start, end, (radius, radius)),), "rod")
+    rod = Bone(
+        "rod", None, start, end, (0, 0, 1), (RoundCone(start, end, (radius, radius)),), "rod"
+    )
     errors = []
     for cell in (0.12, 0.06, 0.03):
         mesh = skin(Subject("rod", (rod,), cell)).rest

@@ -35,12 +35,20 @@ SAG = 1.5e-3
 
 def perfect(**changed: Any) -> RigOptions:
     exact = RigOptions(
-        noise=0.0, flying_share=0.0, n_holes=0, outlier_share=0.0, n_points=None, pixels=80, max_incidence=75
+        noise=0.0,
+        flying_share=0.0,
+        n_holes=0,
+        outlier_share=0.0,
+        n_points=None,
+        pixels=80,
+        max_incidence=75,
     )
     return replace(exact, **changed)
 
 
-def uniform(n_points: int, mesh: TriangleMesh | None = None, seed: int = 0, **changed: Any) -> PointCloud:
+def uniform(
+    n_points: int, mesh: TriangleMesh | None = None, seed: int = 0, **changed: Any
+) -> PointCloud:
     exact = UniformOptions(n_points=n_points, noise=0, n_holes=0, outlier_share=0)
     return scan_uniformly(mesh or ball(), replace(exact, **changed), rng(seed))
 
@@ -75,7 +83,9 @@ def test_a_perfect_scanner_sees_the_surface_from_its_cameras() -> None:
         assert view.viewpoints is not None
         camera = camera_pose(ball(), options, number)
         assert np.allclose(view.viewpoints, camera[:3, 3])
-        assert np.linalg.norm(camera[:3, 3]) == pytest.approx(options.distance * ball().diagonal, rel=1e-3)
+        assert np.linalg.norm(camera[:3, 3]) == pytest.approx(
+            options.distance * ball().diagonal, rel=1e-3
+        )
         assert np.abs(np.linalg.norm(view.points, axis=1) - 1).max() < SAG
         cosine = -np.einsum("ij,ij->i", rays(view)[0], view.points)
         # Normals of faces and of the ball differ by half an edge.
@@ -135,7 +145,9 @@ def test_sensors_of_uniform_scans_see_their_points() -> None:
 
 # --- a depth camera before a turning body -------------------------------------------------------------
 
-EXACT = TurningOptions(n_frames=3, turn=90.0, width=60, height=80, focal=85.0, noise=0.0, flying_share=0.0)
+EXACT = TurningOptions(
+    n_frames=3, turn=90.0, width=60, height=80, focal=85.0, noise=0.0, flying_share=0.0
+)
 
 
 def test_without_noise_every_point_is_on_the_body_the_floor_or_the_wall(tmp_path: Path) -> None:
@@ -144,7 +156,10 @@ def test_without_noise_every_point_is_on_the_body_the_floor_or_the_wall(tmp_path
     files = write_frames(tmp_path, images, EXACT)
     assert [file.name for file in files] == ["frame000.png", "frame001.png", "frame002.png"]
     tilt = np.radians(EXACT.tilt)
-    down, ahead = np.array([0, np.cos(tilt), np.sin(tilt)]), np.array([0, -np.sin(tilt), np.cos(tilt)])
+    down, ahead = (
+        np.array([0, np.cos(tilt), np.sin(tilt)]),
+        np.array([0, -np.sin(tilt), np.cos(tilt)]),
+    )
     for file, motion in zip(files, motions, strict=True):
         frame = read_scan(file)
         assert isinstance(frame, PointCloud)
@@ -163,12 +178,16 @@ SCANS = Path(__file__).parents[2] / "scans"
 def test_the_same_seed_makes_the_same_bytes_and_the_points_of_the_set(tmp_path: Path) -> None:
     bodies, files = {}, []
 
-    def kept(path: Path, surface: TriangleMesh, placed: FloatArray, rng: np.random.Generator) -> Path:
+    def kept(
+        path: Path, surface: TriangleMesh, placed: FloatArray, rng: np.random.Generator
+    ) -> Path:
         bodies[path.name] = RayScene(moved(placed, surface.vertices), surface.faces)
         return write(path, surface, placed, rng)
 
     for run in ("one", "two"):
-        labels = write_samples(tmp_path / run, ["hand-2_fan", "hand-1_open"], poses=POSES, write=kept)
+        labels = write_samples(
+            tmp_path / run, ["hand-2_fan", "hand-1_open"], poses=POSES, write=kept
+        )
         assert labels == {"hand-1/hand-1_open.ply": "hand-1", "hand-2/hand-2_fan.conf": "hand-2"}
         made = (tmp_path / run).rglob("*.*")
         files.append({file.relative_to(tmp_path / run): file.read_bytes() for file in made})
@@ -176,7 +195,10 @@ def test_the_same_seed_makes_the_same_bytes_and_the_points_of_the_set(tmp_path: 
     assert files[0] == files[1]
     # Points differ by processor and version; those of the set are on the same bodies, by the noise.
     cloud = PointCloud(read_ply(SCANS / "hand-1" / "hand-1_open.ply").points)
-    assert np.median(abs(bodies["hand-1_open"].distance(cloud.points))) < RigOptions().noise * cloud.diagonal
+    assert (
+        np.median(abs(bodies["hand-1_open"].distance(cloud.points)))
+        < RigOptions().noise * cloud.diagonal
+    )
 
 
 def test_views_lie_on_the_body_and_sensors_where_they_stood(tmp_path: Path) -> None:

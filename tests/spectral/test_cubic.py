@@ -11,7 +11,12 @@ import pytest
 import shapes
 
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
-from pcretrieve.spectral.elements import CUBIC_REFERENCE, LINEAR_REFERENCE, ReferenceElement, cubic_nodes
+from pcretrieve.spectral.elements import (
+    CUBIC_REFERENCE,
+    LINEAR_REFERENCE,
+    ReferenceElement,
+    cubic_nodes,
+)
 from pcretrieve.values import FloatArray
 
 # Polynomials in barycentric coordinates: their powers, and the coefficient.
@@ -96,11 +101,15 @@ def test_energy_and_norm_of_a_cubic_function_are_exact() -> None:
         operator = laplace_beltrami(mesh, "cubic")
         nodes = cubic_nodes(mesh)
         places = np.empty((nodes.max() + 1, 3))
-        places[nodes] = np.einsum("qk,mkx->mqx", np.array(CUBIC_NODES) / 3, mesh.vertices[mesh.faces])
+        places[nodes] = np.einsum(
+            "qk,mkx->mqx", np.array(CUBIC_NODES) / 3, mesh.vertices[mesh.faces]
+        )
         x, y, _ = places.T
         u = x**3 + 2 * x * y**2
         # ∫ (3x² + 2y²)² + (4xy)², and ∫ u²
-        assert u @ operator.stiffness @ u == pytest.approx(9 / 5 + 12 / 9 + 4 / 5 + 16 / 9, rel=1e-13)
+        assert u @ operator.stiffness @ u == pytest.approx(
+            9 / 5 + 12 / 9 + 4 / 5 + 16 / 9, rel=1e-13
+        )
         assert u @ operator.mass @ u == pytest.approx(1 / 7 + 4 / 15 + 4 / 15, rel=1e-13)
 
 

@@ -23,7 +23,9 @@ def n_pairs(request: pytest.FixtureRequest) -> Any:
 
 
 def dense_eigenvalues(operator: LaplaceBeltrami) -> FloatArray:
-    eigenvalues: FloatArray = eigh(operator.stiffness.toarray(), operator.mass.toarray(), eigvals_only=True)
+    eigenvalues: FloatArray = eigh(
+        operator.stiffness.toarray(), operator.mass.toarray(), eigvals_only=True
+    )
     return eigenvalues
 
 
@@ -78,7 +80,9 @@ def test_all_of_a_symmetric_surface_are_found() -> None:
     for tolerance, error in ((1e-4, 1e-8), (1e-6, 1e-9)):
         pairs = eigenpairs(sphere, 100, tolerance=tolerance)
         assert pairs.solver == "krylov"
-        np.testing.assert_allclose(pairs.eigenvalues[1:], dense_eigenvalues(sphere)[1:100], rtol=error)
+        np.testing.assert_allclose(
+            pairs.eigenvalues[1:], dense_eigenvalues(sphere)[1:100], rtol=error
+        )
 
 
 def test_copies_beyond_the_block_are_found() -> None:
@@ -87,17 +91,23 @@ def test_copies_beyond_the_block_are_found() -> None:
     n = ten.mass.shape[0] // 10
     links = np.where(np.arange(9 * n) % n == 0, 0.1, 0.0)
     path = csc_array(np.diag(-links, n) + np.diag(-links, -n))
-    linked = LaplaceBeltrami(csc_array(ten.stiffness + path - diags_array(path.sum(axis=1))), ten.mass)
+    linked = LaplaceBeltrami(
+        csc_array(ten.stiffness + path - diags_array(path.sum(axis=1))), ten.mass
+    )
     # The last cluster is not complete: with the larger tolerance its values, equal to five digits, are mixed.
     for tolerance, error in ((1e-4, 1e-6), (1e-6, 1e-9)):
         pairs = eigenpairs(linked, 61, tolerance=tolerance)
         assert pairs.solver == "krylov"
-        np.testing.assert_allclose(pairs.eigenvalues[1:], dense_eigenvalues(linked)[1:61], rtol=error)
+        np.testing.assert_allclose(
+            pairs.eigenvalues[1:], dense_eigenvalues(linked)[1:61], rtol=error
+        )
 
 
 def test_without_a_zero_mode_nothing_is_pinned(n_pairs: int) -> None:
     # One vertex held: the matrices without its row and column.
-    held = LaplaceBeltrami(csc_array(BODY.stiffness[1:, 1:]), csc_array(BODY.mass[1:, 1:]), n_components=0)
+    held = LaplaceBeltrami(
+        csc_array(BODY.stiffness[1:, 1:]), csc_array(BODY.mass[1:, 1:]), n_components=0
+    )
     pairs = eigenpairs(held, n_pairs, tolerance=1e-6)
     np.testing.assert_allclose(pairs.eigenvalues, dense_eigenvalues(held)[:n_pairs], rtol=1e-9)
     phi = pairs.eigenvectors
@@ -119,10 +129,22 @@ TWO = laplace_beltrami(shapes.joined(shapes.icosphere(2), shapes.icosphere(2)))
 STIFFNESS, MASS = BODY.stiffness, BODY.mass
 NEGATIVE = r"(must not be negative, got -|must be positive definite)"
 BROKEN = {
-    "two parts": (TWO.stiffness, TWO.mass, "at least 1e-06 after 1 zero modes, got .*: the surface is not"),
+    "two parts": (
+        TWO.stiffness,
+        TWO.mass,
+        "at least 1e-06 after 1 zero modes, got .*: the surface is not",
+    ),
     "massless": (STIFFNESS, edited(MASS, 0, (3, 3)), "must have mass, got 1 of 642 without"),
-    "indefinite": (STIFFNESS, edited(MASS, 1, (3, 5), (5, 3)), "solver failed|must not be negative"),
-    "skewed": (edited(STIFFNESS, 1, (0, 5)), MASS, "eigenvalue 0|residuals must stay|must not be neg"),
+    "indefinite": (
+        STIFFNESS,
+        edited(MASS, 1, (3, 5), (5, 3)),
+        "solver failed|must not be negative",
+    ),
+    "skewed": (
+        edited(STIFFNESS, 1, (0, 5)),
+        MASS,
+        "eigenvalue 0|residuals must stay|must not be neg",
+    ),
     "negative": (-STIFFNESS, MASS, NEGATIVE),
     # Above the shift, so that there is a Cholesky factor.
     "just negative": (-0.5 / dense_eigenvalues(BODY)[-1] / BODY.area * STIFFNESS, MASS, NEGATIVE),
@@ -142,11 +164,18 @@ def test_questions_without_an_answer() -> None:
         (OptionError, 12, 0, r"tolerance must be above 0 and at most 0\.001, got 0"),
         (OptionError, 12, 1e-2, r"tolerance must be above 0 and at most 0\.001, got 0\.01"),
         (OptionError, 12, np.nan, r"tolerance must be above 0 and at most 0\.001, got nan"),
-        (SpectrumError, 642, 1e-4, r"^\[spectrum\] 642 .* need a surface of at least 643 vertices, got 642"),
+        (
+            SpectrumError,
+            642,
+            1e-4,
+            r"^\[spectrum\] 642 .* need a surface of at least 643 vertices, got 642",
+        ),
         (SpectrumError, 12, 1e-25, "residuals must fall below 1e-25, got .* after 82 blocks"),
     ):
         with pytest.raises(error, match=message):
             eigenpairs(BODY, n_pairs, tolerance=tolerance)
     with pytest.raises(SpectrumError, match="got overflow or NaN"):
         eigenpairs(LaplaceBeltrami(STIFFNESS, csc_array(MASS * 1e200)), 12)
-    assert len(eigenpairs(laplace_beltrami(shapes.icosphere(1)), 41).eigenvalues) == 41  # of 42 vertices
+    assert (
+        len(eigenpairs(laplace_beltrami(shapes.icosphere(1)), 41).eigenvalues) == 41
+    )  # of 42 vertices

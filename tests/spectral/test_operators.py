@@ -41,14 +41,19 @@ def book(n: int, pages: int = 3) -> TriangleMesh:
     angles = 2 * np.pi * np.arange(pages) / pages
     turned = (np.column_stack([x * np.cos(angle), y, x * np.sin(angle)]) for angle in angles)
     mesh = shapes.joined(*(TriangleMesh(vertices, page.faces) for vertices in turned))
-    _, first, numbers = np.unique(mesh.vertices.round(9), axis=0, return_index=True, return_inverse=True)
+    _, first, numbers = np.unique(
+        mesh.vertices.round(9), axis=0, return_index=True, return_inverse=True
+    )
     return TriangleMesh(mesh.vertices[first], numbers.astype(np.int32).reshape(-1)[mesh.faces])
 
 
 def spectrum(operator: LaplaceBeltrami, n: int) -> FloatArray:
     """The n smallest eigenvalues, whatever the boundary."""
     found: FloatArray = eigh(
-        operator.stiffness.toarray(), operator.mass.toarray(), eigvals_only=True, subset_by_index=[0, n - 1]
+        operator.stiffness.toarray(),
+        operator.mass.toarray(),
+        eigvals_only=True,
+        subset_by_index=[0, n - 1],
     )
     return found
 
@@ -103,7 +108,9 @@ def test_stiffness_of_one_triangle_is_half_its_cotangents() -> None:
     np.testing.assert_allclose(
         operator.stiffness.toarray(), [[1, -0.5, -0.5], [-0.5, 0.5, 0], [-0.5, 0, 0.5]]
     )
-    np.testing.assert_allclose(operator.mass.toarray(), np.array([[2, 1, 1], [1, 2, 1], [1, 1, 2]]) / 24)
+    np.testing.assert_allclose(
+        operator.mass.toarray(), np.array([[2, 1, 1], [1, 2, 1], [1, 1, 2]]) / 24
+    )
 
 
 # --- what they converge to ----------------------------------------------------------------------------
@@ -111,9 +118,13 @@ def test_stiffness_of_one_triangle_is_half_its_cotangents() -> None:
 
 @pytest.mark.parametrize("mass", ["consistent", "lumped"])
 def test_eigenvalues_of_the_sphere_converge_at_order_two(mass: Any) -> None:
-    exact = np.array([degree * (degree + 1.0) for degree in range(6) for _ in range(2 * degree + 1)])
+    exact = np.array(
+        [degree * (degree + 1.0) for degree in range(6) for _ in range(2 * degree + 1)]
+    )
     errors = [
-        np.abs(eigenpairs(laplace_beltrami(shapes.icosphere(level), mass=mass), 36).eigenvalues - exact)[1:]
+        np.abs(
+            eigenpairs(laplace_beltrami(shapes.icosphere(level), mass=mass), 36).eigenvalues - exact
+        )[1:]
         / exact[1:]
         for level in (3, 4, 5)
     ]
@@ -216,7 +227,9 @@ def test_it_flips_the_edges_that_should_be() -> None:
     sheared = square.vertices + square.vertices[:, 1:2] * [1, 0, 0]
     lower, upper = square.faces[: len(square.faces) // 2], square.faces[len(square.faces) // 2 :]
     (a, b, c), d = lower.T, upper[:, 2]
-    flipped = TriangleMesh(sheared, np.concatenate([np.column_stack([a, b, d]), np.column_stack([b, c, d])]))
+    flipped = TriangleMesh(
+        sheared, np.concatenate([np.column_stack([a, b, d]), np.column_stack([b, c, d])])
+    )
     long = TriangleMesh(sheared, square.faces)
     assert abs(laplace_beltrami(long).stiffness - laplace_beltrami(flipped).stiffness).max() > 0.4
     assert_same(delaunay(long), laplace_beltrami(flipped, mass="lumped"))
@@ -250,9 +263,13 @@ def test_a_face_without_area_is_stood() -> None:
 # --- elements of one's own, and refusals --------------------------------------------------------------
 
 linear = ELEMENTS["linear"].assemble
-SOFT = Element("soft", lambda mesh: linear(mesh)._replace(stiffness=(linear(mesh).stiffness * 0.5).tocsc()))
+SOFT = Element(
+    "soft", lambda mesh: linear(mesh)._replace(stiffness=(linear(mesh).stiffness * 0.5).tocsc())
+)
 CLOUD = Element("cloud", ELEMENTS["points"].assemble, needs="points", masses=("consistent",))
-WEIGHTLESS = Element("weightless", lambda mesh: linear(mesh)._replace(mass=linear(mesh).mass * np.nan))
+WEIGHTLESS = Element(
+    "weightless", lambda mesh: linear(mesh)._replace(mass=linear(mesh).mass * np.nan)
+)
 
 
 def test_an_element_is_passed_as_an_object() -> None:
@@ -276,15 +293,55 @@ ELEMENT_NAMES = "element must be 'linear', 'cubic', 'intrinsic-delaunay' or 'poi
     [
         (BALL, {"element": "quintic"}, OptionError, f"{ELEMENT_NAMES} 'quintic'"),
         (POINTS, {"element": "cloud"}, OptionError, f"{ELEMENT_NAMES} 'cloud'"),
-        (BALL, {"mass": "barycentric"}, OptionError, "must be 'consistent' or 'lumped', got 'barycentric'"),
-        (POINTS, {"element": CLOUD, "mass": "lumped"}, OptionError, "'cloud' has consistent mass only, got"),
+        (
+            BALL,
+            {"mass": "barycentric"},
+            OptionError,
+            "must be 'consistent' or 'lumped', got 'barycentric'",
+        ),
+        (
+            POINTS,
+            {"element": CLOUD, "mass": "lumped"},
+            OptionError,
+            "'cloud' has consistent mass only, got",
+        ),
         (BALL, {"boundary": "robin"}, OptionError, "must be 'neumann' or 'dirichlet', got 'robin'"),
-        (POINTS, {"element": CLOUD} | DIRICHLET, OptionError, "'cloud' has boundary='neumann' only"),
-        (POINTS, {"element": "cubic"}, InputError, "element 'cubic' needs a TriangleMesh, got PointCloud"),
-        (BALL, {"element": CLOUD}, InputError, r"'cloud' needs a PointCloud or an \(n, 3\) array, got a Tri"),
-        (BALL, DIRICHLET, DegenerateMeshError, "boundary on every component, got 1 of 1 that are closed"),
-        (shapes.joined(BALL, shapes.square(3)), DIRICHLET, DegenerateMeshError, "got 1 of 2 that are closed"),
-        (shapes.square(1), DIRICHLET, DegenerateMeshError, "needs nodes inside, got all on the boundary"),
+        (
+            POINTS,
+            {"element": CLOUD} | DIRICHLET,
+            OptionError,
+            "'cloud' has boundary='neumann' only",
+        ),
+        (
+            POINTS,
+            {"element": "cubic"},
+            InputError,
+            "element 'cubic' needs a TriangleMesh, got PointCloud",
+        ),
+        (
+            BALL,
+            {"element": CLOUD},
+            InputError,
+            r"'cloud' needs a PointCloud or an \(n, 3\) array, got a Tri",
+        ),
+        (
+            BALL,
+            DIRICHLET,
+            DegenerateMeshError,
+            "boundary on every component, got 1 of 1 that are closed",
+        ),
+        (
+            shapes.joined(BALL, shapes.square(3)),
+            DIRICHLET,
+            DegenerateMeshError,
+            "got 1 of 2 that are closed",
+        ),
+        (
+            shapes.square(1),
+            DIRICHLET,
+            DegenerateMeshError,
+            "needs nodes inside, got all on the boundary",
+        ),
     ],
 )
 def test_questions_without_an_answer(geometry: Any, options: Any, error: Any, message: str) -> None:
@@ -296,15 +353,29 @@ FLAT = surface(np.outer(range(3), [1.0, 2, 3]), [[0, 1, 2]])
 FOLDED = surface(np.eye(3), [[0, 1, 2], [0, 1, 1]])
 NO_AREA = "every face must have an area, got 1 of"
 REFUSED = [
-    *((name, surface(np.eye(5, 3), []), "a surface must have faces, got none") for name in ON_MESHES),
-    *((name, surface(np.eye(5, 3), [[0, 1, 2]]), "in a face, got 2 that are in none") for name in ON_MESHES),
+    *(
+        (name, surface(np.eye(5, 3), []), "a surface must have faces, got none")
+        for name in ON_MESHES
+    ),
+    *(
+        (name, surface(np.eye(5, 3), [[0, 1, 2]]), "in a face, got 2 that are in none")
+        for name in ON_MESHES
+    ),
     # On a face without area there is no gradient.
     *((name, flat, NO_AREA) for name in ("linear", "cubic") for flat in (FLAT, FOLDED)),
     ("intrinsic-delaunay", FLAT, "must have an area, got only faces without"),
     ("intrinsic-delaunay", FOLDED, "every face must have three corners, got 1 that name one twice"),
     ("points", POINTS.points[:30], "a cloud must have at least 31 points, got 30"),
-    ("points", POINTS.points[np.r_[0:500, 0:3]], "must be distinct, got 6 that are there more than once"),
-    ("points", np.outer(range(100), [1.0, 0, 0]), "got 100 that do not: points on a line are no surface"),
+    (
+        "points",
+        POINTS.points[np.r_[0:500, 0:3]],
+        "must be distinct, got 6 that are there more than once",
+    ),
+    (
+        "points",
+        np.outer(range(100), [1.0, 0, 0]),
+        "got 100 that do not: points on a line are no surface",
+    ),
 ]
 
 
@@ -315,7 +386,11 @@ def test_what_is_no_surface(element: Any, degenerate: Any, message: str) -> None
 
 
 def test_records_that_declare_what_does_not_exist() -> None:
-    with pytest.raises(OptionError, match="needs of an element must be 'mesh' or 'points', got 'voxels'"):
+    with pytest.raises(
+        OptionError, match="needs of an element must be 'mesh' or 'points', got 'voxels'"
+    ):
         Element("x", linear, needs="voxels")  # type: ignore[arg-type]
-    with pytest.raises(OptionError, match=r"masses of an element must be one or both of .* got \(\)"):
+    with pytest.raises(
+        OptionError, match=r"masses of an element must be one or both of .* got \(\)"
+    ):
         Element("x", linear, masses=())

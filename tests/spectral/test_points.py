@@ -21,7 +21,9 @@ def on_points(points: FloatArray, **options: Any) -> LaplaceBeltrami:
 
 
 @pytest.mark.parametrize(("scale", "shift"), [(1e-3, 0.0), (1.0, 10.0), (1e3, -1e4)])
-def test_neither_place_nor_order_matters_and_scaling_squares_mass(scale: float, shift: float) -> None:
+def test_neither_place_nor_order_matters_and_scaling_squares_mass(
+    scale: float, shift: float
+) -> None:
     rng = np.random.default_rng(1)
     turn, _ = np.linalg.qr(rng.standard_normal((3, 3)))
     moved = scale * (rng.permutation(BODY) @ turn.T + shift)
@@ -47,12 +49,16 @@ def test_no_neighbour_lies_in_the_circle_of_a_triangle() -> None:
 
 
 @pytest.mark.parametrize(("points", "area"), [(SPHERE, 4 * np.pi), (BODY, shapes.body(5).area)])
-def test_the_mass_is_the_area_of_the_surface_that_was_sampled(points: FloatArray, area: float) -> None:
+def test_the_mass_is_the_area_of_the_surface_that_was_sampled(
+    points: FloatArray, area: float
+) -> None:
     assert on_points(points).area == pytest.approx(area, rel=0.01)
 
 
 def test_eigenvalues_of_the_sphere_converge_at_order_two() -> None:
-    exact = np.array([degree * (degree + 1) for degree in range(5) for _ in range(2 * degree + 1)])[1:]
+    exact = np.array([degree * (degree + 1) for degree in range(5) for _ in range(2 * degree + 1)])[
+        1:
+    ]
     sizes = (500, 2000, 8000)  # the spacing halves
     errors = []
     for n in sizes:

@@ -50,7 +50,8 @@ def limbed() -> PointCloud:
     other = other.select((((other.points + along) / [1, 0.7, 0.5]) ** 2).sum(axis=1) > 1)
     assert one.normals is not None and other.normals is not None
     return PointCloud(
-        np.concatenate([one.points, other.points + along]), np.concatenate([one.normals, other.normals])
+        np.concatenate([one.points, other.points + along]),
+        np.concatenate([one.normals, other.normals]),
     )
 
 
@@ -118,9 +119,13 @@ def test_a_limb_that_a_hole_cuts_in_two_is_bridged() -> None:
 
 def test_limbs_that_touch_are_cut_apart() -> None:
     """Along the contacts alone: of eight samples of the body, 0.9 to 1.1 % of the voxels are taken out."""
-    person = body(make_subject("person", np.random.default_rng(3)), POSES["person"]["hands_on_hips"])
+    person = body(
+        make_subject("person", np.random.default_rng(3)), POSES["person"]["hands_on_hips"]
+    )
     options = UniformOptions(n_points=15_000, n_holes=0, outlier_share=0)
-    cloud = oriented_normals(scan_uniformly(person, options, np.random.default_rng(0)), ScanOptions())
+    cloud = oriented_normals(
+        scan_uniformly(person, options, np.random.default_rng(0)), ScanOptions()
+    )
     (parted, _), (free, _) = surface(cloud), surface(cloud, genus="free")
     assert parted.euler_characteristic == 2 > 0 > free.euler_characteristic
     n_parted, n_free = (mesh.provenance[-1].sizes["cells"] for mesh in (parted, free))
@@ -129,7 +134,9 @@ def test_limbs_that_touch_are_cut_apart() -> None:
 
 def test_two_bodies_are_refused() -> None:
     ball = shapes.icosphere(3, 0.6)
-    two = shapes.joined(shapes.icosphere(3), TriangleMesh(ball.vertices + np.array([3, 0, 0]), ball.faces))
+    two = shapes.joined(
+        shapes.icosphere(3), TriangleMesh(ball.vertices + np.array([3, 0, 0]), ball.faces)
+    )
     message = r"two bodies or more: a second piece has 2\d% of the points; cut them apart, or raise"
     with pytest.raises(ReconstructionError, match=message):
         surface(shapes.oriented_points_on(two, 8000))
@@ -191,7 +198,9 @@ def test_small_holes_are_closed_and_large_ones_are_capped() -> None:
     for height, expected, error in ((2.0, 1.0, 0.07), (0.996, 1.0, 0.07), (0.7, 0.7, 0.04)):
         cloud = ON_EGG.select(ON_EGG.points[:, 2] < height)
         around = neighborhoods(cloud.points, 9)
-        found = coarse_surface(cloud, SurfaceOptions(), local_spacings(around), spacing=spacing(around))
+        found = coarse_surface(
+            cloud, SurfaceOptions(), local_spacings(around), spacing=spacing(around)
+        )
         assert defects(found.surface).boundary_edges == 0
         assert found.surface.volume == pytest.approx(volume_below(expected), rel=error)
         assert (found.cap != NO_CAP).any() == (height == 0.7)

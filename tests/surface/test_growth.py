@@ -106,7 +106,10 @@ def test_a_fold_is_parted_in_one_layer_as_deep_as_it_goes(reach: int) -> None:
 def surface(body: Mask, crossings: FloatArray) -> TriangleMesh:
     """With (3, a, b, c) crossings on the links."""
     return TriangleMesh(
-        *marched(body, [Crossings(at, crossings[axis][tuple(at.T)]) for axis, at in enumerate(crossed(body))])
+        *marched(
+            body,
+            [Crossings(at, crossings[axis][tuple(at.T)]) for axis, at in enumerate(crossed(body))],
+        )
     )
 
 
@@ -136,7 +139,9 @@ def ball(radius: float) -> tuple[Mask, FloatArray]:
 
 
 @pytest.mark.parametrize("share", [0.15, 0.5, 0.85])
-def test_any_set_of_cells_has_a_closed_manifold_surface_that_crosses_where_it_must(share: float) -> None:
+def test_any_set_of_cells_has_a_closed_manifold_surface_that_crosses_where_it_must(
+    share: float,
+) -> None:
     """All 256 cubes are in random cells, beside any other."""
     rng = np.random.default_rng(0)
     body = np.pad(rng.random((14, 14, 14)) < share, 1)

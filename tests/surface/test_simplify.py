@@ -18,7 +18,9 @@ from pcretrieve.values import FloatArray, Step, TriangleMesh
 
 def blob(seed: int, n: int = 24) -> TriangleMesh:
     """Marching cubes on smooth noise: components of high genus, with slivers."""
-    noise = gaussian_filter(np.random.default_rng(seed).standard_normal((n, n, n)), 2.0, mode="wrap")
+    noise = gaussian_filter(
+        np.random.default_rng(seed).standard_normal((n, n, n)), 2.0, mode="wrap"
+    )
     inside = np.pad(noise - 0.3 * noise.std(), 1, constant_values=-noise.std())
     return TriangleMesh(*level_set(inside, 0.0))
 
@@ -33,7 +35,9 @@ def smallest_angles(mesh: TriangleMesh) -> FloatArray:
 
 
 @pytest.mark.parametrize(
-    "mesh", [shapes.icosphere(6), shapes.torus(160, 80), shapes.body(5)], ids=["sphere", "torus", "body"]
+    "mesh",
+    [shapes.icosphere(6), shapes.torus(160, 80), shapes.body(5)],
+    ids=["sphere", "torus", "body"],
 )
 def test_the_shape_stays(mesh: TriangleMesh) -> None:
     small = simplified(mesh, 4000)
@@ -59,7 +63,10 @@ def test_topology_stays_however_few_faces_are_wanted() -> None:
 
 def test_the_unit_of_length_chooses_no_face() -> None:
     mesh = blob(1)
-    small, scaled = simplified(mesh, 1000), simplified(TriangleMesh(1e9 * mesh.vertices, mesh.faces), 1000)
+    small, scaled = (
+        simplified(mesh, 1000),
+        simplified(TriangleMesh(1e9 * mesh.vertices, mesh.faces), 1000),
+    )
     assert np.array_equal(small.faces, scaled.faces)
     assert scaled.vertices == pytest.approx(1e9 * small.vertices, rel=1e-9)
 
@@ -71,9 +78,15 @@ BALL = shapes.icosphere(1)
     ("mesh", "words"),
     [
         (shapes.square(3), "not at 12 half-edges"),  # of the boundary
-        (TriangleMesh(shapes.tetrahedron().vertices, shapes.TETRAHEDRON_FACES[1:]), "not at 3 half-edges"),
+        (
+            TriangleMesh(shapes.tetrahedron().vertices, shapes.TETRAHEDRON_FACES[1:]),
+            "not at 3 half-edges",
+        ),
         (shapes.two_tetrahedra("edge"), "not at 4 half-edges or vertices; repair it first"),
-        (shapes.two_tetrahedra("vertex"), "must be closed, manifold and oriented .* not at 1 half-edges or"),
+        (
+            shapes.two_tetrahedra("vertex"),
+            "must be closed, manifold and oriented .* not at 1 half-edges or",
+        ),
         (
             TriangleMesh(BALL.vertices, np.concatenate([BALL.faces[:1, ::-1], BALL.faces[1:]])),
             r"not at \d+ half-edges",
@@ -122,7 +135,9 @@ def test_a_mesh_with_a_hole_stays_one() -> None:
     half = compact(FINE.vertices, FINE.faces[FINE.vertices[FINE.faces][:, :, 2].mean(axis=1) > 0])
     mesh = pr.reconstruct(half, kept("keep", FEW))
     assert FEW - 100 < len(mesh.faces) <= FEW
-    assert step_of(mesh).sizes["euler"] == mesh.euler_characteristic == half.euler_characteristic == 1
+    assert (
+        step_of(mesh).sizes["euler"] == mesh.euler_characteristic == half.euler_characteristic == 1
+    )
     assert mesh.area == pytest.approx(half.area, rel=2e-3)
     full, coarse = (pr.signature(half, kept("keep", n)).values for n in (len(half.faces), FEW))
     assert np.abs(np.log(coarse / full)).max() < 0.08

@@ -41,7 +41,12 @@ def ball(
     *, faces: IntArray = BALL.faces, edge_length: float = 0.2, timeout: float = 60.0
 ) -> tuple[FloatArray, IntArray]:
     return tetrahedralize(
-        BALL.vertices, faces, edge_length=edge_length, envelope=0.001, optimize=False, timeout=timeout
+        BALL.vertices,
+        faces,
+        edge_length=edge_length,
+        envelope=0.001,
+        optimize=False,
+        timeout=timeout,
     )
 
 
@@ -85,11 +90,16 @@ def test_a_ball_is_filled_and_one_server_answers_again_also_after_ctrl_c_in_the_
     ("question", "message"),
     [
         (lambda: ball(faces=BALL.faces[:1]), r"^\[remesh\] fTetWild gave no tetrahedra$"),
-        (lambda: ball(edge_length=2.0), r"^\[remesh\] fTetWild failed: Edge length factor must be between"),
+        (
+            lambda: ball(edge_length=2.0),
+            r"^\[remesh\] fTetWild failed: Edge length factor must be between",
+        ),
     ],
     ids=["nothing to fill", "refused"],
 )
-def test_no_answer_is_an_error_and_the_next_one_is_right(question: Callable[[], Any], message: str) -> None:
+def test_no_answer_is_an_error_and_the_next_one_is_right(
+    question: Callable[[], Any], message: str
+) -> None:
     with pytest.raises(RemeshError, match=message):
         question()
     assert volume(*ball()) == pytest.approx(BALL.volume, rel=0.02)
@@ -101,7 +111,9 @@ def test_no_answer_is_an_error_and_the_next_one_is_right(question: Callable[[], 
 def test_it_is_stopped_when_its_time_is_over_and_the_next_one_answers() -> None:
     ball()
     first = own_server()
-    with pytest.raises(RemeshError, match=r"fTetWild did not finish within 0\.001 s and was stopped"):
+    with pytest.raises(
+        RemeshError, match=r"fTetWild did not finish within 0\.001 s and was stopped"
+    ):
         ball(timeout=0.001)
     assert not runs(first)
     assert len(ball()[1])
@@ -114,7 +126,12 @@ def test_its_death_over_a_surface_is_an_error() -> None:
     threading.Timer(0.2, lambda: os.kill(own_server(), signal.SIGKILL)).start()
     with pytest.raises(RemeshError, match=r"^\[remesh\] fTetWild died, with exit code -9$"):
         tetrahedralize(
-            slow.vertices, slow.faces, edge_length=0.05, envelope=0.001, optimize=True, timeout=PATIENCE
+            slow.vertices,
+            slow.faces,
+            edge_length=0.05,
+            envelope=0.001,
+            optimize=True,
+            timeout=PATIENCE,
         )
 
 
@@ -152,7 +169,10 @@ def test_a_closed_surface_keeps_topology_area_and_volume(mesh: TriangleMesh) -> 
     assert result.volume == pytest.approx(mesh.volume, rel=0.01)
     first, step = result.provenance
     assert first == earlier
-    assert (step.stage, step.sizes) == ("remesh", {"faces_in": len(mesh.faces), "faces": len(result.faces)})
+    assert (step.stage, step.sizes) == (
+        "remesh",
+        {"faces_in": len(mesh.faces), "faces": len(result.faces)},
+    )
     assert step.seconds > 0
     assert not any(note.startswith(KEPT) for note in step.notes)
 
@@ -178,6 +198,8 @@ def test_an_answer_that_cannot_be_used_is_refused_and_said_so(
 
 def test_without_an_answer_a_surface_with_holes_is_an_error() -> None:
     pricked = TriangleMesh(BODY.vertices, BODY.faces[1:])
-    message = r"the surface has defects \(3 boundary edges\) and could not be remeshed: fTetWild did not"
+    message = (
+        r"the surface has defects \(3 boundary edges\) and could not be remeshed: fTetWild did not"
+    )
     with pytest.raises(RemeshError, match=message):
         remesh(pricked, RemeshOptions(method="tetwild", timeout=1e-3))

@@ -38,12 +38,16 @@ def with_caps(mesh: TriangleMesh, n: int) -> TriangleMesh:
     bisected = np.arange(n) * (len(mesh.faces) // n)
     a, b, c = mesh.faces[bisected].T
     middle = len(mesh.vertices) + np.arange(n)
-    halves = np.concatenate([np.column_stack(f) for f in ((a, middle, c), (middle, b, c), (a, b, middle))])
+    halves = np.concatenate(
+        [np.column_stack(f) for f in ((a, middle, c), (middle, b, c), (a, b, middle))]
+    )
     return with_more(cut(mesh, *bisected), halves, (mesh.vertices[a] + mesh.vertices[b]) / 2)
 
 
 # The six tetrahedra around the long diagonal of a cube whose corners are numbered x + 2 y + 4 z.
-CUBE = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
+CUBE = np.array(
+    [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]]
+)
 
 
 def boundary(solid: NDArray[np.bool_], bend: float) -> TriangleMesh:
@@ -88,7 +92,10 @@ def boundary(solid: NDArray[np.bool_], bend: float) -> TriangleMesh:
         (with_more(shapes.tetrahedron(), [0, 0, 1]), Defects(1, 1, 0, 0, 1, 1)),
         # A strip of four cells across with a half twist.
         (shapes.mobius_strip(30, 4), Defects(60, 0, 0, 4, 0, 1)),
-        (TriangleMesh(np.zeros((3, 3)), np.zeros((0, 3), dtype=np.int32)), Defects(0, 0, 0, 0, 0, 0)),
+        (
+            TriangleMesh(np.zeros((3, 3)), np.zeros((0, 3), dtype=np.int32)),
+            Defects(0, 0, 0, 0, 0, 0),
+        ),
     ],
 )
 def test_defects(mesh: TriangleMesh, found: Defects) -> None:
@@ -102,7 +109,9 @@ def test_defects(mesh: TriangleMesh, found: Defects) -> None:
 
 def test_scrambled_faces_are_turned_back() -> None:
     for mesh in (shapes.body(3), shapes.torus(), shapes.square(8)):
-        scrambled = np.flatnonzero(np.random.default_rng(0).random(len(mesh.faces)) < 0.3)  # a minority
+        scrambled = np.flatnonzero(
+            np.random.default_rng(0).random(len(mesh.faces)) < 0.3
+        )  # a minority
         answer = orient_faces(shapes.renumbered(turned(mesh, *scrambled), 0))
         assert answer is not None
         back, n_turned = answer
@@ -148,7 +157,9 @@ def test_boundaries_of_random_solids_become_manifolds(seed: int) -> None:
 
 
 def test_components_come_by_area_and_loose_vertices_are_none() -> None:
-    mesh = shapes.joined(shapes.icosphere(0, 0.5), shapes.icosphere(1, 2.0), shapes.icosphere(0, 1.0))
+    mesh = shapes.joined(
+        shapes.icosphere(0, 0.5), shapes.icosphere(1, 2.0), shapes.icosphere(0, 1.0)
+    )
     mesh = TriangleMesh(np.concatenate([mesh.vertices, np.ones((3, 3))]), mesh.faces)
     assert components(mesh).tolist() == [2] * 20 + [0] * 80 + [1] * 20
 
@@ -188,7 +199,9 @@ def test_a_ball_with_defects_is_repaired_to_the_ball(broken: TriangleMesh, note:
 def test_noisy_vertices_alone_are_smoothed_and_the_ball_keeps_its_size() -> None:
     ball = shapes.icosphere(4)
     assert denoised(ball)[0] is ball
-    edge = np.linalg.norm(ball.vertices[ball.faces[:, 0]] - ball.vertices[ball.faces[:, 1]], axis=1).mean()
+    edge = np.linalg.norm(
+        ball.vertices[ball.faces[:, 0]] - ball.vertices[ball.faces[:, 1]], axis=1
+    ).mean()
     off = np.random.default_rng(0).normal(0, 0.3 * edge, ball.vertices.shape)
     smooth, notes = denoised(TriangleMesh(ball.vertices + off, ball.faces))
     assert notes[0].startswith("smoothed noisy vertices: ")
@@ -214,7 +227,10 @@ def test_two_balls_that_touch_are_split_and_the_larger_stays() -> None:
             TriangleMesh(np.zeros((4, 3)), TWO_FACES),
             "no face of 2 bounds anything: they are flat or cancel out",
         ),
-        (TriangleMesh(np.outer(np.arange(4.0), [1, 2, 3]), TWO_FACES), "no face of 2 bounds anything"),
+        (
+            TriangleMesh(np.outer(np.arange(4.0), [1, 2, 3]), TWO_FACES),
+            "no face of 2 bounds anything",
+        ),
         (TriangleMesh(np.eye(3), np.zeros((0, 3), dtype=np.int32)), "no face of 0 bounds anything"),
         (shapes.mobius_strip(), "the surface is one-sided, as a Möbius strip is"),
     ],

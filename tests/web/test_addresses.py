@@ -59,19 +59,37 @@ def test_any_name_is_one_part_of_an_address(server: Server) -> None:
 # Every kind of answer; no one of them has a folder of the server, see `Server`.
 ADDRESSES = {
     200: [
-        *("/", "/map", "/shapes", "/shapes/broken", "/shape/Egg00", "/shape/broken", "/shapes/Egg00/similar"),
+        *(
+            "/",
+            "/map",
+            "/shapes",
+            "/shapes/broken",
+            "/shape/Egg00",
+            "/shape/broken",
+            "/shapes/Egg00/similar",
+        ),
         *("/shapes/Egg00/similar.csv", "/shapes/Egg00/scene?than=Egg20", "/shapes/Egg00/mesh.glb"),
         "/compare?a=Egg00&b=Egg01",
     ],
     400: [
-        *("/shapes/Egg00/similar?k=0", "/shapes/Egg00/similar?k=1e9", "/shapes/Egg00/similar?min_score=nan"),
+        *(
+            "/shapes/Egg00/similar?k=0",
+            "/shapes/Egg00/similar?k=1e9",
+            "/shapes/Egg00/similar?min_score=nan",
+        ),
         *("/shapes/Egg00/similar?label=none", "/?sort=path", "/?page=" + 5000 * "9"),
         "/compare?a=Egg00&b=broken",
     ],
     404: [
         "/shapes/README.md/similar",  # a file of this folder, which `pcretrieve query` would read
         *("/shapes/none", "/shapes/none/similar", "/shape/none", "/shapes/none/mesh.glb"),
-        *("/shapes/broken/mesh.glb", "/scans/none", "/compare?a=Egg00", "/nothing", "//evil.example"),
+        *(
+            "/shapes/broken/mesh.glb",
+            "/scans/none",
+            "/compare?a=Egg00",
+            "/nothing",
+            "//evil.example",
+        ),
         *("/assets/../html.py", "/assets/..%2Fhtml.py"),
     ],
 }
@@ -97,17 +115,26 @@ def test_what_cannot_be_answered_is_said(server: Server) -> None:
 
 
 def test_a_damaged_row_is_told(eggs: Path, tmp_path: Path) -> None:
-    with running(path := Path(shutil.copy(eggs, tmp_path))) as other, closing(sqlite3.connect(path)) as file:
+    with (
+        running(path := Path(shutil.copy(eggs, tmp_path))) as other,
+        closing(sqlite3.connect(path)) as file,
+    ):
         file.execute("UPDATE provenance SET versions = 'x'")
         file.commit()
         answer = other.ask("/shapes/Egg00")
-        assert answer.status == 500 and b"repair it: `pcretrieve catalogue check --repair`" in answer.body
+        assert (
+            answer.status == 500
+            and b"repair it: `pcretrieve catalogue check --repair`" in answer.body
+        )
 
 
 def test_messages_name_no_folder() -> None:
     for message, told in (
         ("cannot read:/own folder/of scans/a.ply", "cannot read:a.ply"),
         ("open('/srv/x/a.ply', \"/srv/y\") or file:/srv/z/b", "open('a.ply', \"y\") or file:b"),
-        ("see https://example.org/a/b, 3/4 and and/or", "see https://example.org/a/b, 3/4 and and/or"),
+        (
+            "see https://example.org/a/b, 3/4 and and/or",
+            "see https://example.org/a/b, 3/4 and and/or",
+        ),
     ):
         assert without_folders(message, Path("/own folder/of scans")) == told

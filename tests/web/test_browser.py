@@ -24,7 +24,15 @@ pytestmark = pytest.mark.slow
 
 # Every kind of page: a collection, one in which nothing was found, shapes, no match, a comparison, a map.
 PAGES = (
-    *("/", "/?q=none", "/shape/Egg00", "/shape/Egg23", "/shape/broken", "/map", "/compare?a=Egg00&b=Egg23"),
+    *(
+        "/",
+        "/?q=none",
+        "/shape/Egg00",
+        "/shape/Egg23",
+        "/shape/broken",
+        "/map",
+        "/compare?a=Egg00&b=Egg23",
+    ),
     "/shape/Egg00?min_score=1&label=%3Ckind+2%3E",
 )
 
@@ -37,7 +45,10 @@ def page(browser: Browser, server: Server) -> Iterator[Page]:
 
 def names(page: Page) -> list[str]:
     """The names on the cards, without the ranks."""
-    return [re.sub(r"^\d+ ", "", text) for text in page.locator("#results .shapes li a b").all_inner_texts()]
+    return [
+        re.sub(r"^\d+ ", "", text)
+        for text in page.locator("#results .shapes li a b").all_inner_texts()
+    ]
 
 
 def test_from_a_shape_to_its_nearest_and_on(page: Page, eggs: Path) -> None:
@@ -201,9 +212,13 @@ def test_pages_are_accessible_and_fit(browser: Browser, server: Server, tmp_path
             for address in (*PAGES, f"/scan/{job}", f"/scan/{job}/inspection"):
                 page.goto(f"{origin(server.address)}{address}")
                 found |= {f"{address}: {violation}" for violation in violations(page)}
-                found |= {f"{address} is {wide} pixels too wide" for wide in [overflow(page)] if wide > 0}
+                found |= {
+                    f"{address} is {wide} pixels too wide" for wide in [overflow(page)] if wide > 0
+                }
             # Of the inspection:
             assert page.locator("canvas").is_visible(), "the viewer runs"
-            fills = page.locator(".key rect").evaluate_all("all => all.map(it => getComputedStyle(it).fill)")
+            fills = page.locator(".key rect").evaluate_all(
+                "all => all.map(it => getComputedStyle(it).fill)"
+            )
             assert fills and "rgb(0, 0, 0)" not in fills
     assert not found, "\n".join(found)

@@ -17,12 +17,21 @@ PRIVATE = ("/", "/shapes", "/shapes/Egg00/similar", "/assets/page.css", "/nothin
 
 def test_nothing_is_answered_without_the_token(server: Server) -> None:
     right, cookie = server.token, f"pcretrieve-{server.port}"
-    near = [right[:-1], right + "x", right[:-1] + chr(ord(right[-1]) ^ 1), right.swapcase(), "", "x" * 9000]
+    near = [
+        right[:-1],
+        right + "x",
+        right[:-1] + chr(ord(right[-1]) ^ 1),
+        right.swapcase(),
+        "",
+        "x" * 9000,
+    ]
     sent = [{}, {"Authorization": "Bearer é"}, {"Authorization": f"Basic {right}"}]
     for token in near:
         sent += [{"Authorization": f"Bearer {token}"}, {"Cookie": f"{cookie}={token}"}]
     answers = [server.ask(path, headers=one, bearer=False) for path in PRIVATE for one in sent]
-    answers += [server.ask(f"{path}?token={token}", bearer=False) for path in PRIVATE for token in near]
+    answers += [
+        server.ask(f"{path}?token={token}", bearer=False) for path in PRIVATE for token in near
+    ]
     assert {(answer.status, answer.body) for answer in answers} == {(403, answers[0].body)}
     assert {answer.headers["connection"] for answer in answers} == {"close"}
 
@@ -40,7 +49,9 @@ def test_the_address_gives_the_browser_a_cookie(server: Server) -> None:
         assert location.startswith("/") and location[1] not in "/\\"
 
 
-def test_addresses_and_cookies_of_others_change_no_cookie_and_lock_nobody_out(server: Server) -> None:
+def test_addresses_and_cookies_of_others_change_no_cookie_and_lock_nobody_out(
+    server: Server,
+) -> None:
     name = f"pcretrieve-{server.port}"
     own = f"{name}={server.token}"
     for given in ("x%0d%0aX-Evil:%201", "%E2%82%AC", "x;%20Path=/shape", "wrong", ""):
@@ -55,7 +66,14 @@ def test_addresses_and_cookies_of_others_change_no_cookie_and_lock_nobody_out(se
 
 def test_hosts_and_origins_are_of_this_computer_alone(server: Server) -> None:
     for host in (
-        *("evil.example", "127.0.0.1.evil.example", "127.0.0.1@evil.example", "127.0.0.1.nip.io", "", "["),
+        *(
+            "evil.example",
+            "127.0.0.1.evil.example",
+            "127.0.0.1@evil.example",
+            "127.0.0.1.nip.io",
+            "",
+            "[",
+        ),
         *("2130706433", "0.0.0.0", "169.254.1.1:80"),
     ):
         for claim in ({}, {"X-Forwarded-Host": "127.0.0.1"}, {"Origin": "http://127.0.0.1"}):
@@ -90,9 +108,15 @@ def test_other_methods_are_refused(server: Server) -> None:
     for path in ("/scans?name=a.off", f"/scans?name=a.off&token={server.token}"):
         for origin in ({}, {"Origin": "http://evil.example"}, {"Origin": "null"}):
             sent = {**own, **origin}
-            assert server.ask(path, method="POST", body=b"OFF", headers=sent, bearer=False).status == 403
+            assert (
+                server.ask(path, method="POST", body=b"OFF", headers=sent, bearer=False).status
+                == 403
+            )
     upgrade = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
-    assert server.ask("/", headers={**upgrade, "Sec-WebSocket-Key": 16 * "x"}, bearer=False).status == 403
+    assert (
+        server.ask("/", headers={**upgrade, "Sec-WebSocket-Key": 16 * "x"}, bearer=False).status
+        == 403
+    )
 
 
 def test_a_server_listens_at_this_computer_only_and_says_what_it_cannot_do(
@@ -102,7 +126,9 @@ def test_a_server_listens_at_this_computer_only_and_says_what_it_cannot_do(
         assert other.address.startswith("http://127.0.0.1:")
         assert other.token != server.token and len(other.token) >= 32
         assert "pca" in other.ask("/shapes/Egg00/similar").json["whitening"]
-    with pytest.raises(InputError, match=f"cannot serve at port {server.port}: .* give another --port"):
+    with pytest.raises(
+        InputError, match=f"cannot serve at port {server.port}: .* give another --port"
+    ):
         serve(eggs, port=server.port)
     for token in ("a b", "a;b", "a\nb", "é", "a/b"):
         with pytest.raises(InputError, match="the token must be ASCII letters"):

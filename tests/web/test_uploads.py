@@ -31,16 +31,63 @@ pytestmark = pytest.mark.slow
 # Names that are refused whatever the file has.
 REFUSED = [
     *("", "scan", "off", "x" * 300 + ".off"),
-    *("a.off.zip", "a.zip", "a.tar.gz", "a.npz", "a.3mf", "a.dae", "a.x3d", "a.gltf", "a.glb", "a.conf"),
-    *("a.off\0.png", "a.off%00.png", "a.off.", "a.off ", "a.off;.php", "a.off:$DATA", "a.off::$INDEX"),
-    *("a.html", "a.svg", "a.php", "a.exe", "a.txt", "a.wrl", ".htaccess", ".off", "..", "/etc/passwd", "con"),
+    *(
+        "a.off.zip",
+        "a.zip",
+        "a.tar.gz",
+        "a.npz",
+        "a.3mf",
+        "a.dae",
+        "a.x3d",
+        "a.gltf",
+        "a.glb",
+        "a.conf",
+    ),
+    *(
+        "a.off\0.png",
+        "a.off%00.png",
+        "a.off.",
+        "a.off ",
+        "a.off;.php",
+        "a.off:$DATA",
+        "a.off::$INDEX",
+    ),
+    *(
+        "a.html",
+        "a.svg",
+        "a.php",
+        "a.exe",
+        "a.txt",
+        "a.wrl",
+        ".htaccess",
+        ".off",
+        "..",
+        "/etc/passwd",
+        "con",
+    ),
 ]
 
 # Names that are words for people, and of no file.
 WORDS = [
-    *("../../../a.off", "..\\..\\a.off", "/etc/cron.d/a.off", "file:///etc/passwd.off", "a.png\0.off"),
-    *("<img src=x onerror=alert(1)>.off", "\"'><script>alert(1)</script>.off", "$(id)`id`;id|id.off"),
-    *("a\r\nSet-Cookie: x=y\r\n\r\n.off", "\u202eply.exe.off", "=HYPERLINK(1).off", "a#1.off", "nul.off"),
+    *(
+        "../../../a.off",
+        "..\\..\\a.off",
+        "/etc/cron.d/a.off",
+        "file:///etc/passwd.off",
+        "a.png\0.off",
+    ),
+    *(
+        "<img src=x onerror=alert(1)>.off",
+        "\"'><script>alert(1)</script>.off",
+        "$(id)`id`;id|id.off",
+    ),
+    *(
+        "a\r\nSet-Cookie: x=y\r\n\r\n.off",
+        "\u202eply.exe.off",
+        "=HYPERLINK(1).off",
+        "a#1.off",
+        "nul.off",
+    ),
 ]
 
 UP = [
@@ -79,7 +126,10 @@ def scans_in(place: Path) -> list[Path]:
 def test_hostile_files_are_refused_in_words_and_inspected(target: Server) -> None:
     for name, body, words in HOSTILE:
         job = target.outcome(name, body)
-        is_other = words in ("Python objects", "not a complete NPY")  # no scan, of which nothing can be shown
+        is_other = words in (
+            "Python objects",
+            "not a complete NPY",
+        )  # no scan, of which nothing can be shown
         assert (job["state"], job["inspection"]) == ("failed", "failed" if is_other else "done")
         assert job["error"] in ("ScanReadError", "ReconstructionError")
         assert words in job["message"]
@@ -124,12 +174,21 @@ def test_addresses_lead_to_no_file(target: Server) -> None:
 
 def test_fields_are_no_markup(target: Server) -> None:
     fields = ["q", "label", "state", "since", "until", "sort", "page", "k", "min_score", "a", "b"]
-    paths = ["/?", "/map?", "/shape/Egg00?", "/compare?a=Egg00&", "/shapes?", "/shapes/Egg00/similar?"]
+    paths = [
+        "/?",
+        "/map?",
+        "/shape/Egg00?",
+        "/compare?a=Egg00&",
+        "/shapes?",
+        "/shapes/Egg00/similar?",
+    ]
     for path, field in product(paths, fields):
         answer = target.ask(path + urlencode({field: "\"'><script>alert(1)</script>"}))
         assert answer.status in (200, 400, 404)
         kind = answer.headers["content-type"]
-        assert kind == "application/json" or (b"<script>alert" not in answer.body and "text/html" in kind)
+        assert kind == "application/json" or (
+            b"<script>alert" not in answer.body and "text/html" in kind
+        )
 
 
 # --- sizes and times --------------------------------------------------------------------------------------
@@ -140,7 +199,10 @@ UPLOAD = "POST /scans?name=a.off HTTP/1.1\r\nKNOWN\r\n"
 
 def test_lengths_are_known_and_limited_before_a_scan_is_read(target: Server) -> None:
     for length in ("-1", "1e3", "0x10", "", "3\r\nContent-Length: 4", "9" * 5000):
-        assert status(raw(target, f"{UPLOAD}Content-Length: {length}\r\n\r\n", b"OFF")) in (400, 413)
+        assert status(raw(target, f"{UPLOAD}Content-Length: {length}\r\n\r\n", b"OFF")) in (
+            400,
+            413,
+        )
     assert target.send("a.ply", b"").status == 400
     # The body is shorter than announced: the answer comes before the body.
     assert target.send("a.ply", b"x", headers={"Content-Length": "2000001"}).status == 413
@@ -169,12 +231,18 @@ def test_slow_and_endless_bodies_are_given_up(eggs: Path, tmp_path: Path) -> Non
         assert server.send("a.off", b"OFF").status == 202
         assert wait_for(lambda: not scans_in(tmp_path))
         for begun, more in (
-            (f"{UPLOAD}Transfer-Encoding: chunked\r\n\r\n", b"10000\r\n" + bytes(0x10000) + b"\r\n"),
+            (
+                f"{UPLOAD}Transfer-Encoding: chunked\r\n\r\n",
+                b"10000\r\n" + bytes(0x10000) + b"\r\n",
+            ),
             (f"{UPLOAD}Content-Length: {10**15}\r\n\r\n", bytes(0x10000)),
             ("GET / HTTP/1.1\r\nKNOWN\r\nX: ", b"x" * 0x10000),
         ):
             end = time.monotonic() + PATIENCE
-            with raw(server, begun) as endless, pytest.raises(ConnectionError):  # the server closes it
+            with (
+                raw(server, begun) as endless,
+                pytest.raises(ConnectionError),
+            ):  # the server closes it
                 while time.monotonic() < end:
                     endless.sendall(more)
         assert server.ask("/").status == 200
@@ -198,12 +266,22 @@ def test_a_scan_is_answered_as_by_the_library_and_inspected(
     name = 'a\r\nSet-Cookie: x=y\r\n\r\n<b>,".OFF'
     headers = {"Content-Type": "multipart/form-data; boundary=x", "Content-Encoding": "gzip"}
     job = target.outcome(name, egg(tmp_path), headers=headers)
-    assert (job["state"], job["inspection"], job["kept_as"], job["name"]) == ("done", "done", None, name)
+    assert (job["state"], job["inspection"], job["kept_as"], job["name"]) == (
+        "done",
+        "done",
+        None,
+        name,
+    )
     assert {"read", "spectrum", "checks"} <= {step["stage"] for step in job["stages"]}
     data, page = f"/scans/{job['job']}", f"/scan/{job['job']}"
-    found, expected = target.ask(f"{data}/similar?k=5").json, search(eggs, tmp_path / "egg.off", k=5)
+    found, expected = (
+        target.ask(f"{data}/similar?k=5").json,
+        search(eggs, tmp_path / "egg.off", k=5),
+    )
     assert [row["id"] for row in found["results"]] == list(expected.ids)
-    assert [row["distance"] for row in found["results"]] == pytest.approx(expected.distances.tolist())
+    assert [row["distance"] for row in found["results"]] == pytest.approx(
+        expected.distances.tolist()
+    )
     table = target.ask(f"{data}/similar.csv?k=1")
     assert table.headers["content-disposition"] == 'attachment; filename="similar.csv"'
     assert table.headers["content-type"].startswith("text/csv")
@@ -217,7 +295,11 @@ def test_a_scan_is_answered_as_by_the_library_and_inspected(
     picture = target.ask(f"{data}/thumbnail.png")
     assert picture.headers["content-type"] == "image/png" and picture.body.startswith(b"\x89PNG")
     said = target.ask(page).body.decode()
-    assert "&lt;b&gt;" in said and found["results"][0]["id"] in said and f'href="{page}/inspection"' in said
+    assert (
+        "&lt;b&gt;" in said
+        and found["results"][0]["id"] in said
+        and f'href="{page}/inspection"' in said
+    )
     assert "/keep" not in said, "this server keeps nothing"
     refused = target.ask(f"{data}/keep?id=mine", method="POST")
     assert refused.status == 404
@@ -256,18 +338,24 @@ NOT_KEPT: list[tuple[dict[str, str], str]] = [
 ]
 
 
-def test_nobody_else_and_under_no_other_name_may_have_a_scan_kept(keeper: Server, tmp_path: Path) -> None:
+def test_nobody_else_and_under_no_other_name_may_have_a_scan_kept(
+    keeper: Server, tmp_path: Path
+) -> None:
     job = keeper.outcome("egg.off", egg(tmp_path))
     for fields, said in NOT_KEPT:
         refused = keeper.ask(f"/scans/{job['job']}/keep?{urlencode(fields)}", method="POST")
         assert refused.status == 400, (fields, refused.body)
         assert said in refused.json["message"]
-        by_form = keeper.ask(f"/scan/{job['job']}/keep", method="POST", body=urlencode(fields).encode())
+        by_form = keeper.ask(
+            f"/scan/{job['job']}/keep", method="POST", body=urlencode(fields).encode()
+        )
         assert by_form.status == 400 and b"<main" in by_form.body, fields
     cookie = keeper.ask(f"/?token={keeper.token}", bearer=False).headers["set-cookie"].split(";")[0]
     for headers in ({}, {"Cookie": cookie}, {"Cookie": cookie, "Origin": "http://evil.example"}):
         for address in (f"/scans/{job['job']}/keep?id=evil", f"/scan/{job['job']}/keep"):
-            answer = keeper.ask(address, method="POST", body=b"id=evil", headers=headers, bearer=False)
+            answer = keeper.ask(
+                address, method="POST", body=b"id=evil", headers=headers, bearer=False
+            )
             assert answer.status == 403
     long = keeper.ask(f"/scan/{job['job']}/keep", method="POST", body=b"id=" + b"x" * 20_000)
     assert long.status == 413
@@ -276,7 +364,9 @@ def test_nobody_else_and_under_no_other_name_may_have_a_scan_kept(keeper: Server
     assert keeper.ask(f"/scans/{job['job']}").json["kept_as"] is None
 
 
-def test_what_failed_is_not_kept_and_uploads_end_with_the_server(keeper: Server, tmp_path: Path) -> None:
+def test_what_failed_is_not_kept_and_uploads_end_with_the_server(
+    keeper: Server, tmp_path: Path
+) -> None:
     keeper.outcome("egg.off", egg(tmp_path))
     bad = keeper.outcome("bad.off", b"OFF\n1 1 1\nnothing")
     for job in (bad["job"], "none"):

@@ -44,7 +44,9 @@ def _paired(
         nearest neighbours in `first`, in the common frame.
     Returns distance : (p,) float64: from the tangent planes, positive on the side of the normal.
     """
-    motion = np.linalg.inv(first_pose) @ second_pose  # from the frame of `second` to that of `first`
+    motion = (
+        np.linalg.inv(first_pose) @ second_pose
+    )  # from the frame of `second` to that of `first`
     points = moved(motion, second.points[second.sample])
     normals = turned(motion, second.normals[second.sample])
     # Near the boundary of a view, and between its points, the nearest point is not at the foot of the
@@ -60,7 +62,12 @@ def _paired(
 
 
 def adjusted(
-    views: Sequence[View], poses: Poses, *, fixed: Sequence[int], steps: Sequence[float], reach: float
+    views: Sequence[View],
+    poses: Poses,
+    *,
+    fixed: Sequence[int],
+    steps: Sequence[float],
+    reach: float,
 ) -> dict[int, FloatArray]:
     """Refine the poses of several views simultaneously, by point-to-plane ICP [1]_ [2]_.
 
@@ -85,7 +92,9 @@ def adjusted(
     for step in steps:
         farthest = step * reach
         matrix, right = np.zeros((6 * len(free), 6 * len(free))), np.zeros(6 * len(free))
-        middle = np.array([moved(changed[n], views[n].points).mean(axis=0) for n in poses]).mean(axis=0)
+        middle = np.array([moved(changed[n], views[n].points).mean(axis=0) for n in poses]).mean(
+            axis=0
+        )
         for i, j in pairs:
             points, planes, distance = _paired(views[i], views[j], changed[i], changed[j], farthest)
             if len(points) < FREEDOMS:
@@ -154,7 +163,9 @@ def _seen_by(
         for known, place in other.items():
             motion = np.linalg.inv(place) @ pose
             points, normals = view.points[view.sample], view.normals[view.sample]
-            said = views[known].image.compare(moved(motion, points), turned(motion, normals), tolerance=reach)
+            said = views[known].image.compare(
+                moved(motion, points), turned(motion, normals), tolerance=reach
+            )
             agrees |= said.agrees
             contradicts |= said.contradicts
         answers.append((agrees, contradicts & ~agrees))
@@ -189,4 +200,6 @@ def overlap(views: Sequence[View], poses: Poses, first: int, second: int, reach:
         shares.append(len(distance) / len(views[there].sample))
         distances.append(distance)
     squares = np.concatenate(distances) ** 2
-    return Overlap(first, second, max(shares), float(np.sqrt(squares.mean())) if len(squares) else np.nan)
+    return Overlap(
+        first, second, max(shares), float(np.sqrt(squares.mean())) if len(squares) else np.nan
+    )

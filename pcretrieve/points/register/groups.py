@@ -92,7 +92,9 @@ def _candidates(
 
     motions: FloatArray = np.tile(np.eye(4), (len(chosen), 1, 1))
     motions[:, :3, :3] = frame[chosen] @ other_frame[chosen].transpose(0, 2, 1)
-    motions[:, :3, 3] = middle[chosen] - np.einsum("mij,mj->mi", motions[:, :3, :3], other_middle[chosen])
+    motions[:, :3, 3] = middle[chosen] - np.einsum(
+        "mij,mj->mi", motions[:, :3, :3], other_middle[chosen]
+    )
     score = _scores(first, second, motions, ROUGH * reach)
     score += _scores(second, first, np.linalg.inv(motions).astype(np.float64), ROUGH * reach)
     order = np.argsort(-score, kind="stable")
@@ -114,14 +116,18 @@ def _distinct(motions: FloatArray, view: View, cell: float, *, most: int) -> lis
     return kept
 
 
-def _look_alikes(first: FloatArray, second: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _look_alikes(
+    first: FloatArray, second: FloatArray
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """(l,) and (l,) positions of points of two views with similar features."""
     usual = np.concatenate([first, second]).mean(axis=0)
     alike = []
     for features, others in ((first, second), (second, first)):
         # Features near the mean, such as those of a plane, are not distinctive.
         keys = np.argsort(-np.linalg.norm(features - usual, axis=1), kind="stable")[:KEY_POINTS]
-        distance = (others**2).sum(axis=1) - 2 * features[keys] @ others.T  # squared, minus a constant
+        distance = (others**2).sum(axis=1) - 2 * features[
+            keys
+        ] @ others.T  # squared, minus a constant
         n = min(LOOK_ALIKES, len(others))
         alike.append((np.repeat(keys, n), np.argpartition(distance, n - 1, axis=1)[:, :n].ravel()))
     (here, there), (back, forth) = alike
@@ -140,7 +146,12 @@ def _pairs(
     up = view.normals[one] + view.normals[two] - (start + end)[:, None] * line
     up /= np.maximum(np.linalg.norm(up, axis=1), np.finfo(float).tiny)[:, None]
     frame = np.stack([line, up, np.cross(line, up)], axis=2)
-    return length, np.stack([start, end, between], axis=1), frame, (view.points[one] + view.points[two]) / 2
+    return (
+        length,
+        np.stack([start, end, between], axis=1),
+        frame,
+        (view.points[one] + view.points[two]) / 2,
+    )
 
 
 def _scores(first: View, second: View, motions: FloatArray, tolerance: float) -> FloatArray:
@@ -153,7 +164,10 @@ def _scores(first: View, second: View, motions: FloatArray, tolerance: float) ->
 
 # Largest distances of correspondences in the steps of a refinement, in units of `reach`: of a match, of the
 # final poses, and of two groups.
-COARSE, FINE = (4.0, 4.0, 3.0, 3.0, 2.0, 2.0, 1.5, 1.0), (2.0, 1.5, 1.0, 1.0, 1.0, 0.7, 0.7, 0.5, 0.5, 0.5)
+COARSE, FINE = (
+    (4.0, 4.0, 3.0, 3.0, 2.0, 2.0, 1.5, 1.0),
+    (2.0, 1.5, 1.0, 1.0, 1.0, 0.7, 0.7, 0.5, 0.5, 0.5),
+)
 JOINING = (3.0, 2.0, 1.5, 1.0)
 
 # A match is rejected if its root mean square distance is more than LOOSE times that of the best match, and
@@ -200,15 +214,25 @@ def largest_group(
     features: dict[int, FloatArray] = {}
     for _ in range(ROUNDS):
         pairs = sorted(
-            (min(i, j), max(i, j)) for group, other in combinations(joined, 2) for i in group for j in other
+            (min(i, j), max(i, j))
+            for group, other in combinations(joined, 2)
+            for i in group
+            for j in other
         )
         for first, second in pairs:
             for number in (first, second):
                 if number not in features:
                     points, normals = views[number].points, views[number].normals
-                    features[number] = feature_histograms(points, normals, radius=FEATURE_RADIUS * cell)
+                    features[number] = feature_histograms(
+                        points, normals, radius=FEATURE_RADIUS * cell
+                    )
             motions = _candidates(
-                (views[first], views[second]), (features[first], features[second]), cell, reach, options, rng
+                (views[first], views[second]),
+                (features[first], features[second]),
+                cell,
+                reach,
+                options,
+                rng,
             )
             matches += _matches(views, first, second, motions, cell, reach, options)
         joined = _grouped(views, matches, joined, reach, options)
@@ -259,13 +283,17 @@ def _grouped(
     loosest = max(LOOSE * ranked[0].overlap.rms, TIGHT * reach) if ranked else 0.0
     for match in ranked:
         first, second = match.overlap.first, match.overlap.second
-        group, other = (next(group for group in joined if number in group) for number in (first, second))
+        group, other = (
+            next(group for group in joined if number in group) for number in (first, second)
+        )
         if group is other or match.overlap.rms > loosest:
             continue
         motion = group[first] @ match.motion @ np.linalg.inv(other[second])
         both = group | {number: motion @ pose for number, pose in other.items()}
         both = adjusted(views, both, fixed=list(group), steps=JOINING, reach=reach)
-        if verification(views, group, {number: both[number] for number in other}, reach).holds(options):
+        if verification(views, group, {number: both[number] for number in other}, reach).holds(
+            options
+        ):
             joined = [known for known in joined if known is not group and known is not other]
             joined.append(adjusted(views, both, fixed=[min(both)], steps=FINE[:4], reach=reach))
     return joined

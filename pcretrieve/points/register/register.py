@@ -49,11 +49,19 @@ class Merged:
         """The root mean square distance of overlaps, weighted by their shares."""
         chosen = [pair for pair in self.overlaps if view in (None, pair.first, pair.second)]
         weight = sum(pair.share for pair in chosen)
-        return float(np.sqrt(sum(pair.share * pair.rms**2 for pair in chosen) / weight)) if weight else np.nan
+        return (
+            float(np.sqrt(sum(pair.share * pair.rms**2 for pair in chosen) / weight))
+            if weight
+            else np.nan
+        )
 
 
 def merge_views(
-    views: Sequence[PointCloud], options: MergeOptions, near: ScanOptions, *, poses: FloatArray | None = None
+    views: Sequence[PointCloud],
+    options: MergeOptions,
+    near: ScanOptions,
+    *,
+    poses: FloatArray | None = None,
 ) -> Merged:
     """Register range scans, each in a frame of its own and all in one unit, and merge them into one cloud.
 
@@ -76,7 +84,9 @@ def merge_views(
     if poses is None:
         found = tracks(ready, reach, options)
         starts = [track.key_poses for track in found]
-        groups = [adjusted(ready, keys, fixed=[min(keys)], steps=COARSE, reach=reach) for keys in starts]
+        groups = [
+            adjusted(ready, keys, fixed=[min(keys)], steps=COARSE, reach=reach) for keys in starts
+        ]
         keys = largest_group(ready, groups, cell, reach, options, rng)
         placed, key_of = followed(ready, keys, found, reach, options)
     else:
@@ -93,16 +103,24 @@ def merge_views(
     all_poses, shares = np.full((len(views), 4, 4), np.nan), np.zeros(len(views))
     for number in range(len(views)):
         if number not in placed:
-            notes.append(f"left out view {number}: it has no place where it shares a surface with the others")
+            notes.append(
+                f"left out view {number}: it has no place where it shares a surface with the others"
+            )
             continue
         all_poses[number] = placed[number]
         shares[number] = shared(ready, keys | {number: placed[number]}, number, reach)
         if shares[number] < options.min_overlap:
-            notes.append(f"view {number} shares only {shares[number]:.1%} of its points with the others")
+            notes.append(
+                f"view {number} shares only {shares[number]:.1%} of its points with the others"
+            )
     cloud = _joined([ready[number].cloud for number in sorted(placed)], all_poses[sorted(placed)])
     if options.voxel:
         cloud, _ = averaged(cloud, options.voxel * scale)
-    sizes = {"views": float(len(views)), "placed": float(len(placed)), "points": float(len(cloud.points))}
+    sizes = {
+        "views": float(len(views)),
+        "placed": float(len(placed)),
+        "points": float(len(cloud.points)),
+    }
     step = Step("merge", time.perf_counter() - started, sizes, tuple(notes))
     pairs = [*combinations(keys, 2), *((key, view) for view, key in key_of.items() if key != view)]
     ordered = sorted((min(pair), max(pair)) for pair in pairs)
@@ -113,11 +131,15 @@ def merge_views(
 
 def _check_poses(poses: FloatArray, n_views: int) -> None:
     if poses.shape != (n_views, 4, 4):
-        raise InputError(f"poses must have shape ({n_views}, 4, 4), one for each view, got {poses.shape}")
+        raise InputError(
+            f"poses must have shape ({n_views}, 4, 4), one for each view, got {poses.shape}"
+        )
     turns = poses[:, :3, :3]
     rigid = np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=1e-4)
     if not (rigid and (np.linalg.det(turns) > 0).all() and np.allclose(poses[:, 3], [0, 0, 0, 1])):
-        raise InputError("poses must be rigid motions: a rotation, a translation, and a last row 0 0 0 1")
+        raise InputError(
+            "poses must be rigid motions: a rotation, a translation, and a last row 0 0 0 1"
+        )
 
 
 def _joined(clouds: Sequence[PointCloud], poses: FloatArray) -> PointCloud:

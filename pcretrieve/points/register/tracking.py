@@ -62,7 +62,9 @@ def tracks(views: Sequence[View], reach: float, options: MergeOptions) -> list[T
     return found
 
 
-def _continued(views: Sequence[View], track: Track, number: int, reach: float, options: MergeOptions) -> bool:
+def _continued(
+    views: Sequence[View], track: Track, number: int, reach: float, options: MergeOptions
+) -> bool:
     """Add a view to a track, if it can be registered to the last view of the track, or to its key frame."""
     *_, last = track.poses
     before = list(track.poses)[-2:]
@@ -70,7 +72,9 @@ def _continued(views: Sequence[View], track: Track, number: int, reach: float, o
     guess = track.poses[last] @ (velocity if len(before) == 2 and number == last + 1 else np.eye(4))
     for key in dict.fromkeys((track.keys[last], last)):
         here = {key: track.poses[key]}
-        pose = adjusted(views, here | {number: guess}, fixed=[key], steps=TRACKING, reach=reach)[number]
+        pose = adjusted(views, here | {number: guess}, fixed=[key], steps=TRACKING, reach=reach)[
+            number
+        ]
         found = verification(views, here, {number: pose}, reach)
         if _is_tracked(found, options):
             track.keys[key] = key
@@ -96,7 +100,11 @@ def posed_track(views: Sequence[View], poses: Poses, reach: float, options: Merg
 
 
 def followed(
-    views: Sequence[View], keys: Poses, tracked: Sequence[Track], reach: float, options: MergeOptions | None
+    views: Sequence[View],
+    keys: Poses,
+    tracked: Sequence[Track],
+    reach: float,
+    options: MergeOptions | None,
 ) -> tuple[dict[int, FloatArray], Mapping[int, int]]:
     """Register the views of tracks to their key frames, which do not move.
 
@@ -112,13 +120,17 @@ def followed(
                 continue
             guess = keys[key] @ np.linalg.inv(track.poses[key]) @ track.poses[number]
             near = _nearest(views, keys, guess, number)
-            pose = adjusted(views, near | {number: guess}, fixed=list(near), steps=NEAR, reach=reach)[number]
+            pose = adjusted(
+                views, near | {number: guess}, fixed=list(near), steps=NEAR, reach=reach
+            )[number]
             if options is None or verification(views, near, {number: pose}, reach).holds(options):
                 poses[number], key_of[number] = pose, key
     return dict(sorted(poses.items())), key_of
 
 
-def _nearest(views: Sequence[View], keys: Poses, pose: FloatArray, number: int) -> dict[int, FloatArray]:
+def _nearest(
+    views: Sequence[View], keys: Poses, pose: FloatArray, number: int
+) -> dict[int, FloatArray]:
     """The poses of the key frames whose sensors are nearest to that of a view."""
 
     def sensor(number: int, pose: FloatArray) -> FloatArray:
@@ -127,4 +139,6 @@ def _nearest(views: Sequence[View], keys: Poses, pose: FloatArray, number: int) 
 
     here = sensor(number, pose)
     distance = {key: float(np.linalg.norm(sensor(key, keys[key]) - here)) for key in keys}
-    return {key: keys[key] for key in sorted(keys, key=lambda key: (distance[key], key))[:NEAREST_KEYS]}
+    return {
+        key: keys[key] for key in sorted(keys, key=lambda key: (distance[key], key))[:NEAREST_KEYS]
+    }

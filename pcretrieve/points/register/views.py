@@ -121,7 +121,9 @@ def _foreground(
             points = points[~behind]
     if options.keep_largest and len(points):
         largest = ScanOptions(keep_largest=True)
-        points = points[kept_points(PointCloud(points, viewpoints=sensor), largest, of_view=True).points]
+        points = points[
+            kept_points(PointCloud(points, viewpoints=sensor), largest, of_view=True).points
+        ]
     if len(points) <= NORMAL_NEIGHBORS or not bounding_diagonal(points):
         raise ReconstructionError(
             f"view {number} must have more than {NORMAL_NEIGHBORS} different points in reach, got "
@@ -156,15 +158,21 @@ def _background_plane(
         return None
     _, height = fitted_plane(points, inliers, towards[best] * normals[best], thickness[best])
     on_plane = abs(height) <= thickness[best]
-    return np.asarray(height <= min(thickness[best], REMOVED * float(np.median(abs(height[on_plane])))))
+    return np.asarray(
+        height <= min(thickness[best], REMOVED * float(np.median(abs(height[on_plane]))))
+    )
 
 
-def _fitted_planes(points: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _fitted_planes(
+    points: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Normals (p, 3), offsets (p,) and root mean square distances (p,) of planes of neighbours."""
     from scipy.spatial import cKDTree
 
     first = points[rng.integers(len(points), size=N_PLANES)]
-    near = points[np.asarray(cKDTree(points).query(first, k=min(N_NEAR, len(points)))[1])]  # (p, k, 3)
+    near = points[
+        np.asarray(cKDTree(points).query(first, k=min(N_NEAR, len(points)))[1])
+    ]  # (p, k, 3)
     centres = near.mean(axis=1)  # (p, 3)
     off = near - centres[:, None]
     squares, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", off, off) / near.shape[1])
@@ -173,7 +181,11 @@ def _fitted_planes(points: FloatArray, rng: np.random.Generator) -> tuple[FloatA
 
 
 def _view(
-    points: FloatArray, sensor: FloatArray, options: MergeOptions, cell: float, rng: np.random.Generator
+    points: FloatArray,
+    sensor: FloatArray,
+    options: MergeOptions,
+    cell: float,
+    rng: np.random.Generator,
 ) -> View:
     """The view of points without background, thinned by voxels of the edge `cell`."""
     from scipy.spatial import cKDTree
@@ -181,7 +193,9 @@ def _view(
     k = min(options.normal_neighbors, len(points))
     normals = estimate_normals(points, n_neighbors=k)
     normals[np.einsum("ij,ij->i", normals, sensor - points) < 0] *= -1
-    few = np.sort(np.unique(np.floor(points / cell), axis=0, return_index=True)[1])  # one in each voxel
+    few = np.sort(
+        np.unique(np.floor(points / cell), axis=0, return_index=True)[1]
+    )  # one in each voxel
     tree = cKDTree(points)
     distance, near = map(np.asarray, tree.query(points, k=k))  # (n, k), (n, k)
     height = np.einsum("ij,ij->i", points[near].mean(axis=1) - points, normals)
@@ -253,7 +267,9 @@ class RangeImage:
         # The smallest depth in each pixel and its eight neighbours, so that points of an inclined surface, or
         # at a depth edge, do not contradict the image.
         nearest_depth = np.where(nearest >= 0, depth[nearest], np.inf)
-        self._front = np.asarray(ndimage.minimum_filter(nearest_depth, size=3, mode="nearest")).ravel()
+        self._front = np.asarray(
+            ndimage.minimum_filter(nearest_depth, size=3, mode="nearest")
+        ).ravel()
 
     def _project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(..., 2) image coordinates, and (...) distances to the sensor; negative behind the sensor."""

@@ -59,9 +59,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables."""
     parser = argument_parser(__doc__)
     add_data(parser)
-    parser.add_argument("--only", choices=PARTS, action="append", help="only this part; may be repeated")
+    parser.add_argument(
+        "--only", choices=PARTS, action="append", help="only this part; may be repeated"
+    )
     parser.add_argument("--output", type=Path, help="folder for pictures, CSV files and a page")
-    parser.add_argument("--full", action="store_true", help="whole sets, cubic elements, and fTetWild")
+    parser.add_argument(
+        "--full", action="store_true", help="whole sets, cubic elements, and fTetWild"
+    )
     given = parser.parse_args(arguments)
     sections = []
     try:
@@ -77,7 +81,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 print_lines([f"({part}: {time.monotonic() - started:.0f} s)", ""])
                 sections.append(_section(part, lines, given.output))
         if given.output is not None:
-            write_file(given.output / "paper.html", PAGE.format(sections="\n".join(sections)).encode())
+            write_file(
+                given.output / "paper.html", PAGE.format(sections="\n".join(sections)).encode()
+            )
             print_lines([f"wrote {given.output / 'paper.html'}"])
     except (PcretrieveError, OSError) as error:
         sys.exit(str(error))
@@ -87,7 +93,9 @@ def _section(part: str, lines: Sequence[str], output: Path | None) -> str:
     """A part of the page: its lines, and the pictures that it has written."""
     pictures = [] if output is None else sorted(path.name for path in output.glob("*.png"))
     shown = [
-        f'<p><img src="{name}" alt="{name}">' for name in pictures if any(name in line for line in lines)
+        f'<p><img src="{name}" alt="{name}">'
+        for name in pictures
+        if any(name in line for line in lines)
     ]
     return f"<section id={part}>\n<pre>{html.escape(chr(10).join(lines))}</pre>\n{''.join(shown)}\n</section>"
 
@@ -105,13 +113,21 @@ PARTS: Mapping[str, tuple[Callable[[argparse.Namespace], Iterator[str]], tuple[s
     "figure1": (lambda o: figure_1(o.data / "shrec11", _output(o, "figure1.png")), ("shrec11",)),
     "table2": (lambda o: table_2(full=o.full), ()),
     "table3": (lambda o: retrieval_tables("table3", o.data, o.output, full=o.full), ("shrec11",)),
-    "table4": (lambda o: retrieval_tables("table4", o.data, o.output, full=o.full), ("shrec11", "tosca")),
+    "table4": (
+        lambda o: retrieval_tables("table4", o.data, o.output, full=o.full),
+        ("shrec11", "tosca"),
+    ),
     "table5": (lambda o: table_5(o.data, full=o.full), ()),
     "figure4": (
-        lambda o: figure_4(o.data / "mpeg7", _output(o, "figure4.png"), None if o.full else N_SILHOUETTES),
+        lambda o: figure_4(
+            o.data / "mpeg7", _output(o, "figure4.png"), None if o.full else N_SILHOUETTES
+        ),
         ("mpeg7",),
     ),
-    "figure5": (lambda o: figure_5(o.data / "shrec11", None if o.full else N_PERTURBED), ("shrec11",)),
+    "figure5": (
+        lambda o: figure_5(o.data / "shrec11", None if o.full else N_PERTURBED),
+        ("shrec11",),
+    ),
     "figure6": (lambda o: figure_6(), ()),
     "figure7": (lambda o: figure_7(_meshes(o), _output(o, "figure7.png")), ("tosca",)),
     "drift": (lambda o: section_4_4(_first_poses(o.data / "tosca"), remeshed=o.full), ("tosca",)),

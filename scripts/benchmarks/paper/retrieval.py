@@ -15,7 +15,15 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from benchmarks.measuring import Column, Table, draw_curves, in_workers, progress, timed
-from benchmarks.sets import SETS, described, ingested, pooled_vectors, read_mesh, spread, written_set
+from benchmarks.sets import (
+    SETS,
+    described,
+    ingested,
+    pooled_vectors,
+    read_mesh,
+    spread,
+    written_set,
+)
 from benchmarks.synthetic import quartered
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
@@ -155,16 +163,27 @@ def retrieval_tables(part: str, data: Path, output: Path | None, *, full: bool) 
             folder, published = Path(temporary) / "mixed", TABLE_4
             labels = _mixed(data, folder, None if full else N_BACKGROUND)
             n_others = len(list(folder.iterdir())) - len(labels)
-            title = f"Table 4: TOSCA among {n_others} unlabelled meshes of SHREC'11, {N_FACES} faces"
+            title = (
+                f"Table 4: TOSCA among {n_others} unlabelled meshes of SHREC'11, {N_FACES} faces"
+            )
         yield f"{title}; in parentheses the measures of the paper, of other meshes"
         curves: dict[str, PrecisionRecall] = {}
-        yield f"{'system':<28}{'FEM':<8}{'D':<6}" + "".join(f"{name:<14}" for name in (*NAMES, "mAP"))
+        yield f"{'system':<28}{'FEM':<8}{'D':<6}" + "".join(
+            f"{name:<14}" for name in (*NAMES, "mAP")
+        )
         for element in elements:
-            options = PipelineOptions().changed(surface={"mode": "keep"}, spectral={"element": element})
-            with ingested(folder, Path(temporary) / f"{element}.sqlite", options, labels) as (catalogue, _):
+            options = PipelineOptions().changed(
+                surface={"mode": "keep"}, spectral={"element": element}
+            )
+            with ingested(folder, Path(temporary) / f"{element}.sqlite", options, labels) as (
+                catalogue,
+                _,
+            ):
                 systems = [system for system in _systems(full=full) if system.element == element]
                 for system in progress(systems, f"{part}, {element}"):
-                    ranked = (_matched if system.distance == "pairs" else _ranked)(catalogue, system)
+                    ranked = (_matched if system.distance == "pairs" else _ranked)(
+                        catalogue, system
+                    )
                     yield _row(system, ranked, published.get(system.title))
                     if system.in_figure:
                         curves[system.title] = precision_recall(ranked, n_points=N_LEVELS)
@@ -220,12 +239,19 @@ def _figure(curves: Mapping[str, PrecisionRecall], stem: Path) -> Iterator[str]:
     levels = next(iter(curves.values())).recall
     precisions = {title: curve.precision for title, curve in curves.items()}
     draw_curves(
-        stem.with_suffix(".png"), levels, precisions, x_label="recall", y_label="precision", scale="linear"
+        stem.with_suffix(".png"),
+        levels,
+        precisions,
+        x_label="recall",
+        y_label="precision",
+        scale="linear",
     )
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow(["recall", *precisions])
-    writer.writerows(zip(levels.tolist(), *(row.tolist() for row in precisions.values()), strict=True))
+    writer.writerows(
+        zip(levels.tolist(), *(row.tolist() for row in precisions.values()), strict=True)
+    )
     write_file(stem.with_suffix(".csv"), table.getvalue().encode())
     yield f"wrote {stem}.png and {stem}.csv"
 
@@ -292,7 +318,9 @@ def table_2(*, full: bool) -> Iterator[str]:
         pairs = [1000 * cost.pair for cost in found.values() if cost.pair is not None]
         seconds = {size: cost.shape for size, cost in found.items()}
         cells = [seconds.get(size) for size in sizes]
-        yield table.row(method, _needs(kind, method), *cells, _growth(seconds), max(pairs, default=None))
+        yield table.row(
+            method, _needs(kind, method), *cells, _growth(seconds), max(pairs, default=None)
+        )
     yield from failures
 
 
@@ -395,7 +423,9 @@ def table_5(data: Path, *, full: bool) -> Iterator[str]:
     A track is measured on its meshes where the folder of the data has a folder by the name of its layout,
     ``shrec14-synthetic`` or ``shrec14-real``; else on ten simulated people, as clean meshes or as scans.
     """
-    published = {name: {method: both[k] for method, both in TABLE_5.items()} for k, name in enumerate(TRACKS)}
+    published = {
+        name: {method: both[k] for method, both in TABLE_5.items()} for k, name in enumerate(TRACKS)
+    }
     yield "Table 5: mAP of people without whitening; in parentheses that of the paper, of SHREC'14"
     measured: dict[str, dict[System, float]] = {}
     with TemporaryDirectory() as temporary:
@@ -412,9 +442,14 @@ def table_5(data: Path, *, full: bool) -> Iterator[str]:
                     system: evaluate_rankings(_ranked(catalogue, system)).map
                     for system in progress(SYSTEMS, name)
                 }
-    yield f"{'method':<16}{'L':<4}{'scale':<10}{'D':<5}" + "".join(f"{name:<16}" for name in TRACKS).rstrip()
+    yield (
+        f"{'method':<16}{'L':<4}{'scale':<10}{'D':<5}"
+        + "".join(f"{name:<16}" for name in TRACKS).rstrip()
+    )
     for system in SYSTEMS:
-        cells = [_cell(measured[name].get(system), published[name].get(system.title)) for name in TRACKS]
+        cells = [
+            _cell(measured[name].get(system), published[name].get(system.title)) for name in TRACKS
+        ]
         facts = f"{system.method:<16}{system.n_values:<4}{system.scale:<10}{system.distance:<5}"
         yield facts + "".join(f"{cell:<16}" for cell in cells).rstrip()
     if (data / "shrec14_csd").is_dir():
@@ -457,4 +492,6 @@ def track(name: str, data: Path, temporary: Path, n_bodies: int | None) -> Track
         labels = written_set(items, folder, None)
         return Track(f"{len(items)} clean meshes of simulated people", folder, keep, labels)
     labels = written_set(items, folder, CONDITION)
-    return Track(f"{len(items)} scans of simulated people, reconstructed", folder, PipelineOptions(), labels)
+    return Track(
+        f"{len(items)} scans of simulated people, reconstructed", folder, PipelineOptions(), labels
+    )

@@ -90,7 +90,9 @@ def planar_mesh(silhouette: FloatArray, n_vertices: int = 6000) -> TriangleMesh:
     triangles = Delaunay(points)
     corners = points[triangles.simplices]
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    areas = (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / 2  # positive for normals along +z
+    areas = (
+        first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    ) / 2  # positive for normals along +z
     kept = map_coordinates(smooth, corners.mean(axis=1).T, order=1) > 0.5
     kept &= np.abs(areas) > LEAST_AREA * edge**2
     kept = _largest_component(triangles.neighbors, kept, np.abs(areas))
@@ -124,7 +126,9 @@ def _lattice(shape: tuple[int, ...], edge: float) -> FloatArray:
     """(n, 2) points of a lattice of equilateral triangles that covers a picture."""
     height = edge * 3**0.5 / 2
     rows, columns = np.meshgrid(
-        np.arange(0, shape[0] - 1, height), np.arange(0, shape[1] - 1 - edge / 2, edge), indexing="ij"
+        np.arange(0, shape[0] - 1, height),
+        np.arange(0, shape[1] - 1 - edge / 2, edge),
+        indexing="ij",
     )
     columns[1::2] += edge / 2
     return np.column_stack([rows.ravel(), columns.ravel()])
@@ -203,7 +207,9 @@ def ranked_strips(spectra: Spectra) -> bytes:
 def _spectra(paths: Sequence[Path]) -> tuple[Spectra, Mapping[Path, PcretrieveError]]:
     """The spectra of silhouettes, and the errors of others, in the order of the files."""
     outcomes = in_workers(_spectrum, paths, "silhouettes", timeout=TIMEOUT)
-    failed = {path: answer for path, answer in outcomes.items() if isinstance(answer, PcretrieveError)}
+    failed = {
+        path: answer for path, answer in outcomes.items() if isinstance(answer, PcretrieveError)
+    }
     return {path: one for path, one in outcomes.items() if isinstance(one, ModalSpectrum)}, failed
 
 
@@ -261,7 +267,9 @@ def figure_1(folder: Path, sheet: Path | None) -> Iterator[str]:
 
 def _tile(path: Path) -> Image.Image:
     mesh = read_mesh(path)
-    return Image.open(io.BytesIO(thumbnail(mesh.vertices, mesh.faces, size=TILE) or b"")).convert("RGBA")
+    return Image.open(io.BytesIO(thumbnail(mesh.vertices, mesh.faces, size=TILE) or b"")).convert(
+        "RGBA"
+    )
 
 
 N_VALUES = 23
@@ -287,7 +295,10 @@ def section_4_4(poses: Poses, *, remeshed: bool = True) -> Iterator[str]:
     table = drifts(poses, remeshed=remeshed)
     yield f"{'method':<11}" + "".join(f"{name:<12}" for name in table).rstrip()
     for column, method in enumerate(METHODS):
-        cells = (f"{np.median(rows[:, column]):.2f}/{rows[:, column].max():.2f}" for rows in table.values())
+        cells = (
+            f"{np.median(rows[:, column]):.2f}/{rows[:, column].max():.2f}"
+            for rows in table.values()
+        )
         yield f"{method:<11}" + "".join(f"{cell:<12}" for cell in cells).rstrip()
 
 
@@ -301,11 +312,16 @@ def drifts(
         beyond 1, a query may find the wrong class.
     """
     clean = [_signatures(first, methods) for first, _ in poses.values()]
-    stacked = [np.array(column) for column in zip(*clean, strict=True)]  # (shapes, L) for each method
+    stacked = [
+        np.array(column) for column in zip(*clean, strict=True)
+    ]  # (shapes, L) for each method
     apart = np.array([np.sort(pairwise("log", table, table), axis=1)[:, 1] for table in stacked])
     moved: dict[str, list[FloatArray]] = {}
     for number, (mesh, other_pose) in enumerate(poses.values()):
-        changed = [*perturbed(mesh, np.random.default_rng(number), remeshed=remeshed), ("pose", other_pose)]
+        changed = [
+            *perturbed(mesh, np.random.default_rng(number), remeshed=remeshed),
+            ("pose", other_pose),
+        ]
         for name, variant in changed:
             after = _signatures(variant, methods)
             distance = [np.linalg.norm(b - a) for a, b in zip(clean[number], after, strict=True)]
@@ -323,7 +339,9 @@ def perturbed(
         return
     surface = remesh(mesh, REMESHING, optimize=True)
     if np.array_equal(surface.faces, mesh.faces):
-        raise BenchmarkError(f"fTetWild's surface could not be used: {surface.provenance[-1].notes}")
+        raise BenchmarkError(
+            f"fTetWild's surface could not be used: {surface.provenance[-1].notes}"
+        )
     yield "fTetWild", surface
 
 
@@ -393,7 +411,9 @@ def figure_5(folder: Path, limit: int | None) -> Iterator[str]:
             # A ranking leaves out the query, here its own clean mesh.
             rows = np.arange(len(paths))
             subset = Subset(rows, [DistanceBlock(rows, pairwise("log", table, tables[0]))])
-            measured = evaluate_rankings(rank_subsets([subset], [path.stem for path in paths], labels)[0])
+            measured = evaluate_rankings(
+                rank_subsets([subset], [path.stem for path in paths], labels)[0]
+            )
             cells.append(f"{measured.nn:.2f} {measured.map:.2f}")
         yield f"{method:<12}{scale:<10}" + "".join(f"{cell:<12}" for cell in cells).rstrip()
 
@@ -403,7 +423,10 @@ def _perturbed(task: tuple[int, Path]) -> list[FloatArray]:
     seed, path = task
     mesh, rng = read_mesh(path), np.random.default_rng(seed)
     meshes = [mesh, *noisy_and_incomplete(mesh, rng)]
-    shapes = [Shape((Surface(each.area, unit_area_spectrum(each, N_MODES), each),)) for each in meshes]
+    shapes = [
+        Shape((Surface(each.area, unit_area_spectrum(each, N_MODES), each),)) for each in meshes
+    ]
     return [
-        coordinates(np.array([describe(shape, options).values for shape in shapes])) for options in OPTIONS
+        coordinates(np.array([describe(shape, options).values for shape in shapes]))
+        for options in OPTIONS
     ]

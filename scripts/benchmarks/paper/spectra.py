@@ -52,10 +52,16 @@ def drums(n_cuts: int = DRUM_CUTS) -> tuple[TriangleMesh, TriangleMesh]:
     .. [1] P. Buser, J. Conway, P. Doyle and K.-D. Semmler, "Some planar isospectral domains", International
        Mathematics Research Notices 1994; the shapes are those of Gordon, Webb and Wolpert, 1992.
     """
-    plane = np.stack(np.unravel_index(np.arange(1, 8), (2, 2, 2)), axis=1)  # (7, 3): points, and lines alike
-    maps = np.eye(3, dtype=int) + TRANSVECTIONS[:, 1, :, None] * TRANSVECTIONS[:, 0, None]  # (3, 3, 3)
+    plane = np.stack(
+        np.unravel_index(np.arange(1, 8), (2, 2, 2)), axis=1
+    )  # (7, 3): points, and lines alike
+    maps = (
+        np.eye(3, dtype=int) + TRANSVECTIONS[:, 1, :, None] * TRANSVECTIONS[:, 0, None]
+    )  # (3, 3, 3)
     place = np.array([4, 2, 1])  # of the binary digits
-    of_points, of_lines = (plane @ by % 2 @ place - 1 for by in (maps.transpose(0, 2, 1), maps))  # (3, 7)
+    of_points, of_lines = (
+        plane @ by % 2 @ place - 1 for by in (maps.transpose(0, 2, 1), maps)
+    )  # (3, 7)
     return _cut(_unfolded(of_points), n_cuts), _cut(_unfolded(of_lines), n_cuts)
 
 
@@ -87,7 +93,11 @@ def _cut(corners: FloatArray, n: int) -> TriangleMesh:
     number = {place: k for k, place in enumerate(grid)}
     faces = np.array(
         [(number[i, j], number[i + 1, j], number[i, j + 1]) for i, j in grid if i + j < n]
-        + [(number[i + 1, j], number[i + 1, j + 1], number[i, j + 1]) for i, j in grid if i + j < n - 1]
+        + [
+            (number[i + 1, j], number[i + 1, j + 1], number[i, j + 1])
+            for i, j in grid
+            if i + j < n - 1
+        ]
     )  # (n², 3)
     weights = np.array([(n - i - j, i, j) for i, j in grid]) / n  # (v, 3)
     places, vertex = np.unique(
@@ -144,7 +154,10 @@ def figure_6() -> Iterator[str]:
         columns = drum_spectra(element)
         off = np.abs(columns / FIGURE_6 - 1)
         yield f"{element} elements, pcretrieve's two drums differ by: {_differing(columns)}"
-        yield "   " + "".join(f"{head:<38}" for head in ("λ I", "λ II", "R-BiHDM I", "R-BiHDM II")).rstrip()
+        yield (
+            "   "
+            + "".join(f"{head:<38}" for head in ("λ I", "λ II", "R-BiHDM I", "R-BiHDM II")).rstrip()
+        )
         yield "   " + (4 * f"{'pcretrieve':<15}{'paper':<15}{'error':<8}").rstrip()
         for number, row in enumerate(np.stack([columns, FIGURE_6, off], axis=2)):
             cells = (f"{ours:<15.8g}{paper:<15.8g}{by:<8.0e}" for ours, paper, by in row)
@@ -168,7 +181,8 @@ N_REFERENCE = 480
 def figure_7(meshes: Mapping[str, TriangleMesh], plot: Path | None) -> Iterator[str]:
     """Errors against the number of modes m with their rates; and a picture of both."""
     errors = {
-        name: truncation_errors(unit_area_spectrum(mesh, N_REFERENCE), MODES) for name, mesh in meshes.items()
+        name: truncation_errors(unit_area_spectrum(mesh, N_REFERENCE), MODES)
+        for name, mesh in meshes.items()
     }
     rates = {name: convergence_rate(MODES, row, N_REFERENCE) for name, row in errors.items()}
     yield (
@@ -197,7 +211,9 @@ def truncation_errors(
     This is about the square of the relative error, and a term of the square of D2 (equation 11).
     """
     exact = reduced_eigenvalues(spectrum, len(spectrum.eigenvalues) - 1)[:n_values]
-    cuts = np.array([reduced_eigenvalues(spectrum, m)[:n_values] for m in modes])  # (len(modes), n_values)
+    cuts = np.array(
+        [reduced_eigenvalues(spectrum, m)[:n_values] for m in modes]
+    )  # (len(modes), n_values)
     errors: FloatArray = ((cuts - exact) ** 2 / (cuts * exact)).max(axis=1)
     return errors
 
@@ -240,7 +256,10 @@ def appendix_a(meshes: Mapping[str, TriangleMesh]) -> Iterator[str]:
     yield "bounded: whether Theorem 6.3 says so, 3p/2 > 2α + 1"
     yield TABLE.head
     for name, mesh in meshes.items():
-        spectra = [unit_area_spectrum(each, N_MODES_APPENDIX) for each in (mesh, deformed(mesh, DEFORMATION))]
+        spectra = [
+            unit_area_spectrum(each, N_MODES_APPENDIX)
+            for each in (mesh, deformed(mesh, DEFORMATION))
+        ]
         mu, mu_after = (reduced_eigenvalues(spectrum, N_MODES_APPENDIX) for spectrum in spectra)
         lam, lam_after = (spectrum.eigenvalues[1:] for spectrum in spectra)
         kinds = [("r-bihdm", mu, mu_after, *each) for each in EXPONENTS]
@@ -255,7 +274,8 @@ def deformed(mesh: TriangleMesh, amount: float) -> TriangleMesh:
     """Deform a mesh by a smooth map of space that is not an isometry."""
     phase = 2 * np.pi / mesh.diagonal * mesh.vertices
     return TriangleMesh(
-        mesh.vertices + amount * mesh.diagonal / (2 * np.pi) * np.sin(np.roll(phase, 1, axis=1)), mesh.faces
+        mesh.vertices + amount * mesh.diagonal / (2 * np.pi) * np.sin(np.roll(phase, 1, axis=1)),
+        mesh.faces,
     )
 
 
