@@ -7,6 +7,7 @@ import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 from uuid import uuid4
 
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# Indexes of the catalogues of the tests, which their processes store in the cache of the user.
+CACHE = TemporaryDirectory(prefix="pcretrieve-cache-", ignore_cleanup_errors=True)
+os.environ["XDG_CACHE_HOME"] = CACHE.name
 
 # A shell starts background commands with SIGINT ignored, which their child processes would inherit: commands
 # that tests interrupt would not notice.

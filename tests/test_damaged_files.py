@@ -176,9 +176,10 @@ def read_catalogue(path: Path) -> object:
 
 def read_index(path: Path) -> object:
     """The nearest neighbours by a stored index, one of whose arrays is damaged."""
-    (folder,) = path.with_name("indexed.sqlite.gallery").iterdir()
-    path.replace(folder / path.name.partition("-")[2])
     with Catalogue(path.with_name("indexed.sqlite")) as store:
+        assert store.cache.folder is not None
+        (folder,) = store.cache.folder.iterdir()
+        path.replace(folder / path.name.partition("-")[2])
         nearest = store.index().nearest("egg0", k=3).ids
     assert nearest == ("egg0", "egg1", "egg2")
     return nearest
@@ -247,6 +248,8 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
                 ingest(discover([scans]), store, labels=labels)
                 if name == "indexed.sqlite":
                     store.index()
+                    assert store.cache.folder is not None
+                    arrays = sorted(store.cache.folder.glob("*/*.npy"))
                 else:
                     options = store.options.changed(retrieval={"whitening": "none"})
                     write_evaluation(evaluate(store, options=options).ranked.rankings, folder)
@@ -255,7 +258,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         distances = np.abs(table.values[:, :1] - table.values[:, 0])
         for suffix in ("txt", "npy"):
             write_matrix(DistanceMatrix(table.ids, distances), folder / f"matrix.{suffix}")
-        for array in (folder / "indexed.sqlite.gallery").glob("*/*.npy"):
+        for array in arrays:
             shutil.copy(array, folder)
         yield folder
 

@@ -1,8 +1,10 @@
 """Cache of the indexes and maps of a catalogue, as arrays that are mapped into memory.
 
-An index of a million shapes takes seconds to compute and milliseconds to open. It is stored in a folder
-beside the file of the catalogue, ``bodies.sqlite.gallery``, or in the cache folder of the user if that folder
-cannot be written. It belongs to one state of the catalogue. The folder may be deleted.
+An index of a million shapes takes a minute to compute and milliseconds to open. It is stored in the cache
+folder of the user, and belongs to one state of the catalogue. The folder may be deleted.
+
+Nothing is stored beside the file of a catalogue, because that folder may come from somebody else, with links
+to folders of the reader in it.
 """
 
 from __future__ import annotations
@@ -12,10 +14,12 @@ import json
 import logging
 import math
 import os
+import re
 import shutil
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -51,6 +55,10 @@ CHECKED = 2**24
 UNFINISHED = ".unfinished-"
 ABANDONED = 3600.0
 
+# Names of the folders of indexes and of maps. Only folders with such a name and a file of checksums are
+# removed.
+KEPT_NAME = re.compile(r"[0-9a-f]{16}-[0-9a-f]{16}|map-\d+-\d+-[0-9a-f]{16}")
+
 
 def signatures_digest(options: PipelineOptions) -> str:
     """The digest of the signatures that are compared by some options."""
@@ -66,19 +74,14 @@ def signatures_digest(options: PipelineOptions) -> str:
 class IndexCache:
     """The stored indexes of one catalogue, which several processes may use at the same time.
 
-    folder: the first folder to store them in; None for that of the user's cache alone.
+    location: the absolute path of the catalogue or the URL of its database, without a password.
     """
 
-    def __init__(self, location: str, folder: Path | None) -> None:
-        self._folders = [folder] if folder else []
-        try:
+    def __init__(self, location: str) -> None:
+        self.folder: Path | None = None
+        with suppress(RuntimeError):  # there is no user
             cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        except RuntimeError:  # there is no user
-            pass
-        else:
-            # The absolute path distinguishes files of one name in several folders.
-            name = str(folder.absolute()) if folder else location
-            self._folders.append(cache / "pcretrieve" / f"{Path(location).name}-{_digest(name)}")
+            self.folder = cache / "pcretrieve" / f"{Path(location).name}-{_digest(location)}"
         self._last: tuple[str, SignatureIndex] | None = None
 
     def index(
@@ -113,40 +116,64 @@ class IndexCache:
 
     def faults(self) -> Iterator[tuple[Path, str]]:
         """Yield the stored indexes whose bytes have changed since they were written, and how."""
-        for folder in self._folders:
-            for kept in sorted(folder.iterdir()) if folder.is_dir() else ():
-                try:
-                    if not kept.name.startswith(UNFINISHED):
-                        _arrays(kept, checked=math.inf)
-                except FileNotFoundError:
-                    continue  # another process removes it at this moment
-                except Exception as error:  # noqa: BLE001  as in `_opened`
-                    yield kept, f"cannot be read: {error}"
+        for kept in self._kept():
+            try:
+                _arrays(kept, checked=math.inf)
+            except FileNotFoundError:
+                continue  # another process removes it at this moment
+            except Exception as error:  # noqa: BLE001  as in `_opened`
+                yield kept, f"cannot be read: {error}"
+
+    def _kept(self) -> list[Path]:
+        """The folders that a cache of this catalogue has written; never what a link leads to."""
+        if self.folder is None or not self.folder.is_dir():
+            return []
+        return [folder for folder in sorted(self.folder.iterdir()) if is_kept(folder)]
 
     def _opened(self, name: str, read: Callable[[dict[str, NDArray[Any]]], Any]) -> Any:
         """What `read` makes of stored arrays; None if there are none."""
-        for folder in self._folders:
-            kept = folder / name
-            try:
-                return read(_arrays(kept))
-            except FileNotFoundError:
-                continue  # there is none, or another process removes it at this moment
-            # NumPy reads the header of an array by parsers of Python, and lets their exceptions pass.
-            except Exception as error:  # noqa: BLE001
-                logger.warning("computed again, because it cannot be read: %s (%s)", kept, error)
-                shutil.rmtree(kept, ignore_errors=True)
-        return None
+        if self.folder is None:
+            return None
+        kept = self.folder / name
+        try:
+            return read(_arrays(kept))
+        except FileNotFoundError:
+            return None  # there is none, or another process removes it at this moment
+        # NumPy reads the header of an array by parsers of Python, and lets their exceptions pass.
+        except Exception as error:  # noqa: BLE001
+            logger.warning("computed again, because it cannot be read: %s (%s)", kept, error)
+            remove_kept(kept)
+            return None
 
     def _keep(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Store arrays in the first folder that can be written, and remove those of other states."""
-        for folder in self._folders:
-            try:
-                folder.mkdir(parents=True, exist_ok=True)
-                _write(folder, name, arrays)
-                _tidy(folder, name)
-                return
-            except OSError as error:
-                logger.info("an index is not stored in %s: %s", folder, error)
+        """Store arrays, and remove those of other states and what killed processes left."""
+        if self.folder is None:
+            return
+        try:
+            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            _write(self.folder, name, arrays)
+            for kept in self._kept():
+                if kept.name.rpartition("-")[2] != name.rpartition("-")[2]:
+                    remove_kept(kept)
+            for unfinished in self.folder.glob(f"{UNFINISHED}*"):
+                if unfinished.lstat().st_mtime < time.time() - ABANDONED:
+                    shutil.rmtree(
+                        unfinished, ignore_errors=True
+                    )  # which removes nothing through a link
+        except OSError as error:
+            logger.info("an index is not stored in %s: %s", self.folder, error)
+
+
+def is_kept(folder: Path) -> bool:
+    """Whether a path is a folder that a cache has written: by its name, its checksums, and as no link."""
+    named = KEPT_NAME.fullmatch(folder.name) is not None
+    return named and not folder.is_symlink() and (folder / CHECKSUMS).is_file()
+
+
+def remove_kept(folder: Path) -> None:
+    """Remove a folder that a cache has written, and nothing else."""
+    if is_kept(folder):
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _name(options: PipelineOptions, revision: str) -> str:
@@ -193,21 +220,9 @@ def _write(folder: Path, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
                 os.fsync(file.fileno())
         sums = {file.name: zlib.crc32(file.read_bytes()) for file in unfinished.iterdir()}
         (unfinished / CHECKSUMS).write_text(json.dumps(sums), "utf-8")
-        unfinished.chmod(0o755)
         unfinished.rename(folder / name)
     except OSError:
         if not (folder / name).is_dir():  # another process was faster
             raise
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
-
-
-def _tidy(folder: Path, name: str) -> None:
-    """Remove indexes of other states than that of `name`, and incomplete folders of killed processes."""
-    for kept in folder.iterdir():
-        if kept.name.startswith(UNFINISHED):
-            stale = kept.stat().st_mtime < time.time() - ABANDONED
-        else:
-            stale = kept.name.rpartition("-")[2] != name.rpartition("-")[2]
-        if stale:
-            shutil.rmtree(kept, ignore_errors=True)

@@ -23,7 +23,7 @@ from pcretrieve.catalogue.arrays import (
     unpacked_values,
 )
 from pcretrieve.catalogue.cache import IndexCache, signatures_digest
-from pcretrieve.catalogue.rows import Rows
+from pcretrieve.catalogue.rows import Rows, file_of
 from pcretrieve.errors import CatalogueError, InputError, PcretrieveError, ShapeError
 from pcretrieve.options import PipelineOptions, options_difference
 from pcretrieve.retrieval import SignatureIndex, Whitening, people, table_whitening
@@ -102,7 +102,8 @@ class Catalogue(Rows):
         except BaseException:
             self.close()
             raise
-        self.cache = IndexCache(self.location, self.database.folder)
+        file = file_of(self.location)
+        self.cache = IndexCache(str(file.absolute()) if file else self.location)
 
     # --- shapes -----------------------------------------------------------------------------------------
 
@@ -238,8 +239,8 @@ class Catalogue(Rows):
     def index(self, options: PipelineOptions | None = None) -> SignatureIndex:
         """The index of the signatures of the catalogue, with the whitening of the options.
 
-        The index of a large catalogue is stored in a folder beside the file, or in the cache folder of the
-        user, and opened from there until shapes or labels change.
+        The index of a large catalogue is stored in the cache folder of the user, and opened from there until
+        shapes or labels change.
 
         options: as in `signatures`: ``catalogue.options.changed(retrieval={"whitening": "pca"})``.
 

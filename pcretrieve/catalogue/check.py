@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import struct
 import zlib
 from collections.abc import Callable, Iterator
@@ -11,6 +10,7 @@ from functools import partial
 from typing import Literal
 
 from pcretrieve.catalogue.arrays import stored_shape, unpacked, unpacked_values
+from pcretrieve.catalogue.cache import remove_kept
 from pcretrieve.catalogue.catalogue import Catalogue
 from pcretrieve.catalogue.records import OWN, ChangedRow, Entry, Payload, Record
 from pcretrieve.errors import CatalogueError, ShapeError, Stage
@@ -41,7 +41,7 @@ def find_defects(
             on_shapes(1)
     for folder, fault in catalogue.cache.faults():
         if repair:
-            shutil.rmtree(folder, ignore_errors=True)
+            remove_kept(folder)
         done = "removed, and made again when it is needed" if repair else None
         found.append(Defect("index", None, f"the stored index {folder} {fault}", done))
     return found

@@ -54,7 +54,6 @@ class PostgresqlDatabase:
     """A schema of a PostgreSQL database, with the operations of `SqliteDatabase`."""
 
     scanned = ""
-    folder = None
 
     def __init__(self, url: str, settings: Mapping[str, str], *, create: bool) -> None:
         try:

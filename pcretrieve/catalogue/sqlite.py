@@ -87,8 +87,6 @@ class SqliteDatabase:
         self._path = path
         self.location = str(path)
         self._connection = connect(path, create=create)
-        #: The folder for indexes of this catalogue.
-        self.folder = path.with_name(path.name + ".gallery")
         try:
             self._prepare(settings)
             self._file = path.stat()

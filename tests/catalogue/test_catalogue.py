@@ -5,6 +5,7 @@ Stored indexes belong to a state of the catalogue, and give the results of newly
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
@@ -192,8 +193,8 @@ def asked(whitening: str = "none", distance: str = "log") -> PipelineOptions:
 
 
 def kept(store: Catalogue) -> list[Path]:
-    folder = Path(store.location).with_name("c.sqlite.gallery")
-    return sorted(folder.iterdir()) if folder.exists() else []
+    folder = store.cache.folder
+    return sorted(folder.iterdir()) if folder is not None and folder.exists() else []
 
 
 def assert_same(index: SignatureIndex, store: Catalogue, options: PipelineOptions) -> None:
@@ -266,3 +267,51 @@ def test_one_that_is_damaged_is_found_and_made_anew(damage: str, indexed: Catalo
         assert_same(other.index(asked()), indexed, asked())
     assert kept(indexed) == [folder]
     assert [*indexed.cache.faults()] == []
+
+
+def photographs(folder: Path) -> list[Path]:
+    """Folders of a reader, one of which is old, one named like an index and one like an unfinished one."""
+    mine = [folder / name for name in ("photos", "0" * 16 + "-" + "1" * 16, ".unfinished-photos")]
+    for each in mine:
+        each.mkdir(parents=True)
+        (each / "photo.jpg").write_text("a photograph")
+        os.utime(each, (0, 0))
+    return mine
+
+
+@pytest.mark.parametrize("target", [".", "..", "an absolute path", "a real folder"])
+def test_no_folder_beside_a_catalogue_of_somebody_else_is_removed(
+    target: str, indexed: Catalogue, tmp_path: Path
+) -> None:
+    beside = Path(indexed.location).with_name("c.sqlite.gallery")
+    mine = photographs(tmp_path)
+    if target == "a real folder":
+        mine += photographs(beside)
+    else:
+        beside.symlink_to(tmp_path if target == "an absolute path" else target)
+    indexed.index(asked())
+    put_other(indexed, N_INDEXED)
+    indexed.index(asked())
+    assert len(kept(indexed)) == 1
+    assert [each for each in mine if not (each / "photo.jpg").exists()] == []
+
+
+@pytest.mark.parametrize("target", [".", "..", "an absolute path"])
+def test_what_a_link_in_the_cache_leads_to_is_not_removed(
+    target: str, indexed: Catalogue, tmp_path: Path
+) -> None:
+    mine = photographs(tmp_path / "mine")
+    (mine[1] / gallery.CHECKSUMS).write_text("{}")  # like an index of another state
+    indexed.index(asked())
+    (index,) = kept(indexed)
+    links = [index.with_name(name) for name in ("2" * 16 + "-" + "3" * 16, ".unfinished-link")]
+    for link in links:
+        link.symlink_to(mine[1] if target == "an absolute path" else target)
+        os.utime(link, (0, 0), follow_symlinks=False)
+    mine += photographs(index.parent)
+    put_other(indexed, N_INDEXED)
+    indexed.index(asked())
+    assert [
+        each for each in mine if each.name[0] != "." and not (each / "photo.jpg").exists()
+    ] == []
+    assert [link for link in links if not link.is_symlink()] == []
