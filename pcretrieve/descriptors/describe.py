@@ -19,9 +19,8 @@ from pcretrieve.descriptors.bihdm import BIHDM, BIHDM_SAMPLED, SD_GDM, SD_GDM_SA
 from pcretrieve.descriptors.csd import CSD, WKS
 from pcretrieve.descriptors.descriptor import Descriptor, fused
 from pcretrieve.descriptors.dl import DL, DL_SUPERVISED
-from pcretrieve.descriptors.hapt import HAPT
+from pcretrieve.descriptors.hapt import HAPT, MOMENTS
 from pcretrieve.descriptors.ispm import ISPM
-from pcretrieve.descriptors.moments import MOMENTS
 from pcretrieve.descriptors.r_bihdm import R_BIHDM
 from pcretrieve.descriptors.shape_dna import SHAPE_DNA, SHAPE_DNA_NORM1, SHAPE_DNA_VALUES
 from pcretrieve.errors import OptionError, ShapeError, Stage

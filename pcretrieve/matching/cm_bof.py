@@ -18,7 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import cdist
 
-from pcretrieve.descriptors.moments import in_principal_frame
+from pcretrieve.descriptors.hapt import in_principal_frame
 from pcretrieve.errors import DegenerateMeshError, OptionError, Stage
 from pcretrieve.values import FloatArray, IntArray, Shape, TriangleMesh
 

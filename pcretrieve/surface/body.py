@@ -22,7 +22,7 @@ import numpy as np
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.density import interpolated, local_spacings
-from pcretrieve.points.grid import Grid, Mask, Voxels
+from pcretrieve.points.grid import Grid, Mask, Voxels, joined_by
 from pcretrieve.points.neighbors import (
     PLANE_NEIGHBORS,
     Neighborhoods,
@@ -30,15 +30,17 @@ from pcretrieve.points.neighbors import (
     noise,
     spacing,
 )
-from pcretrieve.points.outside import flood
-from pcretrieve.surface.caps import NO_CAP, Capped, base_of, points_on
+from pcretrieve.points.outside import Outside, flood
+from pcretrieve.surface.caps import NO_CAP, Capped, base_of, ends_a_part, points_on
 from pcretrieve.surface.coarse import coarse_surface, crossings, filled
+from pcretrieve.surface.fairing import faired, vertex_normals, with_ring
 from pcretrieve.surface.field import distance_field, folded, hidden_below, normals_of
 from pcretrieve.surface.growth import with_topology
 from pcretrieve.surface.marching import LEAST_SHARE, Crossings, crossed, marched, smoothed
 from pcretrieve.surface.parts import CONTINUED, contact_layer, joined, rims, walls
 from pcretrieve.surface.simplify import simplified
-from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
+from pcretrieve.surface.topology import edges_of
+from pcretrieve.values import FloatArray, IntArray, PointCloud, Step, TriangleMesh
 
 # Largest fraction of the interior of the coarse surface that the flood fill may reach. If it reaches more, it
 # has leaked through a hole, and is repeated with the radius of closed holes times each factor in turn.
@@ -47,6 +49,17 @@ WIDER = (1.4, 2.0)
 
 # Rounds of Taubin smoothing of the surface that no points support: in holes, at cuts and at bridges.
 SMOOTHING = 8
+
+# Distance from a cap, relative to the diagonal, within which normals are compared with the direction to the
+# outside; and the cosine below which they are turned.
+NEAR_CAP = 0.04
+OPPOSED = 0.3
+
+# Smallest number of vertices of a patch that is faired. In smaller ones smoothing is enough.
+LEAST_FAIRED = 40
+
+# Largest ratio of the areas of a patch after and before it is faired. A larger one has folded.
+MOST_STRETCHED = 2.5
 
 # Largest fraction of the vertices that no points support.
 MOST_INVENTED = 0.3
@@ -134,13 +147,15 @@ def _body_surface(
     notes: list[str] = []
     deepest = hidden_below(cloud.diagonal, cell) + 1  # interpolated between voxels
     # A cap stops the flood fill as points do.
-    walled = np.concatenate([cloud.points, points_on(coarse.surface, coarse.cap != NO_CAP, cell)])
+    caps = points_on(coarse.surface, coarse.cap != NO_CAP, cell)
+    walled = np.concatenate([cloud.points, caps])
     further = coarse.surface.vertices
     for gap in (options.gap, *(options.gap * wider for wider in WIDER)):
         outside = flood(
             walled, further, cell=cell, gap=gap * cloud.diagonal, shift=shift, deepest=deepest
         )
         coarse_inside = filled(coarse.surface, outside.grid)
+        cloud = _turned(cloud, caps, outside)
         distance = distance_field(cloud, outside)
         # Far from the points only: near them the coarse surface can be inaccurate by a voxel.
         core = coarse_inside & np.isnan(distance)
@@ -173,7 +188,7 @@ def _body_surface(
         raise ReconstructionError(f"{len(cloud.points)} points enclose nothing")
     body, cuts = with_topology(inside, crossed_links, to_points, options, notes)
     del to_points, crossed_links
-    mesh, is_invented = _surface(body, inside, parted, distance, coarse.surface, grid)
+    mesh, is_invented = _surface(body, inside, parted, distance, coarse, grid)
     invented = _invented(mesh, is_invented)
     final = simplified(mesh, options.target_faces)
     step = Step(
@@ -193,6 +208,26 @@ def _body_surface(
     )
     base = points_on(coarse.surface, base_of(coarse, cloud), cell)
     return final, SurfaceMarks(grid.centres(cuts), grid.centres(bridges), base), step
+
+
+def _turned(cloud: PointCloud, caps: FloatArray, outside: Outside) -> PointCloud:
+    """The points, whose normals near caps point to the outside that the flood fill finds beside the caps.
+
+    The first flood fill, by which normals were oriented, can leak through a large hole, and turn those near
+    its rim. With caps it cannot, so that the radius of other holes, and of gaps between fingers, stays small.
+    """
+    if not len(caps) or cloud.viewpoints is not None:
+        return cloud
+    from scipy.spatial import cKDTree
+
+    reach = NEAR_CAP * cloud.diagonal
+    distance, _ = cKDTree(caps).query(cloud.points, distance_upper_bound=reach)
+    near = np.flatnonzero(distance < reach)
+    normals = normals_of(cloud).copy()
+    towards = outside.direction_at(cloud.points[near])
+    opposed = near[np.einsum("ij,ij->i", normals[near], towards) < -OPPOSED]
+    normals[opposed] *= -1
+    return replace(cloud, normals=normals)
 
 
 def _cell(cloud: PointCloud, neighbors: Neighborhoods, options: SurfaceOptions) -> float:
@@ -216,7 +251,7 @@ def _continued(cloud: PointCloud, grid: Grid, to_points: Voxels) -> Mask:
 
 
 def _surface(
-    body: Mask, inside: Mask, parted: Mask, distance: Voxels, coarse: TriangleMesh, grid: Grid
+    body: Mask, inside: Mask, parted: Mask, distance: Voxels, coarse: Capped, grid: Grid
 ) -> tuple[TriangleMesh, Mask]:
     """The boundary surface of the voxels of the body, with vertices at the zeros of the signed distance.
 
@@ -240,7 +275,7 @@ def _surface(
         believed = changes & ((at_low < 0) == inside[low]) & ((at_high < 0) == inside[high])
         believed &= np.isfinite(at_low) & np.isfinite(at_high)
         share = np.divide(at_low, at_low - at_high, out=np.full(len(here), 0.5), where=believed)
-        crossing = crossings(coarse, grid, axis).ravel()[low]
+        crossing = crossings(coarse.surface, grid, axis).ravel()[low]
         share = np.where(believed, share, np.where(changes & np.isfinite(crossing), crossing, 0.5))
         placed.append(Crossings(here, np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE)))
         invented.append(~believed)
@@ -250,7 +285,28 @@ def _surface(
     counted = np.concatenate(unseen)
     # The vertices after those on grid lines, inside cubes of the grid, are few.
     counted = np.pad(counted, (0, len(vertices) - len(counted)))
-    return TriangleMesh(grid.centres(moved), faces), counted
+    return TriangleMesh(grid.centres(_fair(moved, faces, counted)), faces), counted
+
+
+def _fair(vertices: FloatArray, faces: IntArray, invented: Mask) -> FloatArray:
+    """The vertices, of which patches that no points support have been faired, but for flat ends of parts."""
+    normals = vertex_normals(vertices, faces)[~invented]
+    links = edges_of(faces).ends
+    links = links[invented[links].all(axis=1)]
+    patch = joined_by(links[:, 0], links[:, 1], len(vertices))
+    sizes = np.bincount(patch[invented], minlength=1)
+    for number in np.flatnonzero(sizes >= LEAST_FAIRED):
+        own = invented & (patch == number)
+        around = faces[own[faces].any(axis=1)]
+        rim = np.setdiff1d(around, np.flatnonzero(own))
+        axis = TriangleMesh(vertices, around).area_vectors.sum(axis=0)
+        axis /= np.linalg.norm(axis)
+        if ends_a_part(vertices[rim], axis, vertices[~invented], normals):
+            continue
+        moved = faired(vertices, faces, with_ring(own, faces))
+        if TriangleMesh(moved, around).area < MOST_STRETCHED * TriangleMesh(vertices, around).area:
+            vertices = moved
+    return vertices
 
 
 def _invented(mesh: TriangleMesh, invented: Mask) -> float:

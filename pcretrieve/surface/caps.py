@@ -6,8 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array, diags_array
+from scipy.sparse.linalg import splu
 
 from pcretrieve.points.grid import Mask, joined_by
+from pcretrieve.points.neighbors import nearest
+from pcretrieve.surface.fairing import faired
+from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.topology import edges_of
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
@@ -16,10 +21,21 @@ from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 # diagonal. See docs/decisions.md, LARGE_HOLE.
 IN_HOLE = 0.012
 IN_SPACINGS = 2.0
-LARGE_HOLE = 0.025
+LARGE_HOLE = 0.018
 
 # Number of a face that is on no cap.
 NO_CAP = -1
+
+# The part of a body round a hole, by which the end of a limb is known: from one radius of the hole below its
+# rim to a little above it, and not far beside it; in radii.
+BESIDE_RIM = 1.3
+ABOVE_RIM = 0.3
+
+# A limb ends in a hole if the cosine between normals and the axis of the hole is less than this, in the mean,
+# at the rim, and grows by less than this over one radius. Cut feet and heads have at most .06 and .07; holes
+# of crowns, down to the widest place of the head, .04 and .36.
+LEAST_TILT = 0.25
+LEAST_STEEPNESS = 0.25
 
 # A cap is flat if the norm of the sum of its area vectors, relative to its area, is at least this large. Two
 # caps are parallel if the cosine of the angle between their normals is.
@@ -34,27 +50,30 @@ NEAR_PLANE = 0.02
 
 
 class Capped(NamedTuple):
-    """A surface with caps: (m,) the number of the cap of each face, −1 for one that is in no large hole."""
+    """A surface that is closed in the holes of the points.
+
+    cap: (m,) the number of the hole that a face closes, −1 if there are points.
+    is_flat: (m,) bool, whether it is in the flat cap of a base or of a limb that was cut off.
+    """
 
     surface: TriangleMesh
     cap: NDArray[np.intp]
+    is_flat: Mask
 
 
 def capped(surface: TriangleMesh, cloud: PointCloud, *, spacing: float) -> Capped:
-    """Replace the parts of a surface in large holes of the points by minimal surfaces.
+    """Close the large holes of the points: round where the body is round, flat where it ends.
 
-    A Poisson surface bulges out of a large hole, such as an unseen base. A cap is a membrane instead: each of
-    its vertices is at the mean of its neighbours, so that the cap is in the convex hull of its rim, and flat
-    if the rim is planar. The rim is moved to the points.
+    A level set recedes in a hole, and a Poisson surface bulges out of a large one. Each hole gets a fair
+    patch instead; but the base of a body, and the end of a limb that was cut off, get a membrane: each of
+    its vertices is at the mean of its neighbours, so that it is flat if the rim is planar. The rim is moved
+    to the points.
 
     spacing: of the points.
     """
-    from scipy.sparse import csr_array, diags_array
-    from scipy.sparse.linalg import splu
-    from scipy.spatial import cKDTree
-
-    distance, near = map(np.asarray, cKDTree(cloud.points).query(surface.vertices))  # (n,), (n,)
-    n, far = len(distance), distance > max(IN_HOLE * cloud.diagonal, IN_SPACINGS * spacing)  # (n,)
+    distance, near = (found[:, 0] for found in nearest(cloud.points, surface.vertices, 1))
+    far = distance > max(IN_HOLE * cloud.diagonal, IN_SPACINGS * spacing)  # (n,)
+    n = len(far)
     ends = edges_of(surface.faces).ends  # (e, 2)
     inner = ends[far[ends].all(axis=1)]
     hole = joined_by(inner[:, 0], inner[:, 1], n)
@@ -62,22 +81,66 @@ def capped(surface: TriangleMesh, cloud: PointCloud, *, spacing: float) -> Cappe
     np.maximum.at(farthest, hole[far], distance[far])
     free = far & (farthest[hole] > LARGE_HOLE * cloud.diagonal)  # (n,)
     rims = ends[free[ends].sum(axis=1) == 1]  # (r, 2), edges between a hole and its rim
-    free &= np.isin(
-        hole, hole[rims[free[rims]]]
-    )  # a component that is far from all points has none
+    # A component that is far from all points has no rim.
+    free &= np.isin(hole, hole[rims[free[rims]]])
     cap = np.where(free[surface.faces], hole[surface.faces], NO_CAP).max(axis=1)
+    is_flat = np.zeros(len(cap), dtype=np.bool_)
     if not free.any():
-        return Capped(surface, cap)
+        return Capped(surface, cap, is_flat)
     vertices = surface.vertices.copy()
     rim = np.setdiff1d(surface.faces[cap != NO_CAP], np.flatnonzero(free))
     vertices[rim] = cloud.points[near[rim]]
+    for number in np.unique(hole[free]):
+        own, here = free & (hole == number), cap == number
+        flat = _membrane(vertices, surface.faces, own)
+        axis = TriangleMesh(flat, surface.faces[here]).area_vectors.sum(axis=0)
+        axis /= np.linalg.norm(axis)
+        own_rim = vertices[np.setdiff1d(surface.faces[here], np.flatnonzero(own))]
+        on_ground = cloud.up is not None and axis @ cloud.up < -PARALLEL
+        if on_ground or ends_a_part(own_rim, axis, cloud.points, normals_of(cloud)):
+            vertices = flat
+            is_flat |= here
+        else:
+            vertices = faired(vertices, surface.faces, own)
+    return Capped(TriangleMesh(vertices, surface.faces), cap, is_flat)
+
+
+def _membrane(vertices: FloatArray, faces: NDArray[np.integer], free: Mask) -> FloatArray:
+    """(n, 3) vertices, of which those in a mask are at the mean of their neighbours."""
+    n, ends = len(vertices), edges_of(faces).ends
     joined = csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n))
     joined = joined + joined.T
     laplacian = (diags_array(joined.sum(axis=1)) - joined).tocsr()[free]  # (k, n)
-    vertices[free] = splu(laplacian[:, free].tocsc()).solve(
-        -(laplacian[:, ~free] @ vertices[~free])
-    )
-    return Capped(TriangleMesh(vertices, surface.faces), cap)
+    moved: FloatArray = vertices.copy()
+    moved[free] = splu(laplacian[:, free].tocsc()).solve(-(laplacian[:, ~free] @ vertices[~free]))
+    return moved
+
+
+def ends_a_part(rim: FloatArray, axis: FloatArray, points: FloatArray, normals: FloatArray) -> bool:
+    """Whether a hole is the end of a limb that was cut off, or a base: the body round it is like a tube.
+
+    In a hole of a face or a chest the normals at the rim are tilted towards the axis of the hole. Round the
+    hole of a crown they are perpendicular to it, but tilt more and more towards the rim, as on a sphere.
+    Round a tube they do neither.
+
+    rim: (r, 3) float64, the vertices of the rim.
+    axis: (3,) float64, the unit normal of the flat patch that closes the hole.
+    points, normals: (n, 3) float64, of the surface.
+    """
+    middle = rim.mean(axis=0)
+    radius = float(np.linalg.norm(rim - middle, axis=1).mean())
+    offsets = points - middle
+    along = offsets @ axis / radius
+    beside = (offsets**2).sum(axis=1) / radius**2 - along**2
+    near = (along < ABOVE_RIM) & (along > -1) & (beside < BESIDE_RIM**2)
+    if near.sum() < 3:
+        return False
+    tilt = normals[near] @ axis
+    at_rim = along[near] > -ABOVE_RIM
+    # The slope of the regression line; np.polyfit warns where all points have one height.
+    centred = along[near] - along[near].mean()
+    steepness = centred @ tilt / max(centred @ centred, np.finfo(np.float64).tiny)
+    return bool(tilt[at_rim].mean() < LEAST_TILT and steepness < LEAST_STEEPNESS)
 
 
 def base_of(capped: Capped, cloud: PointCloud) -> Mask:
@@ -90,8 +153,8 @@ def base_of(capped: Capped, cloud: PointCloud) -> Mask:
     The caps of a seat and of hands that rest on something belong to it, if they face down. It has no faces if
     the body cannot stand.
     """
-    surface, cap = capped
-    numbers = np.setdiff1d(cap, [NO_CAP])
+    surface, cap, is_flat = capped
+    numbers = np.unique(cap[is_flat])
     sums = np.array(
         [surface.area_vectors[cap == number].sum(axis=0) for number in numbers]
     ).reshape(-1, 3)

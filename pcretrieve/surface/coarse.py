@@ -10,9 +10,8 @@ from pcretrieve.arrays import bounds
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.grid import Grid, Mask, Voxels
-from pcretrieve.points.neighbors import nearest
 from pcretrieve.points.outside import sampled
-from pcretrieve.surface.caps import NO_CAP, Capped, capped
+from pcretrieve.surface.caps import Capped, capped
 from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.marching import level_set
 from pcretrieve.surface.poisson import poisson
@@ -179,12 +178,6 @@ MARGIN = 0.15
 # surface bulges out of holes, as convex bodies do. See docs/decisions.md, LEVEL.
 LEVEL = 0.65
 
-# The level sets of the indicator function are close to each other at the points, and far apart in holes. A
-# hole is large if a place outside, where the function exceeds this level, is farther than this distance,
-# relative to the diagonal, from all points.
-FRINGE = 0.25
-WIDE = 0.036
-
 # Side of the cube of the coarse Poisson surface, relative to the longest side of the bounding box. Larger
 # than the default of 1.1, so that holes at the border of the bounding box can be closed outside it; and
 # larger again, if the surface is not closed, as where a body stands.
@@ -197,9 +190,9 @@ def coarse_surface(
 ) -> Capped:
     """Reconstruct a coarse surface, which decides far from the points.
 
-    It is a level set of the indicator function of the body. If the points have large holes, or sensors from
-    which parts of the body were hidden, it is a screened Poisson surface instead, which bulges out of large
-    holes and is replaced by flat caps there. Its largest component is closed.
+    It is a level set of the indicator function of the body. If that is open, or there are sensors from which
+    parts of the body were hidden, it is a screened Poisson surface instead. Either is closed anew in large
+    holes: see `capped`. Its largest component is closed.
 
     spacings, spacing: (n,) `local_spacings` of the points, and `spacing` of all.
     """
@@ -208,12 +201,12 @@ def coarse_surface(
         _level_set(cloud, spacings, 2**options.fill_depth) if cloud.viewpoints is None else None
     )
     if surface is None:
-        return capped(_poisson_surface(cloud, options.fill_depth), cloud, spacing=spacing)
-    return Capped(surface, np.full(len(surface.faces), NO_CAP))
+        surface = _poisson_surface(cloud, options.fill_depth)
+    return capped(surface, cloud, spacing=spacing)
 
 
 def _level_set(cloud: PointCloud, spacings: FloatArray, n: int) -> TriangleMesh | None:
-    """The level set of the indicator function on a grid; None if it is empty, open, or has large holes."""
+    """The level set of the indicator function on a grid; None if it is empty or open."""
     grid = _grid(cloud.points, n)
     values = indicator(cloud.points, normals_of(cloud), spacings, grid)
     at_points = float(sampled(values, grid.coordinates(cloud.points)).mean())
@@ -221,9 +214,6 @@ def _level_set(cloud: PointCloud, spacings: FloatArray, n: int) -> TriangleMesh 
     body = values > level
     is_open = any(np.take(body, side, axis).any() for axis in range(3) for side in (0, -1))
     if is_open or not body.any():
-        return None
-    fringe = grid.centres(np.argwhere((values > FRINGE * at_points) & (values < at_points)))
-    if nearest(cloud.points, fringe, 1)[0].max(initial=0.0) > WIDE * cloud.diagonal:
         return None
     vertices, faces = level_set(values, level)
     return TriangleMesh(grid.centres(vertices), faces)

@@ -7,8 +7,7 @@ import pytest
 import shapes
 
 from pcretrieve.descriptors import hapt
-from pcretrieve.descriptors.hapt import CELL, projected_areas
-from pcretrieve.descriptors.moments import moments
+from pcretrieve.descriptors.hapt import CELL, moments, projected_areas
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.values import FloatArray, TriangleMesh
 

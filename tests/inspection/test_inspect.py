@@ -67,12 +67,9 @@ def test_a_hole_in_the_scan_is_filled_where_it_is() -> None:
     # Less what is nearer to the rim than two spacings of the points.
     inner = radius - 2 * np.sqrt(BODY.area / len(points))
     assert areas[seen.filled].sum() == pytest.approx(np.pi * inner**2, rel=0.15)
-    # The body can stand on the cap of the hole.
-    filled, base = check(seen, "Filled in").value, check(seen, "Closed base").value
-    assert filled is not None and base is not None
-    assert filled + base == pytest.approx(areas[seen.filled].sum() / areas.sum())
-    assert base > 0.9 * (filled + base)
-    assert check(seen, "Closed base").verdict == "look"
+    assert check(seen, "Filled in").value == pytest.approx(areas[seen.filled].sum() / areas.sum())
+    # The body could stand on a flat cap of the hole; but it is round there, and stands elsewhere.
+    assert "Closed base" not in [one.name for one in seen.checks]
 
 
 def test_what_fails_is_shown_as_far_as_it_came(tmp_path: Path) -> None:

@@ -1,0 +1,111 @@
+"""Patches of a surface where there are no points → patches that continue the curvature round them.
+
+A membrane, which has the least area, would close the hole of a crown by a flat cap. The patch of least
+bending meets its rim without a crease, but is too low where the hole is large, because nothing tells it how
+round the body is. The mean curvature of the rim does: if it is that of a sphere, so is the patch.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array, csc_array, diags_array
+from scipy.sparse.linalg import splu
+
+from pcretrieve.points.grid import Mask
+from pcretrieve.values import FloatArray, IntArray
+
+# Linear problems that are solved in turn, each with the operator and the normals of the patch before it: a
+# flat patch gets the area of a dome. After four, a cap of a sphere of 60 degrees has its height to 1 %.
+ROUNDS = 4
+
+# Rings of vertices round a patch over which the mean curvature of the rim is averaged: one is too noisy.
+RIM_RINGS = 2
+
+# Cotangents that count. Slivers, as marching cubes leave them, have larger ones, which would hold their
+# vertices where they are; obtuse angles have negative ones.
+LEAST_COTANGENT = 0.05
+LARGEST_COTANGENT = 10.0
+TINY = np.finfo(np.float64).tiny
+
+# Least area of a vertex, by which the problem divides, relative to the mean.
+LEAST_AREA = 0.01
+
+
+def faired(vertices: FloatArray, faces: IntArray, free: Mask) -> FloatArray:
+    """(n, 3) vertices of a closed manifold, after those in a mask have been moved to a fair patch.
+
+    The mean curvature vector of a surface is Δx = −2 H n. The free vertices minimise Σ |Δx + 2 h n|² A over
+    themselves and the vertices beside them, with areas A, and h the mean curvature of the rim, or zero if the
+    rim is concave. With h = 0 this is the patch of least bending [1]_; to prescribe the mean curvature is due
+    to [2]_.
+
+    free: (n,) bool, one patch.
+
+    References
+    ----------
+    .. [1] M. Botsch and O. Sorkine, "On linear variational surface deformation methods", IEEE Transactions on
+       Visualization and Computer Graphics 14 (2008), section 3.
+    .. [2] R. Schneider and L. Kobbelt, "Geometric fairing of irregular meshes for free-form surface design",
+       Computer Aided Geometric Design 18 (2001).
+    """
+    bent = with_ring(free, faces)
+    around = bent
+    for _ in range(RIM_RINGS):
+        around = with_ring(around, faces)
+    patch = faces[with_ring(around, faces)[faces].all(axis=1)]
+    numbers, places = np.unique(patch, return_inverse=True)
+    patch = places.reshape(-1, 3).astype(np.int32)
+    at = vertices[numbers]
+    moving, is_bent, is_rim = free[numbers], bent[numbers], (around & ~bent)[numbers]
+    stiffness, areas, normals = _operators(at, patch)
+    # Integrated over the rim, S x = −∫ Δx = ∫ 2 H n.
+    along_normals = np.einsum("ij,ij->i", stiffness @ at, normals)
+    twice_h = max(0.0, along_normals[is_rim].sum() / areas[is_rim].sum()) if is_rim.any() else 0.0
+    for _ in range(ROUNDS):
+        root = np.sqrt(areas[is_bent])
+        rows = diags_array(1 / root) @ stiffness.tocsr()[is_bent]  # (b, k)
+        own, others = csc_array(rows[:, moving]), rows[:, ~moving]
+        wanted = twice_h * root[:, np.newaxis] * normals[is_bent] - others @ at[~moving]
+        at[moving] = splu(csc_array(own.T @ own)).solve(own.T @ wanted)
+        stiffness, areas, normals = _operators(at, patch)
+    moved: FloatArray = vertices.copy()
+    moved[numbers] = at
+    return moved
+
+
+def with_ring(chosen: Mask, faces: IntArray) -> Mask:
+    """(n,) mask of some vertices and of their neighbours."""
+    grown: Mask = chosen.copy()
+    grown[faces[chosen[faces].any(axis=1)]] = True
+    return grown
+
+
+def _operators(at: FloatArray, faces: IntArray) -> tuple[csc_array, FloatArray, FloatArray]:
+    """The cotangent stiffness matrix S (k, k), the areas (k,) and the unit normals (k, 3) of vertices."""
+    n = len(at)
+    rows, columns, weights = [], [], []
+    areas = np.zeros(n)
+    for corner in range(3):
+        here, a, b = (faces[:, (corner + k) % 3] for k in range(3))
+        to_a, to_b = at[a] - at[here], at[b] - at[here]
+        twice_area = np.linalg.norm(np.cross(to_a, to_b), axis=1)
+        product = np.einsum("ij,ij->i", to_a, to_b)
+        cotangents = product / np.maximum(twice_area, np.abs(product) / LARGEST_COTANGENT + TINY)
+        rows.append(a)
+        columns.append(b)
+        weights.append(np.maximum(cotangents, LEAST_COTANGENT) / 2)
+        areas += np.bincount(here, twice_area / 6, minlength=n)
+    entries = (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns)))
+    half = coo_array(entries, (n, n))
+    links = csc_array(half + half.T)
+    stiffness = csc_array(diags_array(links.sum(axis=1)) - links)
+    return stiffness, np.maximum(areas, LEAST_AREA * areas.mean()), vertex_normals(at, faces)
+
+
+def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """(n, 3) unit normals: of the sum of the area vectors of the faces of a vertex; zero where that is."""
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    vectors = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    sums = [np.bincount(faces.ravel(), each, minlength=len(vertices)) for each in vectors.T]
+    length = np.linalg.norm(sums, axis=0)
+    return np.asarray(np.transpose(sums / np.where(length > 0, length, 1)))

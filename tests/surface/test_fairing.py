@@ -1,0 +1,60 @@
+"""Holes of bodies whose surface is known are closed by what was there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapes
+from numpy.typing import NDArray
+
+from pcretrieve.surface.fairing import faired, vertex_normals, with_ring
+from pcretrieve.values import TriangleMesh
+
+BALL = shapes.ellipsoid((1, 1, 1), subdivisions=4)
+
+
+def flattened(mesh: TriangleMesh, angle: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The vertices of a ball with a flat cap round the north pole, and those of the cap."""
+    height = np.cos(np.radians(angle))
+    cap = mesh.vertices[:, 2] > height
+    vertices = mesh.vertices.copy()
+    vertices[cap, 2] = height
+    return vertices, cap
+
+
+@pytest.mark.parametrize(("angle", "error"), [(30, 0.002), (45, 0.002), (60, 0.01), (75, 0.06)])
+def test_the_flat_cap_of_a_sphere_becomes_the_sphere(angle: float, error: float) -> None:
+    vertices, cap = flattened(BALL, angle)
+    closed = faired(vertices, BALL.faces, cap)
+    np.testing.assert_array_equal(closed[~cap], vertices[~cap])
+    assert np.abs(np.linalg.norm(closed[cap], axis=1) - 1).max() < error
+
+
+def test_a_fair_patch_does_not_depend_on_the_unit() -> None:
+    vertices, cap = flattened(BALL, 45)
+    closed = faired(vertices, BALL.faces, cap)
+    np.testing.assert_allclose(faired(1000 * vertices, BALL.faces, cap), 1000 * closed, atol=1e-4)
+
+
+def test_noise_of_the_rim_does_not_raise_a_patch() -> None:
+    vertices, cap = flattened(BALL, 45)
+    noise = np.random.default_rng(0).normal(0, 0.004, vertices.shape)
+    closed = faired(vertices + noise * ~cap[:, np.newaxis], BALL.faces, cap)
+    assert np.abs(np.linalg.norm(closed[cap], axis=1) - 1).max() < 0.03
+
+
+def test_a_hole_beside_a_hollow_is_closed_by_the_least_bending() -> None:
+    """A rim that is concave does not pull the patch inwards."""
+    vertices, cap = flattened(BALL, 30)
+    inside_out = BALL.faces[:, ::-1].copy()
+    closed = faired(vertices, inside_out, cap)
+    assert 0.97 < closed[:, 2].max() < 1.0
+
+
+def test_rings_and_normals_of_a_ball() -> None:
+    pole = np.zeros(len(BALL.vertices), dtype=np.bool_)
+    pole[0] = True
+    ring = with_ring(pole, BALL.faces)
+    assert ring.sum() in (6, 7)
+    normals = vertex_normals(BALL.vertices, BALL.faces)
+    np.testing.assert_allclose(normals, BALL.vertices, atol=0.01)
