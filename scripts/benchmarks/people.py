@@ -1,5 +1,7 @@
 """Simulate people of the body model Anny in several poses, and write their raw scans and ``labels.csv``.
 
+With ``--bodies``, the surfaces themselves are written instead, for benchmarks that scan them otherwise.
+
 The shapes are adults of the model's own distribution of age, sex, height, weight, muscle and proportions,
 with local changes of limbs, hips, torso, neck, hands, feet and head drawn in addition, because people of one
 height and weight still differ. Poses are standing, walking, reaching, sitting and folded, each angle drawn
@@ -28,6 +30,7 @@ from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from benchmarks.measuring import argument_parser
+from pcretrieve.formats import write_mesh
 from pcretrieve.simulation import RigOptions, scan
 from pcretrieve.simulation.samples import moved, random_motion, write_ply
 from pcretrieve.values import TriangleMesh
@@ -35,6 +38,7 @@ from pcretrieve.values.files import write_file
 
 EPILOG = """example:
   scripts/make_people --out people --people 100 --seed 1
+  scripts/make_people --out bodies --people 200 --seed 48 --bodies
 """
 
 POSES = ("stand", "walk", "reach", "sit", "fold")
@@ -203,6 +207,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add("--people", type=int, default=100, help="number of people (default: %(default)s)")
     add("--poses", type=int, default=3, help="number of scans of each (default: %(default)s)")
     add("--seed", type=int, default=1, help="seed of all random numbers (default: %(default)s)")
+    add("--bodies", action="store_true", help="write surfaces, not scans")
     given = parser.parse_args(arguments)
     try:
         people = People(given.seed)
@@ -217,8 +222,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for pose in people.poses(person, given.poses):
             path = given.out / f"{name}_{pose}.ply"
             table.writerow((path.name, name))
-            if not path.exists():
-                rng = np.random.default_rng((given.seed, person, 10 + POSES.index(pose)))
-                points = scan(people.body(person, pose), RIG, rng).points
-                write_ply(path, moved(random_motion(rng), points))
+            if path.exists():
+                continue
+            body = people.body(person, pose)
+            if given.bodies:
+                write_mesh(body, path)
+                continue
+            rng = np.random.default_rng((given.seed, person, 10 + POSES.index(pose)))
+            write_ply(path, moved(random_motion(rng), scan(body, RIG, rng).points))
     write_file(given.out / "labels.csv", labels.getvalue().encode())
