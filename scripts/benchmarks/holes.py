@@ -147,6 +147,7 @@ def _of_kind(kind: str, given: argparse.Namespace) -> Iterator[str]:
             apart = np.linalg.norm(gallery - place, axis=1)
             row.append(
                 {
+                    **one.as_row(),
                     "scan": task.name,
                     "person": task.body.label,
                     "place": task.place,
@@ -155,7 +156,6 @@ def _of_kind(kind: str, given: argparse.Namespace) -> Iterator[str]:
                     "area": one.area / found[2 * k].area,
                     "own": float(apart[k]),
                     "rank": int((apart < apart[k]).sum()) + 1 if one.word != FAILED else n,
-                    **one.as_row(),
                 }
             )
         rows += row

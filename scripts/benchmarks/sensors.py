@@ -1,32 +1,250 @@
-"""Scans of bodies by several sensors: cameras all round, uniform points, a camera beside a turntable."""
+"""Scans of bodies by several sensors, and what damages them.
+
+Lengths are relative to the diagonal of a body, or to its height, so that one sensor can scan hands and
+horses. The y axis points up.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable, Iterator
+from itertools import islice
 
-from benchmarks.bodies import is_outside
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from benchmarks.bodies import Body, is_outside
+from pcretrieve.draw.open3d import RayScene
+from pcretrieve.simulation import RigOptions, camera_pose, scan
+from pcretrieve.simulation.scanner import outside_holes, strays
 from pcretrieve.surface.reconstruct import uniform_points
 from pcretrieve.values import FloatArray, IntArray, TriangleMesh
+from pcretrieve.values.geometry import edge_graph
 
-# Noise of uniform points, relative to the diagonal, and number of rays that look for the outside.
-NOISE, N_RAYS = 0.001, 48
+Mask = NDArray[np.bool_]
+
+# --- uniform points -----------------------------------------------------------------------------------------
+
+# Noise, relative to the diagonal; strays, relative to the points; rays that look for the outside.
+NOISE, STRAYS, N_RAYS = 0.001, 0.003, 48
+
+# Number of points, of holes, and their least and largest radius, of the scans that `benchmark_fidelity` calls
+# typical.
+N_TYPICAL, N_HOLES, HOLES = 30_000, 6, (0.01, 0.03)
 
 
 def outer_points(
     mesh: TriangleMesh, n: int, rng: np.random.Generator
 ) -> tuple[FloatArray, IntArray]:
     """(n, 3) random points of the part of a surface that is seen from outside, and (n,) their faces."""
-    found, faces = uniform_points(mesh, n, rng)
-    normals = mesh.area_vectors[faces] / mesh.face_areas[faces, np.newaxis]
-    seen = is_outside(mesh, found, normals, N_RAYS)
-    while not seen.all():
-        again, their = uniform_points(mesh, int((~seen).sum()), rng)
-        normals = mesh.area_vectors[their] / mesh.face_areas[their, np.newaxis]
-        found[~seen], faces[~seen] = again, their
-        seen[~seen] = is_outside(mesh, again, normals, N_RAYS)
-    return found, faces
+    points, faces = np.zeros((n, 3)), np.zeros(n, dtype=np.intp)
+    missing = np.arange(n)
+    while len(missing):
+        points[missing], faces[missing] = uniform_points(mesh, len(missing), rng)
+        normals = mesh.area_vectors[faces[missing]] / mesh.face_areas[faces[missing], np.newaxis]
+        missing = missing[~is_outside(mesh, points[missing], normals, N_RAYS)]
+    return points, faces
 
 
 def noisy(mesh: TriangleMesh, points: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Points with isotropic noise."""
     return np.asarray(points + rng.normal(0, NOISE * mesh.diagonal, points.shape))
+
+
+def _uniform(mesh: TriangleMesh, n: int, n_holes: int, rng: np.random.Generator) -> FloatArray:
+    """Uniform points with noise, holes of several radii, and strays."""
+    points, _ = outer_points(mesh, n, rng)
+    centres, _ = uniform_points(mesh, n_holes, rng)
+    kept = np.ones(n, dtype=bool)
+    for centre in centres:
+        radius = float(rng.uniform(*HOLES)) * mesh.diagonal
+        kept &= outside_holes(points, centre[np.newaxis], radius)
+    return np.concatenate([noisy(mesh, points[kept], rng), strays(mesh, round(STRAYS * n), rng)])
+
+
+# --- a depth camera beside a turntable ----------------------------------------------------------------------
+
+# The camera: views, elevation in degrees, side of its pictures in pixels, and the points of all views.
+N_VIEWS, ELEVATION, PIXELS, N_POINTS = 16, 8.0, 260, 40_000
+
+# Angles of incidence at which the first measurements are lost, and all; degrees.
+FIRST_LOST, ALL_LOST = 70.0, 86.0
+
+# Steps of the depth and its noise before rounding, of a body as tall as a person: relative to the height.
+DEPTH_STEP, DEPTH_NOISE = 0.002 / 1.7, 0.0008 / 1.7
+
+# Errors of the registration of a view: of coordinates, relative to the height, and of angles; degrees.
+SLIP, TILT = 0.0009 / 1.7, 0.06
+
+# Share of the height from below that is not seen, and the largest share of it of the scalp, from the crown.
+SOLES, SCALP = 0.02, 0.075
+
+# Shares of the scalp of which nothing comes back, and the number and width of its patches.
+LOST_HAIR, N_PATCHES, PATCH = (0.3, 0.6), 14, 0.02
+
+
+def _turntable(body: Body, rng: np.random.Generator) -> FloatArray:
+    """Points of all views of one camera, merged with the errors of a registration."""
+    mesh = body.mesh
+    height = _height(mesh)
+    rig = RigOptions(n_views=N_VIEWS, elevations=(ELEVATION,))
+    scene, rays = RayScene(mesh.vertices, mesh.faces), _pixel_rays(rig.distance)
+    middle = mesh.vertices.mean(axis=0)
+    views = []
+    for view in range(N_VIEWS):
+        pose = camera_pose(mesh, rig, view)
+        aimed = rays @ pose[:3, :3].T
+        depth, normals, _ = scene.cast(np.broadcast_to(pose[:3, 3], aimed.shape), aimed)
+        hit = np.isfinite(depth)
+        cosines = -np.einsum("ij,ij->i", aimed[hit], normals[hit])
+        cosines /= np.linalg.norm(aimed[hit], axis=1)
+        angle = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+        lost = (angle - FIRST_LOST) / (ALL_LOST - FIRST_LOST)
+        kept = np.flatnonzero(hit)[rng.random(len(lost)) > lost]
+        # A ray has the length 1 along the axis of the camera, so that its measure is the depth.
+        measured = depth[kept] + rng.normal(0, DEPTH_NOISE * height, len(kept))
+        step = DEPTH_STEP * height
+        measured = step * np.round(measured / step)
+        points = pose[:3, 3] + measured[:, np.newaxis] * aimed[kept]
+        turn = Rotation.from_euler("xyz", rng.normal(0, TILT, 3), degrees=True)
+        slip = rng.normal(0, SLIP * height, 3)
+        views.append((points - middle) @ turn.as_matrix().T + middle + slip)
+    points = np.concatenate(views)
+    points = points[points[:, 1] > mesh.vertices[:, 1].min() + SOLES * height]
+    if "crown" in body.places:
+        points = points[~_lost_hair(points, mesh.vertices[body.places["crown"]], height, rng)]
+    return points[rng.permutation(len(points))[:N_POINTS]]
+
+
+def _pixel_rays(distance: float) -> FloatArray:
+    """(p², 3) rays through the pixels, of which the third coordinate, along the axis, is 1."""
+    half = 0.5 / np.sqrt(distance**2 - 0.25)  # the field of view holds the bounding sphere
+    ticks = half * ((2 * np.arange(PIXELS) + 1) / PIXELS - 1)
+    across, down = np.meshgrid(ticks, ticks)
+    return np.column_stack([across.ravel(), down.ravel(), np.ones(PIXELS**2)])
+
+
+def _lost_hair(
+    points: FloatArray, crown: FloatArray, height: float, rng: np.random.Generator
+) -> Mask:
+    """(n,) whether points are in patches of the scalp that do not answer."""
+    apart = np.linalg.norm(points - crown, axis=1)
+    scalp = np.flatnonzero(apart < SCALP * height)
+    lost = np.zeros(len(points), dtype=bool)
+    if not len(scalp):
+        return lost
+    centres = points[rng.choice(scalp, N_PATCHES)]
+    near = cKDTree(centres).query(points[scalp], k=N_PATCHES)[0]  # (s, patches)
+    signs = rng.choice([-1.0, 1.0], N_PATCHES)
+    order = cKDTree(centres).query(points[scalp], k=N_PATCHES)[1]
+    answer = (signs[order] * np.exp(-0.5 * (near / (PATCH * height)) ** 2)).sum(axis=1)
+    lost[scalp] = answer < np.quantile(answer, rng.uniform(*LOST_HAIR))
+    return lost
+
+
+def _height(mesh: TriangleMesh) -> float:
+    """The largest extent of a body."""
+    return float(np.ptp(mesh.vertices, axis=0).max())
+
+
+SENSORS: dict[str, Callable[[Body, np.random.Generator], FloatArray]] = {
+    "nine": lambda body, rng: scan(body.mesh, RigOptions(), rng).points,
+    "uniform": lambda body, rng: _uniform(body.mesh, N_TYPICAL, N_HOLES, rng),
+    "turntable": _turntable,
+    "sparse": lambda body, rng: _uniform(body.mesh, 10_000, 0, rng),
+    "dense": lambda body, rng: _uniform(body.mesh, 200_000, 0, rng),
+}
+"""Sensors by their names: functions that return the points of a body, (n, 3), in its frame."""
+
+
+# --- damages ------------------------------------------------------------------------------------------------
+
+WHOLE, PAIR = "whole", "pair"
+DAMAGES = ("limb", "hole", "side")
+
+# The lengths of the limb that is missing, and of the hole, relative to the largest extent of the body.
+LIMB, HOLE = 0.22, 0.08
+
+# Share of the points that are left on the sparse side.
+SPARSE = 0.1
+
+
+def left_by(damage: str, points: FloatArray, body: Body, rng: np.random.Generator) -> Mask:
+    """(n,) whether a damage leaves points of a scan."""
+    height = _height(body.mesh)
+    if damage == "hole":
+        centre = points[rng.integers(len(points))]
+        return np.asarray(np.linalg.norm(points - centre, axis=1) >= HOLE * height / 2)
+    if damage == "limb":
+        near = cKDTree(body.mesh.vertices).query(points)[1]
+        return np.asarray((_from_an_end(body.mesh, rng) >= LIMB * height)[near])
+    if damage == "side":
+        sparse = (points[:, 0] > np.median(points[:, 0])) == (rng.random() < 0.5)
+        return ~sparse | (rng.random(len(points)) < SPARSE)
+    return np.ones(len(points), dtype=bool)
+
+
+# A body has four limbs and a head. Ends with a smaller share of the surface are tails of dogs and horses,
+# those with a larger one are no ends.
+N_ENDS, SHARES = 5, (0.02, 0.3)
+
+# Number of extremities that are looked at, of which some are ends of one limb.
+N_EXTREMITIES = 12
+
+
+def _from_an_end(mesh: TriangleMesh, rng: np.random.Generator) -> FloatArray:
+    """(n,) geodesic distances of the vertices from the end of a random limb."""
+    reach, areas = LIMB * _height(mesh), mesh.face_areas / mesh.area
+
+    def is_limb(paths: FloatArray) -> bool:
+        share = float(areas[(paths < reach)[mesh.faces].all(axis=1)].sum())
+        return SHARES[0] < share < SHARES[1]
+
+    extremities = list(islice(_from_extremities(mesh), N_EXTREMITIES))
+    ends = [paths for paths in extremities if is_limb(paths)][:N_ENDS]
+    return ends[int(rng.integers(len(ends)))] if ends else extremities[0]
+
+
+def _from_extremities(mesh: TriangleMesh) -> Iterator[FloatArray]:
+    """(n,) lengths of the shortest paths along edges from one extremity of a body after the other.
+
+    The extremities are found by farthest-point sampling that begins in the middle of the body.
+    """
+    graph = edge_graph(mesh)  # symmetric
+    place = np.linalg.norm(mesh.vertices - mesh.vertices.mean(axis=0), axis=1).argmin()
+    apart = dijkstra(graph, indices=np.array([place]))[0]
+    while True:
+        place = np.where(np.isfinite(apart), apart, 0).argmax()
+        distances = dijkstra(graph, indices=np.array([place]))[0]
+        apart = np.minimum(apart, distances)
+        yield distances
+
+
+# How far one body is pushed into another after they touch, relative to the diagonal; and the largest angle of
+# the push to the direction ahead; degrees.
+PUSH, ASIDE = (0.01, 0.03), 35.0
+
+
+def pressed(one: Body, other: Body, rng: np.random.Generator) -> Body:
+    """Two bodies as one, the other pushed into the first from its front."""
+    a, b = one.mesh, other.mesh
+    turn = Rotation.from_euler("y", rng.uniform(-180, 180), degrees=True).as_matrix()
+    azimuth = np.radians(rng.uniform(-ASIDE, ASIDE))
+    ahead = np.array([np.sin(azimuth), 0, np.cos(azimuth)])
+    away = a.diagonal + b.diagonal
+    placed = (b.vertices - b.vertices.mean(axis=0)) @ turn.T + a.vertices.mean(axis=0)
+    placed[:, 1] += a.vertices[:, 1].min() - placed[:, 1].min()
+    placed += away * ahead
+    # The bodies touch where a vertex of one first meets the surface of the other.
+    gaps = [
+        RayScene(placed, b.faces).cast(a.vertices, np.broadcast_to(ahead, a.vertices.shape))[0],
+        RayScene(a.vertices, a.faces).cast(placed, np.broadcast_to(-ahead, placed.shape))[0],
+    ]
+    gap = min(float(each.min()) for each in gaps)
+    gap = away if np.isinf(gap) else gap
+    placed -= (gap + rng.uniform(*PUSH) * a.diagonal) * ahead
+    faces = np.concatenate([a.faces, b.faces + len(a.vertices)])
+    both = TriangleMesh(np.concatenate([a.vertices, placed]), faces)
+    return Body(f"{one.name}+{other.name}", one.label, both, one.places)

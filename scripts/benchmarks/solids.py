@@ -89,9 +89,15 @@ def femur(rng: np.random.Generator, number: int) -> TriangleMesh:
     middle = np.array([about(0.006, 1.0), about(0.47, 0.05), bow])
     knee = np.array([about(0.01, 1.0), 0.10, 0.0])
     trochanter = [about(-0.022, 0.3), top[1] + about(0.045, 0.3), -0.012]
+    waist = about(0.95, 0.05) * shaft
     fields = [
-        _cone(knee, middle, (about(1.25) * shaft, about(0.95, 0.05) * shaft)),
-        _cone(middle, top, (about(0.95, 0.05) * shaft, about(1.15) * shaft)),
+        _union(
+            [
+                _cone(knee, middle, (about(1.25) * shaft, waist)),
+                _cone(middle, top, (waist, about(1.15) * shaft)),
+            ],
+            0,
+        ),
         _cone(top, head, (about(0.034), about(0.030, 0.1))),
         _ellipsoid(head, [about(0.052, 0.08)] * 3),
         _cone(top, trochanter, (0.036, about(0.028))),
