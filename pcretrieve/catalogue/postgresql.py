@@ -109,6 +109,10 @@ class PostgresqlDatabase:
             while rows := cursor.fetchmany(READ_AT_ONCE):
                 yield [[row[column] for row in rows] for column in range(len(rows[0]))]
 
+    def state(self) -> str:
+        """A name of what is seen: which transactions of the server have ended."""
+        return str(self.execute("SELECT txid_current_snapshot()"))
+
     def reading(self) -> AbstractContextManager[None]:
         """One transaction, in which everything that is read belongs to one state."""
         return self._transaction("REPEATABLE READ")

@@ -12,7 +12,7 @@ from dataclasses import replace
 from itertools import islice
 from operator import lt
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from uuid import uuid4
 
 import numpy as np
@@ -54,6 +54,19 @@ PAGE = 1000
 N_COMPARED = 2000
 
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]*)://")
+
+
+# Conditions of the states of shapes, in the words of the indexes.
+STATES = {
+    "": "1 = 1",
+    "done": "status = 'done'",
+    "failed": "status = 'failed'",
+    "incomplete": "judgement <> 'good'",
+}
+
+
+# Columns by which shapes are sorted, before their ids.
+ORDERS = {"id": (), "label": ("label IS NULL", "label"), "added": ("added",)}
 
 
 class Listed(NamedTuple):
@@ -132,6 +145,13 @@ class Rows:
             return str(revision)
         raise damaged(self.location, "it has no revision")
 
+    def state(self) -> str:
+        """A name of all that this connection sees now; any change gives it another, also of a failure.
+
+        Names of two connections cannot be compared.
+        """
+        return self.database.state()
+
     # --- records ----------------------------------------------------------------------------------------
 
     def __iter__(self) -> Iterator[Record]:
@@ -151,14 +171,11 @@ class Rows:
         self,
         *,
         status: Status | None = None,
-        incomplete: bool = False,
         offset: int = 0,
         limit: int | None = None,
     ) -> Iterator[list[Record]]:
         """The records, including failed ones, in ascending order of id, in pages that are read one by one."""
         chosen = "AND status = ?" if status else ""
-        # In the words of the index.
-        chosen += " AND judgement <> 'good'" if incomplete else ""
         query = f"{RECORDS} WHERE id > ? {chosen} ORDER BY id LIMIT ? OFFSET ?"
         after, left = "", limit
         while left is None or left > 0:
@@ -186,9 +203,49 @@ class Rows:
         """The class of each shape, including failed ones, by id in ascending order."""
         return dict(self._all("SELECT id, label FROM shapes ORDER BY id"))
 
-    def times(self) -> dict[str, str]:
-        """When each shape, or its failure, was stored, by id: UTC, as 2026-01-31T12:00:00+00:00."""
-        return dict(self._all("SELECT id, added FROM shapes JOIN provenance ON shape = number"))
+    def classes(self, most: int) -> list[str]:
+        """The names of some classes, in no order: all, if they are at most so many."""
+        query = "SELECT DISTINCT label FROM shapes WHERE label IS NOT NULL LIMIT ?"
+        return [label for (label,) in self._all(query, [most])]
+
+    def wanted(
+        self,
+        *,
+        label: str = "",
+        state: Literal["", "done", "incomplete", "failed"] = "",
+        days: tuple[str, str] | None = None,
+        order: Literal["id", "label", "added"] = "id",
+        descending: bool = False,
+        limit: int | None = None,
+        offset: int = 0,
+    ) -> tuple[int, list[str]]:
+        """The number of the shapes that are wanted, and the ids of those at some places of their order.
+
+        label: their class; any if it is empty.
+        state: any, failed ones too, if it is empty.
+        days: the first and the last day on which they were stored, as 2026-01-31; UTC.
+        descending: whether the order is reversed; if it is not, shapes of no class are the last.
+        """
+        tables, conditions, values = "shapes", [STATES[state]], list[object]()
+        if label:
+            conditions.append("label = ?")
+            values.append(label)
+        if days is not None or order == "added":
+            tables += " LEFT JOIN provenance ON shape = number"
+        if days is not None:
+            conditions.append("substr(added, 1, 10) BETWEEN ? AND ?")
+            values += days
+        columns = [*ORDERS[order], "id"]
+        direction = "DESC" if descending else "ASC"
+        by = ", ".join(f"{column} {direction}" for column in columns)
+        chosen = f"FROM {tables} WHERE {' AND '.join(conditions)}"
+        # The database counts and sorts, because rows that Python reads are slow where threads wait for
+        # each other: SQLite gives up the lock of the interpreter for each row.
+        with self.database.reading():
+            ((total,),) = self._all(f"SELECT count(*) {chosen}", values)
+            here = [*values, total if limit is None else limit, offset]
+            rows = self._all(f"SELECT id {chosen} ORDER BY {by} LIMIT ? OFFSET ?", here)
+        return total, [shape_id for (shape_id,) in rows]
 
     def several(self, shape_ids: Collection[str]) -> list[Record]:
         """The records of some ids, in ascending order of id; unknown ids are ignored."""

@@ -120,6 +120,11 @@ class SqliteDatabase:
             # Faster than zip(*rows), which creates an iterator of each row.
             yield [[row[column] for row in rows] for column in range(len(rows[0]))]
 
+    def state(self) -> str:
+        """A name of what is seen, which each change gives another: of others, and of this connection."""
+        ((version,),) = self.execute("PRAGMA data_version")
+        return f"{version} {self._connection.total_changes}"
+
     def reading(self) -> AbstractContextManager[None]:
         """One transaction, in which everything that is read belongs to one state."""
         return self._transaction("DEFERRED")

@@ -8,6 +8,8 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import time
+from collections import OrderedDict
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -57,6 +59,13 @@ FRESH = {"cache-control": "private, no-cache"}
 LOOK = 0.25
 LINGER = 5.0
 
+# Largest number of answers that are kept, of at most 70 kB each.
+MOST_ANSWERS = 100
+
+# Largest number of classes that a page names for a choice; with more, the name is typed. Ten thousand take
+# half a megabyte, and a tenth of a second, on each page.
+MOST_CLASSES = 500
+
 # Largest size of a form; bytes.
 LONGEST_FORM = 10_000
 
@@ -98,18 +107,43 @@ class Readers:
             self._own.catalogue.close()
 
 
+class Answers:
+    """The latest answers by address, each of one state of the catalogue; for one thread."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[object, tuple[float, object, Response]] = OrderedDict()
+
+    def of(self, asked: _Asked, answer: Callable[[_Asked], Response]) -> Response:
+        """The answer to a request: that to an earlier one, if it would be the same."""
+        scope, pictures = asked.request.scope, asked.site.thumbnails
+        address = scope["path"], scope["query_string"]
+        begun, state, kept = self._kept.pop(address, (0.0, None, None))
+        # Requests that have waited for an answer share the next one, which has begun after they arrived.
+        if kept is None or begun < asked.arrived:
+            begun = time.monotonic()
+            now = asked.catalogue.state(), pictures.said, pictures.up
+            if kept is None or state != now:
+                state, kept = now, answer(asked)
+        self._kept[address] = begun, state, kept
+        if len(self._kept) > MOST_ANSWERS:
+            self._kept.popitem(last=False)
+        return kept
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Site:
     """One catalogue and everything that is kept of it between requests."""
 
     searching: Readers
+    listing: Readers
     drawing: Readers
     title: str
     options: PipelineOptions
     given_jobs: Jobs | None
     most_bytes: int
     thumbnails: Thumbnails
-    maps: Maps = field(default_factory=Maps)
+    maps: Maps
+    answers: Answers = field(default_factory=Answers)
 
     @property
     def jobs(self) -> Jobs:
@@ -131,6 +165,7 @@ class _Asked:
     site: Site
     catalogue: Catalogue
     request: Request
+    arrived: float
 
     @property
     def name(self) -> str:
@@ -145,8 +180,10 @@ class _Asked:
         return self.site.jobs.job(self.name)
 
     @property
-    def classes(self) -> list[str]:
-        return sorted({label for label in self.catalogue.labels().values() if label is not None})
+    def classes(self) -> list[str] | None:
+        """The classes that can be chosen; None if they are too many."""
+        found = self.catalogue.classes(MOST_CLASSES + 1)
+        return sorted(found) if len(found) <= MOST_CLASSES else None
 
     @property
     def similar(self) -> Similar:
@@ -400,16 +437,17 @@ SEARCHES: dict[str, Callable[[_Asked], Response]] = {
     "/scans/{id}/similar": lambda asked: _Json(asked.found(asked.job)),
     "/scans/{id}/similar.csv": lambda asked: _table(asked.job.name, asked.answer(asked.job)),
 }
-OTHERS: dict[str, Callable[[_Asked], Response]] = {
+# Lists, which are kept.
+LISTS: dict[str, Callable[[_Asked], Response]] = {
     "/": _collection,
-    "/map": lambda asked: asked.page(
-        "search_map.html", **asked.site.maps.shown(asked.catalogue, asked.site.options)
-    ),
-    "/compare": _compare,
-    "/scan/{id}/inspection": _inspection,
     "/shapes": lambda asked: _Json(
         listing_document(asked.catalogue, Listing.of(asked.request.query_params))
     ),
+}
+OTHERS: dict[str, Callable[[_Asked], Response]] = {
+    "/map": lambda asked: asked.page("search_map.html", **asked.site.maps.shown(asked.catalogue)),
+    "/compare": _compare,
+    "/scan/{id}/inspection": _inspection,
     "/shapes/{id}/thumbnail.png": _thumbnail,
     "/shapes/{id}/scene": _scene,
     "/shapes/{id}/mesh.glb": _glb,
@@ -422,6 +460,10 @@ def application(site: Site) -> Starlette:
     made = Starlette(
         routes=[
             *(Route(path, _read(answer, site.searching)) for path, answer in SEARCHES.items()),
+            *(
+                Route(path, _read(_kept_answer(answer), site.listing))
+                for path, answer in LISTS.items()
+            ),
             *(Route(path, _read(answer, site.drawing)) for path, answer in OTHERS.items()),
             Route("/scans", _new_scan, methods=["POST"]),
             Route("/scans/{id}/keep", _keep_scan, methods=["POST"]),
@@ -444,11 +486,16 @@ def _read(
     answer: Callable[[_Asked], Response], readers: Readers
 ) -> Callable[[Request], Awaitable[Response]]:
     async def handler(request: Request) -> Response:
+        arrived = time.monotonic()
         return await readers.read(
-            lambda catalogue: answer(_Asked(_site(request), catalogue, request))
+            lambda catalogue: answer(_Asked(_site(request), catalogue, request, arrived))
         )
 
     return handler
+
+
+def _kept_answer(answer: Callable[[_Asked], Response]) -> Callable[[_Asked], Response]:
+    return lambda asked: asked.site.answers.of(asked, answer)
 
 
 def _site(request: Request) -> Site:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor, TimeoutError as NotYet
 from contextlib import suppress
+from functools import partial
 from threading import Lock
 from typing import Any
 
 import numpy as np
 
-from pcretrieve import Catalogue, PipelineOptions, SignatureIndex, TriangleMesh
+from pcretrieve import Catalogue, PipelineOptions, TriangleMesh
 from pcretrieve.draw.thumbnail import direction_upwards
-from pcretrieve.errors import InputError, ShapeError
+from pcretrieve.errors import InputError, PcretrieveError, ShapeError
+from pcretrieve.ingestion.pool import in_processes
 from pcretrieve.pages.html import without_folders
 from pcretrieve.pages.map_page import map_drawing
 from pcretrieve.pages.thumbnails import Thumbnails
@@ -95,48 +97,60 @@ def mesh_of(catalogue: Catalogue, shape_id: str) -> TriangleMesh:
         raise Refused(f"the surface of the shape {shape_id!r} is not stored") from None
 
 
-class Maps:
-    """The map that was computed last, beside the requests; any thread may ask for one."""
-
-    def __init__(self) -> None:
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="pcretrieve-map")
-        self._lock = Lock()
-        self._key: object = None
-        self._places: Future[FloatArray] | None = None
-
-    def shown(self, catalogue: Catalogue, options: PipelineOptions) -> dict[str, Any]:
-        """What the page of the map shows, of a random sample if there are many shapes."""
-        index = catalogue.index(options)
+def map_of(options: PipelineOptions, location: str) -> dict[str, Any]:
+    """What the page of the map of a catalogue shows, of a random sample if there are many shapes."""
+    with Catalogue(location) as catalogue:
+        index, labels = catalogue.index(options), catalogue.labels()
         rows = np.arange(len(index))
         if len(rows) > MOST_SHAPES:
             rows = np.sort(np.random.default_rng(SEED).choice(rows, MOST_SHAPES, replace=False))
-        places = self._of(catalogue, index, rows)
-        drawing, ids = None, [index.ids[row] for row in rows.tolist()]
-        if places is not None:
-            labels = catalogue.labels()
-            drawing = map_drawing(ids, [labels.get(name) for name in ids], places)
+        places = catalogue.cache.places(index.points[rows], catalogue.revision())
+        ids = [index.ids[row] for row in rows.tolist()]
         return {
-            "drawing": drawing,
+            "drawing": map_drawing(ids, [labels.get(name) for name in ids], places),
             "n_shown": len(ids),
             "n_shapes": len(index),
             "whitening": without_folders(index.whitening.reason),
         }
 
-    def close(self) -> None:
-        """End the thread."""
-        self._thread.shutdown(cancel_futures=True)
 
-    def _of(self, catalogue: Catalogue, index: SignatureIndex, rows: Any) -> FloatArray | None:
-        """(n, 2) the places of rows of the index; None if they are not known yet."""
-        key, revision = (tuple(index.ids), index.whitening.mean.tobytes()), catalogue.revision()
+class Maps:
+    """The map that was computed last, by a process of its own; any thread may ask for one."""
+
+    def __init__(self, location: str, options: PipelineOptions) -> None:
+        self._location, self._function = location, partial(map_of, options)
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="pcretrieve-map")
+        self._idle: list[Any] = []
+        self._lock = Lock()
+        self._revision = ""
+        self._made: Future[dict[str, Any]] | None = None
+        self._last: dict[str, Any] = {"drawing": None}
+
+    def shown(self, catalogue: Catalogue) -> dict[str, Any]:
+        """What the page of the map shows: an earlier map, if the present one takes long."""
+        revision = catalogue.revision()
         with self._lock:
-            if self._places is None or key != self._key:
-                self._key = key
-                self._places = self._thread.submit(
-                    catalogue.cache.places, index.points[rows], revision
-                )
-            places = self._places
+            # One at a time, because maps beside an ingest would never end otherwise.
+            if self._made is None or (self._made.done() and revision != self._revision):
+                self._revision, self._made = revision, self._thread.submit(self._computed)
+            made = self._made
         try:
-            return places.result(PATIENCE)
-        except NotYet:
-            return None
+            with suppress(NotYet):
+                self._last = made.result(PATIENCE)
+        except PcretrieveError:
+            self._revision = ""  # so that it is tried again
+            raise
+        return self._last
+
+    def close(self) -> None:
+        """End the thread and the process."""
+        self._thread.shutdown(cancel_futures=True)
+        for worker in self._idle:
+            worker.stop()
+
+    def _computed(self) -> dict[str, Any]:
+        running = in_processes(self._function, [self._location], workers=1, idle=self._idle)
+        ((_, outcome),) = running
+        if isinstance(outcome, PcretrieveError):
+            raise outcome
+        return dict(outcome)

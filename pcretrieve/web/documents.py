@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Collection
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,9 +19,6 @@ Document = dict[str, Any]
 
 # Number of shapes on a page of the collection.
 PAGE = 60
-
-# Length of the day in a time as catalogues store it, which is UTC: 2026-01-31T12:00:00+00:00.
-DAY = 10
 
 CSV_COLUMNS = ("query", "rank", "id", "label", "distance", "score", "file")
 
@@ -58,40 +53,19 @@ def shape_document(record: Record) -> Document:
 
 def listing_document(catalogue: Catalogue, listing: Listing) -> Document:
     """A page of the collection."""
-    words = listing.q.casefold().split()
-    labels = catalogue.labels()
-    among: Collection[str] = labels
-    if listing.state == "incomplete":
-        among = {record.id for page in catalogue.pages(incomplete=True) for record in page}
-    elif listing.state:
-        among = {record.id for record in catalogue.records(status="failed")}
-        among = among if listing.state == "failed" else labels.keys() - among
-    chosen = [
-        shape_id
-        for shape_id, label in labels.items()
-        if (not listing.label or label == listing.label)
-        and shape_id in among
-        and (not words or all(word in shape_id.casefold() for word in words))
-    ]
-    if listing.since or listing.until or listing.sort.endswith("added"):
-        times = defaultdict(str, catalogue.times())  # without shapes that were stored since
-        first, last = str(listing.since or ""), str(listing.until or "9999-12-31")
-        chosen = [shape_id for shape_id in chosen if first <= times[shape_id][:DAY] <= last]
-    if listing.sort.endswith(
-        "label"
-    ):  # a stable sort, so that shapes of one class are in the order of ids
-        chosen.sort(key=lambda shape_id: (labels[shape_id] is None, labels[shape_id] or ""))
-    elif listing.sort.endswith("added"):
-        chosen.sort(key=times.__getitem__)
-    if listing.sort.startswith("-"):
-        chosen.reverse()
-    start = (listing.page - 1) * PAGE
-    found = map(catalogue.get, chosen[start : start + PAGE])
+    words, start = listing.q.casefold().split(), (listing.page - 1) * PAGE
+    if words:  # compared by Python, because databases know ASCII letters alone
+        _, ids = catalogue.wanted(**listing.wanted)
+        among = [one for one in ids if all(word in one.casefold() for word in words)]
+        total, chosen = len(among), among[start : start + PAGE]
+    else:
+        total, chosen = catalogue.wanted(**listing.wanted, limit=PAGE, offset=start)
+    found = {record.id: record for record in catalogue.several(chosen)}
     return {
-        "total": len(chosen),
+        "total": total,
         "page": listing.page,
-        "pages": -(-len(chosen) // PAGE),
-        "shapes": [shape_document(record) for record in found if record is not None],
+        "pages": -(-total // PAGE),
+        "shapes": [shape_document(found[one]) for one in chosen if one in found],
     }
 
 

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import AsyncIterable, Mapping
 from datetime import date
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 from urllib.parse import urlencode
 
 from pydantic import ConfigDict, Field
@@ -74,6 +74,20 @@ class Listing(_Fields):
     since: date | None = None
     until: date | None = None
     page: Annotated[int, Field(ge=1, le=10**9)] = 1
+
+    @property
+    def wanted(self) -> dict[str, Any]:
+        """What `Catalogue.wanted` is asked, without the words of a name and the page."""
+        days = None
+        if self.since or self.until:
+            days = str(self.since or ""), str(self.until or "9999-12-31")
+        return {
+            "label": self.label,
+            "state": self.state,
+            "days": days,
+            "order": self.sort.removeprefix("-"),
+            "descending": self.sort.startswith("-"),
+        }
 
 
 class Similar(_Fields):

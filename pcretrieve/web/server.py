@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 import secrets
 import socket
-import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,14 +15,15 @@ from pcretrieve.errors import InputError
 from pcretrieve.options import OptionsLike
 
 if TYPE_CHECKING:
+    from pcretrieve.web.application import Site
     from pcretrieve.web.guard import Guard
 
 ADDRESS = "127.0.0.1"
 
 TOKEN = re.compile(r"[A-Za-z0-9_-]+")
 
-# Number of threads that draw pictures and list shapes. Searches have one thread of their own: Python runs
-# one thread at a time, and of 50 queries at a time at 100,000 shapes, one thread answers 443 a second, two
+# Number of threads that draw pictures. Searches have one thread of their own, and lists too: Python runs one
+# thread at a time, and of 50 queries at a time at 100,000 shapes, one thread answers 443 a second, two
 # threads 355 and three 332 (two cores), because they wait for each other.
 N_DRAWING = 2
 
@@ -87,22 +88,9 @@ def serve(
         If the catalogue cannot be opened, or the options require other spectra than it has.
     """
     # Imported here, because the server alone needs the web framework.
-    from pcretrieve.pages.thumbnails import Thumbnails
-    from pcretrieve.web.application import Readers, Site, application
+    from pcretrieve.web.application import application
     from pcretrieve.web.guard import Guard
-    from pcretrieve.web.jobs import Jobs
-    from pcretrieve.web.keeping import Collection
 
-    threading.Thread(
-        target=__import__, args=("sklearn.manifold",), daemon=True
-    ).start()  # for maps, .8 s
-    with Catalogue(catalogue) as store:
-        chosen = PipelineOptions.of(options, store.options)
-        store.index(
-            chosen
-        )  # so that it is made, and what it lacks is said, before the first request
-        title, thumbnails = Path(store.location).name, Thumbnails(store, up)
-        scanned = store.options.model_copy(update={"signature": chosen.signature})
     key = token or secrets.token_urlsafe(24)
     if not TOKEN.fullmatch(key):
         raise InputError(
@@ -112,11 +100,53 @@ def serve(
         raise InputError(
             f"scans are kept in a folder, by a server that is not read-only, got {keep}"
         )
-    location, jobs = str(catalogue), None
+    with (
+        opened_site(
+            catalogue,
+            options,
+            read_only=read_only,
+            most_bytes=most_bytes,
+            timeout=timeout,
+            memory=memory,
+            up=up,
+            keep=keep,
+        ) as site,
+        _listening(port) as listener,
+    ):
+        address = f"http://{ADDRESS}:{listener.getsockname()[1]}/?token={key}"
+        site.searching.prepare(lambda catalogue: catalogue.index(site.options).load())
+        _run(Guard(application(site), key), listener, lambda: on_start(address))
+
+
+@contextmanager
+def opened_site(
+    catalogue: str | Path,
+    options: OptionsLike = None,
+    *,
+    read_only: bool,
+    most_bytes: int,
+    timeout: float,
+    memory: float,
+    up: str | None,
+    keep: str | Path | None,
+) -> Iterator[Site]:
+    """Open a catalogue and all that requests need; the arguments are those of `serve`."""
+    from pcretrieve.pages.thumbnails import Thumbnails
+    from pcretrieve.web.application import Readers, Site
+    from pcretrieve.web.comparison import Maps
+    from pcretrieve.web.jobs import Jobs
+    from pcretrieve.web.keeping import Collection
+
+    with Catalogue(catalogue) as store:
+        chosen = PipelineOptions.of(options, store.options)
+        # Made now, so that what it lacks is said before the first request.
+        store.index(chosen)
+        title, thumbnails = Path(store.location).name, Thumbnails(store, up)
+        scanned = store.options.model_copy(update={"signature": chosen.signature})
+    location, jobs, collection = str(catalogue), None, None
+    if keep is not None:
+        collection = Collection(location, Path(keep).absolute(), timeout, memory)
     if not read_only:
-        kept = (
-            None if keep is None else Collection(location, Path(keep).absolute(), timeout, memory)
-        )
         jobs = Jobs(
             location,
             title,
@@ -124,24 +154,18 @@ def serve(
             timeout=timeout,
             memory=memory,
             thumbnails=thumbnails,
-            collection=kept,
+            collection=collection,
         )
-    searching, drawing = Readers(location, 1), Readers(location, N_DRAWING)
-    site = Site(searching, drawing, title, chosen, jobs, most_bytes, thumbnails)
+    searching, listing, drawing = (Readers(location, n) for n in (1, 1, N_DRAWING))
+    maps = Maps(location, chosen)
     try:
-        with _listening(port) as listener:
-            address = f"http://{ADDRESS}:{listener.getsockname()[1]}/?token={key}"
-            searching.prepare(lambda catalogue: catalogue.index(chosen).load())
-            drawing.prepare(
-                lambda catalogue: site.maps.shown(catalogue, chosen)
-            )  # seconds, of many shapes
-            _run(Guard(application(site), key), listener, lambda: on_start(address))
+        yield Site(searching, listing, drawing, title, chosen, jobs, most_bytes, thumbnails, maps)
     finally:
         if jobs is not None:
             jobs.close()
-        site.maps.close()
-        searching.close()
-        drawing.close()
+        maps.close()
+        for readers in (searching, listing, drawing):
+            readers.close()
 
 
 def _listening(port: int) -> socket.socket:

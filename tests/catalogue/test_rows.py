@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,11 @@ from pcretrieve.catalogue import Record, postgresql as postgresql_module
 from pcretrieve.catalogue.records import OWN, PAYLOADS, Entry, settings_of
 from pcretrieve.catalogue.rows import Rows
 from pcretrieve.errors import CatalogueError, OptionError
-from pcretrieve.values import Step
+from pcretrieve.values import Step, Verdict
 
 SETTINGS = {"options": "{}", "numbers_version": "7"}
 IDS = ("b", "d", "a", "c")
+DAYS = (None, ("2026-01-02", "2026-01-02"), ("", "2026-01-01"))
 
 
 def done(name: str, **changes: Any) -> Entry:
@@ -66,7 +68,6 @@ def test_records_are_found(rows: Rows, new_location: str, monkeypatch: pytest.Mo
     assert ids(rows.records(status="failed")) == ["e"]
     assert rows.origins()[1] == Record("b", "/b.ply", "hash-b", "label", "done")
     assert rows.origins()[4] == Record("e", "/e.ply", "", None, "failed")
-    assert rows.times() == {found.id: found.added for found in rows.records()}
     rows.store(done("f", content_hash="hash-b"))
     assert ids(rows.several(["d", "nobody", "a", "d"])) == ["a", "d"]
     assert ids(rows.with_content("hash-b")) == ["b", "f"]
@@ -75,6 +76,62 @@ def test_records_are_found(rows: Rows, new_location: str, monkeypatch: pytest.Mo
     rows.store(failed("i", label="label"))
     assert rows.labelled(["other", "label", "nobody"]) == ["a", "b", "c", "d", "f", "h"]
     assert rows.labelled([]) == []
+
+
+def test_wanted_shapes_are_those_of_a_sorted_list(rows: Rows) -> None:
+    """All combinations of what is asked, against lists of Python."""
+    bad = Verdict("incomplete", 0.5, ("a hole",))
+    added = "2026-01-0{}T23:59:59+00:00"
+    rows.store(done("É", label="z", added=added.format(2), verdict=bad))
+    rows.store(done("B", label=None, added=added.format(1)))
+    rows.store(failed("f", label="z", added=added.format(3)))
+    rows.store(done("g", label="", added=added.format(3), verdict=bad))
+    records = rows.records()
+    keys = {
+        "id": lambda one: one.id,
+        "label": lambda one: (one.label is None, one.label or "", one.id),
+        "added": lambda one: (one.added, one.id),
+    }
+    judged = {"": records, "incomplete": [one for one in records if one.is_incomplete]}
+    for state in ("done", "failed"):
+        judged[state] = [one for one in records if one.status == state]
+    n_found = 0
+    for state, label, days in product(judged, ("", "z"), DAYS):
+        first, last = days or ("", "9")
+        among = [one for one in judged[state] if first <= one.added[:10] <= last]
+        among = [one for one in among if not label or one.label == label]
+        for order, descending in product(keys, (False, True)):
+            expected = ids(sorted(among, key=keys[order], reverse=descending))
+            asked: dict[str, Any] = {"state": state, "label": label, "days": days}
+            asked |= {"order": order, "descending": descending}
+            assert rows.wanted(**asked) == (len(expected), expected)
+            assert rows.wanted(**asked, limit=2, offset=1) == (len(expected), expected[1:3])
+            n_found += len(expected)
+    assert n_found > 100
+    assert sorted(rows.classes(9)) == ["", "label", "z"] and len(rows.classes(2)) == 2
+
+
+def test_each_change_gives_the_rows_another_state(rows: Rows, new_location: str) -> None:
+    """Of this connection and of others; also those that do not change the revision."""
+    record = rows.record("a")
+    with Rows(new_location, SETTINGS, create=False) as other:
+        changes: list[Callable[[Rows], object]] = [
+            lambda store: store.store(failed("new")),
+            lambda store: store.store(failed("new", message="other")),
+            lambda store: store.revise(moved={(path := store.record("b").path): path + "x"}),
+            lambda store: store.revise(labels={"/d.ply": "new label"}),
+            lambda store: store.keep("digest", [(record, b"12345678")]),
+            lambda store: store.remove("new"),
+        ]
+        states = [rows.state()]
+        assert rows.state() == states[0]
+        for change, store in product(changes[:-1], (other, rows)):
+            change(store)
+            states.append(rows.state())
+            assert rows.records() and rows.state() == states[-1]
+        changes[-1](other)
+        states.append(rows.state())
+    assert len(set(states)) == len(states) == 12
 
 
 def test_signatures_are_listed_in_the_order_of_ids(rows: Rows) -> None:

@@ -7,8 +7,6 @@ import numpy as np
 from pcretrieve.retrieval import pairwise
 from pcretrieve.retrieval.distances import pairwise_blocks
 from pcretrieve.retrieval.reranking import (
-    EXPANDED,
-    K_RECIPROCAL,
     NeighbourLists,
     k_reciprocal,
     neighbour_lists,
@@ -40,13 +38,21 @@ def test_a_list_keeps_its_shapes_and_its_first() -> None:
             assert np.sort(rerank(lists_of(few)), axis=1).tolist() == [list(range(n))] * n
 
 
+def test_a_hundred_results_are_sorted_again() -> None:
+    points = some_points(150)
+    assert neighbour_lists(pairwise_blocks("log", points, np.arange(150)), 150).order.shape == (
+        150,
+        101,
+    )
+
+
 def test_k_reciprocal_is_that_of_sets() -> None:
     """Zhong et al., equations 2 to 12, with sets and loops."""
     points = some_points()
     lists = lists_of(points)
     distances = pairwise("log", points, points)
     order, n = np.argsort(distances, axis=1, kind="stable"), len(points)
-    k1, k2, weight = K_RECIPROCAL
+    k1, k2, weight = 12, 4, 0.3
 
     def reciprocal(i: int, k: int) -> set[int]:
         return {j for j in order[i, : k + 1].tolist() if i in order[j, : k + 1]}
@@ -56,7 +62,7 @@ def test_k_reciprocal_is_that_of_sets() -> None:
         members = reciprocal(i, k1)
         for j in reciprocal(i, k1):
             own = reciprocal(j, k1 // 2)
-            if len(own & reciprocal(i, k1)) > EXPANDED * len(own):
+            if len(own & reciprocal(i, k1)) > 2 / 3 * len(own):
                 members |= own
         rows = sorted(members)
         features[i, rows] = np.exp(-distances[i, rows] / distances[i, order[i, 1 : k1 + 1]].mean())

@@ -12,7 +12,7 @@ from pcretrieve.options import RetrievalOptions
 from pcretrieve.query import SURE, UNLIKELY, Match
 from pcretrieve.retrieval import SignatureIndex, pairwise, table_whitening
 from pcretrieve.retrieval.clusters import GAP, near_pairs, plane_map
-from pcretrieve.retrieval.scores import MatchScores, fit_scores
+from pcretrieve.retrieval.scores import MatchScores, _Pairs, _shares, fit_scores
 from pcretrieve.values import SignatureTable
 
 PLAIN = RetrievalOptions(whitening="none")
@@ -80,6 +80,74 @@ def test_sure_answers_are_right_and_strangers_are_told() -> None:
     assert (
         near <= 0 <= far
     )  # slopes with the logarithms of the distance, and of its ratio to the next class
+
+
+def test_the_reach_of_a_rate_is_farther_than_that_share_of_strangers() -> None:
+    """A false match is a pair of two classes that is as near, and a larger rate reaches farther."""
+    table = classes(12, 6, seed=3)
+    found = scores_of(table)
+    logs, labels = np.log(table.values), np.array(table.labels)
+    first, second = np.triu_indices(len(table), k=1)
+    strangers = labels[first] != labels[second]
+    apart = pairwise("log", logs, logs)[first, second][strangers]
+    for rate in (0.003, 0.01, 0.1, 0.3, 0.9):
+        assert (apart <= found.reach(rate)).mean() == pytest.approx(rate, rel=0.1)
+    assert (found.reach(0.0), found.reach(1.0)) == pytest.approx((apart.min(), apart.max()))
+
+
+def test_two_points_have_scores_that_can_be_counted() -> None:
+    """Twenty pairs of one class at a distance of 0, and 25 others: Jeffreys adds a half to both."""
+    table = table_of(np.repeat([[0.0], [1.0]], 5, axis=0), classes_of(10, 5))
+    near, far = scores_of(table).of(np.array([0.0, 9.0]))
+    assert (near, far) == pytest.approx((20.5 / 21, 0.5 / 26), rel=1e-12)
+
+
+def test_scores_need_ten_pairs_of_one_class() -> None:
+    for sizes, n_pairs in (((5, 1), 10), ((3, 3, 3), 9)):
+        labels = [f"class {number}" for number, size in enumerate(sizes) for _ in range(size)]
+        table = table_of(np.random.default_rng(0).normal(size=(len(labels), 3)), labels)
+        assert (fit_scores(table, table_whitening(table, PLAIN)) is None) == (n_pairs == 9)
+
+
+def test_a_score_is_known_for_every_five_pairs_and_at_a_hundred_distances() -> None:
+    """Between pairs of one class there are ever more others, so that no two intervals are pooled."""
+    for n_same, n_known in ((60, 12), (99, 19), (1000, 100)):
+        ours = np.arange(n_same, dtype=np.float64)
+        others = np.repeat(ours + 0.5, np.arange(n_same))
+        same = np.arange(n_same + len(others)) < n_same
+        pairs = _Pairs(np.append(ours, others), same, np.ones(len(same)))
+        distances, scores = _shares(pairs)
+        assert len(distances) == len(np.unique(scores)) == n_known + 1  # and behind the last
+
+
+def test_a_stranger_counts_as_a_tenth_of_a_known_query() -> None:
+    """All distances are 1: the first class is the answer to each query, and right for its two shapes."""
+    table = table_of(np.eye(20) / np.sqrt(2), classes_of(20, 2))
+    assert scores_of(table).sureness(1.0, 1.0) == pytest.approx(2 / (20 + 0.1 * 20), rel=1e-3)
+
+
+def test_slopes_of_certainty_are_where_the_ridge_holds_the_likelihood() -> None:
+    """The derivative of the likelihood is twice the ridge times the slope, and 0 for the constant."""
+    table = classes(8, 6, seed=1, spread=0.25)
+    found, logs = scores_of(table).certainty, np.log(table.values)
+    apart, labels = pairwise("log", logs, logs), np.array(table.labels)
+    slope = np.zeros(3)
+    for query, label in enumerate(labels):
+        for weight, hidden in ((1.0, np.arange(48) == query), (0.1, labels == label)):
+            row = np.where(hidden, np.inf, apart[query])
+            other = row[labels != labels[row.argmin()]].min()
+            features = np.array([1.0, np.log(row.min()), np.log(other / row.min())])
+            is_right = labels[row.argmin()] == label
+            slope += weight * (is_right - 1 / (1 + np.exp(-features @ found))) * features
+    assert found[1] < 0 < found[2], "neither slope is at its bound"
+    np.testing.assert_allclose(slope, 2 * 0.01 * found * [0, 1, 1], atol=1e-3)
+
+
+def test_shapes_nearer_than_a_thousandth_are_equally_near() -> None:
+    found = scores_of(classes(8, 6, seed=0))
+    at_limit = found.sureness(0.001, 0.5)
+    assert found.sureness(0.0, 0.5) == found.sureness(0.00095, 0.5) == at_limit
+    assert found.sureness(0.00105, 0.5) != at_limit
 
 
 def test_an_answer_is_one_line() -> None:

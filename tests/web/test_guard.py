@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from pathlib import Path
 
 import pytest
@@ -9,8 +10,6 @@ from search_server import Server, raw, running, status
 
 from pcretrieve import serve
 from pcretrieve.errors import InputError
-
-pytestmark = pytest.mark.slow
 
 PRIVATE = ("/", "/shapes", "/shapes/Egg00/similar", "/assets/page.css", "/nothing")
 
@@ -119,13 +118,19 @@ def test_other_methods_are_refused(server: Server) -> None:
     )
 
 
+@pytest.mark.slow
+def test_each_server_has_a_token_of_its_own(server: Server, eggs: Path) -> None:
+    with running(eggs, "--whitening", "pca") as other:
+        assert other.token != server.token
+        assert "pca" in other.ask("/shapes/Egg00/similar").json["whitening"]
+
+
 def test_a_server_listens_at_this_computer_only_and_says_what_it_cannot_do(
     server: Server, eggs: Path
 ) -> None:
-    with running(eggs, "--whitening", "pca") as other:
-        assert other.address.startswith("http://127.0.0.1:")
-        assert other.token != server.token and len(other.token) >= 32
-        assert "pca" in other.ask("/shapes/Egg00/similar").json["whitening"]
+    assert server.address.startswith("http://127.0.0.1:") and len(server.token) >= 32
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.2", server.port), timeout=9)
     with pytest.raises(
         InputError, match=f"cannot serve at port {server.port}: .* give another --port"
     ):

@@ -1,0 +1,118 @@
+"""Which holes are capped, and which caps are a base: drawn cases just within and just beyond each limit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pcretrieve.surface.caps import NO_CAP, Capped, base_of, capped
+from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
+
+N = 11  # vertices of a side of the sheet
+
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+def capped_faces(ring: float, middle: float, spacing: float = 0.001) -> int:
+    """The number of faces of caps of a square sheet, of which nine vertices are far from all points.
+
+    ring, middle: distances from the points of the middle vertex and of the eight round it; as spacing,
+        relative to the diagonal.
+    """
+    number = np.arange(N * N).reshape(N, N)
+    places = np.stack(np.meshgrid(*[np.linspace(0, 1, N)] * 2, indexing="ij"), axis=-1)
+    vertices = np.append(places.reshape(-1, 2), np.zeros((N * N, 1)), axis=1)
+    a, b, c, d = (
+        part.ravel()
+        for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
+    )
+    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    # Each vertex is nearest to its own point, which is above it.
+    height = np.zeros((N, N))
+    height[4:7, 4:7] = ring
+    height[5, 5] = middle
+    points = vertices + np.sqrt(2) * height.reshape(-1, 1) * [0, 0, 1]
+    cloud = PointCloud(points)
+    assert cloud.diagonal == pytest.approx(np.sqrt(2), rel=2e-3)
+    found = capped(
+        TriangleMesh(vertices, faces.astype(np.int32)), cloud, spacing=spacing * np.sqrt(2)
+    )
+    return int((found.cap != NO_CAP).sum())
+
+
+# Faces round one vertex, and round the nine of a square.
+ONE, NINE = 6, 30
+
+
+def test_a_hole_is_capped_from_a_fortieth_of_the_diagonal() -> None:
+    assert [capped_faces(0.02, middle) for middle in (0.0240, 0.0260)] == [0, NINE]
+
+
+def test_a_hole_begins_a_80th_of_the_diagonal_or_two_spacings_from_the_points() -> None:
+    assert [capped_faces(ring, 0.04) for ring in (0.0115, 0.0125)] == [ONE, NINE]
+    assert [capped_faces(ring, 0.04, spacing=0.01) for ring in (0.0195, 0.0205)] == [ONE, NINE]
+
+
+def seat(
+    slope: float = 0.0, tilt: float = 0.0, *, up: FloatArray | None = None, **cloud: float
+) -> list[int]:
+    """The numbers of the caps of a base: of a square pyramid, 0, and of a small triangle, 1.
+
+    slope: of the sides of the pyramid, whose apex is in the body; tilt: of the triangle; angles.
+    """
+    corners = 0.4 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    apex = [[0, 0, 0.4 * np.tan(slope)]]
+    across = 0.1 * np.array([[0, 1, 0], [np.cos(tilt), 0, np.sin(tilt)], [0, -1, 0]])
+    across[:, 2] += 0.5
+    vertices = np.concatenate([corners, apex, across])
+    faces = [[1, 0, 4], [2, 1, 4], [3, 2, 4], [0, 3, 4], [5, 6, 7]]
+    surface = TriangleMesh(vertices, np.array(faces, dtype=np.int32))
+    assert (surface.area_vectors @ DOWN > 0).all()
+    caps = np.array([0, 0, 0, 0, 1])
+    found = base_of(Capped(surface, caps), body(**cloud, up=up))
+    return sorted({int(number) for number in caps[found]})
+
+
+def body(
+    *, beneath: float = 0.0, depth: float = 0.2, aside: float = 0.0, up: FloatArray | None = None
+) -> PointCloud:
+    """A thousand points above a seat in the plane z = 0, but for a share of them.
+
+    depth: of that share; relative to the diagonal. aside: how far the mean of the points is along x.
+    """
+    points = np.random.default_rng(0).uniform([-1, -1, 0.2], [1, 1, 2.0], size=(1000, 3))
+    diagonal = np.sqrt(4 + 4 + 9)
+    points[: round(1000 * beneath), 2] = -depth * diagonal
+    points[:, :2] -= points[:, :2].mean(axis=0)
+    points[:, 0] = points[:, 0] / 10 + aside
+    # The corners of the box.
+    points[-2:] = [[-1, -1, -1], [1, 1, 2]]
+    ground = {} if up is None else dict(zip(("up_x", "up_y", "up_z"), up.tolist(), strict=True))
+    cloud = PointCloud(points, provenance=(Step("crop", 0.0, ground),))
+    assert cloud.diagonal == pytest.approx(diagonal)
+    return cloud
+
+
+def test_a_cap_is_flat_if_seven_tenths_of_its_area_face_one_way() -> None:
+    """The area of a pyramid's base is the cosine of the slope of its sides, times their area."""
+    assert [seat(np.arccos(flat)) for flat in (1.0, 0.71, 0.69)] == [[0, 1], [0, 1], [1]]
+
+
+def test_caps_of_a_base_are_parallel_up_to_a_cosine_of_nine_tenths() -> None:
+    assert [seat(0.0, np.arccos(cosine)) for cosine in (1.0, 0.91, 0.89)] == [[0, 1], [0, 1], [0]]
+
+
+def test_a_body_stands_if_three_tenths_of_its_points_are_beneath() -> None:
+    """As the lower legs of somebody who sits, which must not be more."""
+    assert [seat(beneath=share) for share in (0.0, 0.29, 0.31)] == [[0, 1], [0, 1], []]
+    # What is known is not asked: the ground was removed from the scan.
+    assert seat(beneath=0.31, up=-DOWN) == [0, 1]
+
+
+def test_points_within_a_fiftieth_of_the_diagonal_touch_the_ground() -> None:
+    for depth, stands in ((0.0195, True), (0.0205, False)):
+        assert seat(beneath=0.5, depth=depth) == ([0, 1] if stands else [])
+
+
+def test_a_body_stands_if_its_mean_is_above_its_base() -> None:
+    assert [seat(aside=aside) for aside in (0.39, 0.41)] == [[0, 1], []]
