@@ -136,3 +136,6 @@ def test_every_script_prints_its_figures(tmp_path: Path) -> None:
     assert "shrec11" in printed("benchmark_retrieval", "--data", tmp_path, "--only", "shrec11")
     assert "cold command" in printed("benchmark_speed", "--part", "command")
     assert "scans" in printed("benchmark_batch", "--scans", "4", "--rounds", "1")
+    small = ("--shapes", "100", "--clients", "2", "--seconds", "1", "--meshes", "400")
+    served = printed("benchmark_serve", *small)
+    assert len(re.findall(r"^/.* ms +0$", served, re.MULTILINE)) == 9
