@@ -31,16 +31,16 @@ from pcretrieve.points.neighbors import (
     spacing,
 )
 from pcretrieve.points.outside import Outside, flood
-from pcretrieve.surface.caps import NO_CAP, Capped, base_of, ends_a_part, points_on
+from pcretrieve.surface.caps import NO_CAP, Capped, base_of, faces_ground, points_on
 from pcretrieve.surface.coarse import coarse_surface, crossings, filled
-from pcretrieve.surface.fairing import faired, vertex_normals, with_ring
+from pcretrieve.surface.fairing import faired, with_ring
 from pcretrieve.surface.field import distance_field, folded, hidden_below, normals_of
 from pcretrieve.surface.growth import with_topology
 from pcretrieve.surface.marching import LEAST_SHARE, Crossings, crossed, marched, smoothed
 from pcretrieve.surface.parts import CONTINUED, contact_layer, joined, rims, walls
 from pcretrieve.surface.simplify import simplified
 from pcretrieve.surface.topology import edges_of
-from pcretrieve.values import FloatArray, IntArray, PointCloud, Step, TriangleMesh
+from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
 
 # Largest fraction of the interior of the coarse surface that the flood fill may reach. If it reaches more, it
 # has leaked through a hole, and is repeated with the radius of closed holes times each factor in turn.
@@ -188,8 +188,9 @@ def _body_surface(
         raise ReconstructionError(f"{len(cloud.points)} points enclose nothing")
     body, cuts = with_topology(inside, crossed_links, to_points, options, notes)
     del to_points, crossed_links
-    mesh, is_invented = _surface(body, inside, parted, distance, coarse, grid)
+    mesh, is_invented, in_hole = _surface(body, inside, parted, distance, coarse, grid)
     invented = _invented(mesh, is_invented)
+    mesh = _fair(mesh, in_hole, cloud)
     final = simplified(mesh, options.target_faces)
     step = Step(
         "surface",
@@ -252,7 +253,7 @@ def _continued(cloud: PointCloud, grid: Grid, to_points: Voxels) -> Mask:
 
 def _surface(
     body: Mask, inside: Mask, parted: Mask, distance: Voxels, coarse: Capped, grid: Grid
-) -> tuple[TriangleMesh, Mask]:
+) -> tuple[TriangleMesh, Mask, Mask]:
     """The boundary surface of the voxels of the body, with vertices at the zeros of the signed distance.
 
     A vertex lies on a grid line between a voxel of the body and one outside. Where the signed distance
@@ -262,10 +263,11 @@ def _surface(
     body, inside: the body after and before region growing.
     parted: the voxels removed by `contact_layer`.
     distance: signed distance to the points; in voxels, NaN far from the points.
-    Returns mesh, invented: the surface, and (n,) a mask of the vertices that no points support. Vertices
-        beside removed contact voxels do not count, because there are points near them.
+    Returns mesh, invented, in_hole: the surface, and two masks (n,): of the vertices that no points support,
+        and of those of them that close a hole of the scan, not a cut or a bridge. Vertices beside removed
+        contact voxels do not count, because there are points near them.
     """
-    placed, invented, unseen = [], [], []
+    placed, invented, unseen, in_hole = [], [], [], []
     inside, parted, distance = inside.ravel(), parted.ravel(), distance.ravel()
     for axis, here in enumerate(crossed(body)):
         low = np.ravel_multi_index(tuple(here.T), body.shape)
@@ -280,33 +282,33 @@ def _surface(
         placed.append(Crossings(here, np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE)))
         invented.append(~believed)
         unseen.append(~believed & ~parted[low] & ~parted[high])
+        in_hole.append(unseen[axis] & changes)
     vertices, faces = marched(body, placed)
     moved = smoothed(vertices, faces, np.flatnonzero(np.concatenate(invented)), SMOOTHING)
-    counted = np.concatenate(unseen)
     # The vertices after those on grid lines, inside cubes of the grid, are few.
-    counted = np.pad(counted, (0, len(vertices) - len(counted)))
-    return TriangleMesh(grid.centres(_fair(moved, faces, counted)), faces), counted
+    rest = (0, len(vertices) - sum(map(len, unseen)))
+    counted, holes = (np.pad(np.concatenate(each), rest) for each in (unseen, in_hole))
+    return TriangleMesh(grid.centres(moved), faces), counted, holes
 
 
-def _fair(vertices: FloatArray, faces: IntArray, invented: Mask) -> FloatArray:
-    """The vertices, of which patches that no points support have been faired, but for flat ends of parts."""
-    normals = vertex_normals(vertices, faces)[~invented]
+def _fair(mesh: TriangleMesh, in_hole: Mask, cloud: PointCloud) -> TriangleMesh:
+    """The surface, after patches in holes of the scan have been faired, but for those on the ground."""
+    vertices, faces = mesh.vertices, mesh.faces
     links = edges_of(faces).ends
-    links = links[invented[links].all(axis=1)]
+    links = links[in_hole[links].all(axis=1)]
     patch = joined_by(links[:, 0], links[:, 1], len(vertices))
-    sizes = np.bincount(patch[invented], minlength=1)
+    sizes = np.bincount(patch[in_hole], minlength=1)
     for number in np.flatnonzero(sizes >= LEAST_FAIRED):
-        own = invented & (patch == number)
+        own = in_hole & (patch == number)
         around = faces[own[faces].any(axis=1)]
-        rim = np.setdiff1d(around, np.flatnonzero(own))
-        axis = TriangleMesh(vertices, around).area_vectors.sum(axis=0)
-        axis /= np.linalg.norm(axis)
-        if ends_a_part(vertices[rim], axis, vertices[~invented], normals):
+        before = TriangleMesh(vertices, around)
+        axis = before.area_vectors.sum(axis=0)
+        if faces_ground(axis / np.linalg.norm(axis), cloud):
             continue
         moved = faired(vertices, faces, with_ring(own, faces))
-        if TriangleMesh(moved, around).area < MOST_STRETCHED * TriangleMesh(vertices, around).area:
+        if TriangleMesh(moved, around).area < MOST_STRETCHED * before.area:
             vertices = moved
-    return vertices
+    return TriangleMesh(vertices, faces)
 
 
 def _invented(mesh: TriangleMesh, invented: Mask) -> float:

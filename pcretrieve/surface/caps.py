@@ -53,21 +53,20 @@ class Capped(NamedTuple):
     """A surface that is closed in the holes of the points.
 
     cap: (m,) the number of the hole that a face closes, −1 if there are points.
-    is_flat: (m,) bool, whether it is in the flat cap of a base or of a limb that was cut off.
+    is_end: (m,) bool, whether it closes the end of a limb that was cut off, or a base.
     """
 
     surface: TriangleMesh
     cap: NDArray[np.intp]
-    is_flat: Mask
+    is_end: Mask
 
 
 def capped(surface: TriangleMesh, cloud: PointCloud, *, spacing: float) -> Capped:
-    """Close the large holes of the points: round where the body is round, flat where it ends.
+    """Close the large holes of the points, round, or flat on the ground.
 
     A level set recedes in a hole, and a Poisson surface bulges out of a large one. Each hole gets a fair
-    patch instead; but the base of a body, and the end of a limb that was cut off, get a membrane: each of
-    its vertices is at the mean of its neighbours, so that it is flat if the rim is planar. The rim is moved
-    to the points.
+    patch instead. What stands on a ground that the stage `crop` has removed is flat there, so that it gets a
+    membrane: each vertex is at the mean of its neighbours. The rim is moved to the points.
 
     spacing: of the points.
     """
@@ -84,9 +83,9 @@ def capped(surface: TriangleMesh, cloud: PointCloud, *, spacing: float) -> Cappe
     # A component that is far from all points has no rim.
     free &= np.isin(hole, hole[rims[free[rims]]])
     cap = np.where(free[surface.faces], hole[surface.faces], NO_CAP).max(axis=1)
-    is_flat = np.zeros(len(cap), dtype=np.bool_)
+    is_end = np.zeros(len(cap), dtype=np.bool_)
     if not free.any():
-        return Capped(surface, cap, is_flat)
+        return Capped(surface, cap, is_end)
     vertices = surface.vertices.copy()
     rim = np.setdiff1d(surface.faces[cap != NO_CAP], np.flatnonzero(free))
     vertices[rim] = cloud.points[near[rim]]
@@ -96,13 +95,19 @@ def capped(surface: TriangleMesh, cloud: PointCloud, *, spacing: float) -> Cappe
         axis = TriangleMesh(flat, surface.faces[here]).area_vectors.sum(axis=0)
         axis /= np.linalg.norm(axis)
         own_rim = vertices[np.setdiff1d(surface.faces[here], np.flatnonzero(own))]
-        on_ground = cloud.up is not None and axis @ cloud.up < -PARALLEL
-        if on_ground or ends_a_part(own_rim, axis, cloud.points, normals_of(cloud)):
+        if faces_ground(axis, cloud):
             vertices = flat
-            is_flat |= here
+            is_end |= here
         else:
             vertices = faired(vertices, surface.faces, own)
-    return Capped(TriangleMesh(vertices, surface.faces), cap, is_flat)
+            if ends_a_part(own_rim, axis, cloud.points, normals_of(cloud)):
+                is_end |= here
+    return Capped(TriangleMesh(vertices, surface.faces), cap, is_end)
+
+
+def faces_ground(axis: FloatArray, cloud: PointCloud) -> bool:
+    """Whether a hole, with the unit normal of the flat patch that closes it, faces a ground that is known."""
+    return cloud.up is not None and bool(axis @ cloud.up < -PARALLEL)
 
 
 def _membrane(vertices: FloatArray, faces: NDArray[np.integer], free: Mask) -> FloatArray:
@@ -144,7 +149,7 @@ def ends_a_part(rim: FloatArray, axis: FloatArray, points: FloatArray, normals: 
 
 
 def base_of(capped: Capped, cloud: PointCloud) -> Mask:
-    """(m,) mask of the faces of a base: flat caps that face down.
+    """(m,) mask of the faces of a base: caps of ends of the body that face down, and are nearly flat.
 
     Down is away from the ground, if the stage `crop` has removed it. Otherwise it is the normal of the
     largest cap on which the body can stand: few points are beneath its plane, and the mean of the points is
@@ -153,8 +158,8 @@ def base_of(capped: Capped, cloud: PointCloud) -> Mask:
     The caps of a seat and of hands that rest on something belong to it, if they face down. It has no faces if
     the body cannot stand.
     """
-    surface, cap, is_flat = capped
-    numbers = np.unique(cap[is_flat])
+    surface, cap, is_end = capped
+    numbers = np.unique(cap[is_end])
     sums = np.array(
         [surface.area_vectors[cap == number].sum(axis=0) for number in numbers]
     ).reshape(-1, 3)

@@ -22,7 +22,7 @@ from pcretrieve.surface import SurfaceMarks, body_surfaces, defects
 from pcretrieve.surface.caps import NO_CAP, capped
 from pcretrieve.surface.coarse import BESIDE, coarse_surface, crossings, filled, indicator
 from pcretrieve.surface.reconstruct import uniform_points
-from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
+from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
 
 CELL = 0.0045  # edge of the voxels for the torus; relative to the diagonal
 LIMB_RADIUS = 0.06  # of the limb of `limbed`
@@ -204,7 +204,7 @@ def test_holes_of_a_round_body_are_closed_round() -> None:
         assert defects(found.surface).boundary_edges == 0
         assert found.surface.volume == pytest.approx(EGG.volume, rel=0.07)
         assert (found.cap != NO_CAP).any() == (height < 0.99)
-        assert not found.is_flat.any()
+        assert not found.is_end.any()
 
 
 def test_a_hole_at_the_crown_keeps_the_height() -> None:
@@ -214,18 +214,26 @@ def test_a_hole_at_the_crown_keeps_the_height() -> None:
     assert len(marks.base) == 0
 
 
-@pytest.mark.parametrize("side", [1, -1], ids=["top", "base"])
-def test_a_cap_is_in_the_plane_of_its_rim(side: int) -> None:
-    """A limb that was cut off, or a base, gets no dome."""
-    down = np.array([0, 0, side])
+@pytest.mark.parametrize("sensors", [False, True], ids=["points", "sensors"])
+def test_a_body_that_stood_on_a_ground_is_flat_there(sensors: bool) -> None:
+    down = np.array([0, 0, -1.0])
     cloud = ON_LONG.select(ON_LONG.points @ down < 0.3)
-    if side < 0:
+    cloud = cloud.after(Step("crop", 0.0, {"up_x": 0.0, "up_y": 0.0, "up_z": 1.0}))
+    if sensors:
         cloud = replace(cloud, viewpoints=5 * cloud.points)
     mesh, marks = surface(cloud, reconstructions=1)
     assert (mesh.vertices @ down).max() < 0.35  # the rim, by a few voxels
     assert np.median(marks.base @ down) == pytest.approx(0.3, abs=0.02)
     below = np.pi * 0.3 * 0.35 * (1.8 - (1.5**3 + 0.3**3) / (3 * 1.5**2))
     assert mesh.volume == pytest.approx(below, rel=0.02)
+
+
+def test_the_end_of_a_limb_that_was_cut_off_is_known() -> None:
+    cloud = ON_LONG.select(ON_LONG.points[:, 2] < 0.3)
+    mesh, marks = surface(cloud, reconstructions=1)
+    # A dome, lower than half a ball of the width of the limb.
+    assert 0.33 < mesh.vertices[:, 2].max() < 0.3 + 0.35
+    assert np.median(marks.base[:, 2]) > 0.3
 
 
 # --- what is inside -----------------------------------------------------------------------------------
