@@ -9,7 +9,9 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+import pytetwild
 from commands import NAMES, run
+from packaging.version import Version
 
 import pcretrieve
 
@@ -78,6 +80,47 @@ def test_the_dockerfile_says_what_the_project_says() -> None:
     assert all((ROOT / name).exists() for name in copied)
     (command,) = re.findall(r'^ENTRYPOINT \["(.+?)"', text, re.M)
     assert f"\n{command} = " in project
+
+
+def test_the_image_has_locked_packages_and_no_root() -> None:
+    lines = [
+        line
+        for line in DOCKERFILE.replace("\\\n", "").splitlines()
+        if line and not line.startswith("#")
+    ]
+    installs = [line for line in lines if "pip install" in line]
+    assert [line for line in installs if "--require-hashes" not in line] == [
+        line for line in installs if "--no-deps --no-build-isolation /source" in line
+    ]
+    (locked,) = (line for line in installs if "--require-hashes" in line)
+    assert "-r /source/requirements.lock" in locked
+    copied = [line for line in lines if line.startswith("COPY") and "requirements.lock" in line]
+    assert lines.index(copied[0]) < lines.index(locked)
+    # The user is there before it is used, and nothing is installed by it.
+    (user,) = (line for line in lines if line.startswith("USER"))
+    made = next(line for line in lines if f"useradd --create-home {user.split()[1]} " in line)
+    assert lines.index(installs[-1]) < lines.index(made) < lines.index(user)
+    assert f"chown {user.split()[1]} /data" in made
+    assert not any(line.startswith("RUN") for line in lines[lines.index(user) :])
+
+
+def test_the_lock_has_no_version_with_a_known_weakness() -> None:
+    """Lower bounds are those of corrections, and the lock is above all lower bounds."""
+    lock = (ROOT / "requirements.lock").read_text("utf-8")
+    project = (ROOT / "pyproject.toml").read_text("utf-8")
+    for name, least in (("h11", "0.16"), ("pillow", "10.3"), ("starlette", "0.49.1")):
+        (bound,) = re.findall(rf'"{name}>=([\d.]+)"', project)
+        assert Version(bound) >= Version(least)
+        locked = re.findall(rf"^{name}==([\d.]+)", lock, re.M)
+        assert locked and all(Version(one) >= Version(bound) for one in locked)
+
+
+def test_libraries_inside_packages_are_named_with_their_licences() -> None:
+    folder = Path(pytetwild.__file__).parents[1] / "pytetwild.libs"
+    shipped = {path.name.partition("-")[0] for path in folder.iterdir()}
+    licences = (ROOT / "docs" / "licences.md").read_text("utf-8")
+    # The run-time library of GCC has an exception for programs that it compiled.
+    assert shipped - {"libgomp"} == {"libgmp"} and "| GMP, " in licences
 
 
 @pytest.mark.slow
