@@ -139,7 +139,7 @@ BAD: list[tuple[str, dict[str, Any]]] = [
     ("remesh", {"timeout": math.inf}),
     ("spectral", {"n_pairs": 2}),
     ("signature", {"n_values": 0, "n_modes": 1, "size_weight": -1}),
-    ("signature", {"size_weight": 21}),
+    ("signature", {"size_weight": 21, "n_values": 99_999_999_999}),
     ("retrieval", {"shrinkage": 0.0}),
     ("retrieval", {"shrinkage": 1.1}),
 ]

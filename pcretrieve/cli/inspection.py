@@ -124,6 +124,9 @@ def report_problem_command(
         say(f"failed in {failure['stage']}: {failure['message']}")
     else:
         say("the scan does not fail with these options; give those with which it failed")
+    described = found["scan"]
+    if isinstance(described, dict) and described["missing"]:
+        say(f"missing, and not in the file: {', '.join(described['missing'])}")
     say(
         f"attach this file to your report; it has {'the' if with_scan else 'no'} points of the scan"
     )

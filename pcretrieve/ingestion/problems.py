@@ -7,11 +7,12 @@ import json
 import logging
 import platform
 import zipfile
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from sqlite3 import sqlite_version
 
-from pcretrieve.errors import PcretrieveError
+from pcretrieve.errors import PcretrieveError, ScanReadError
 from pcretrieve.formats import parts_of, split_member
 from pcretrieve.formats.identity import content_hash
 from pcretrieve.formats.write import check_output
@@ -34,6 +35,7 @@ def report_problem(
 
     The file has ``problem.json`` (versions, computer, size and hash of the scan, error with its stage, checks
     and steps of the stages before), ``options.toml`` and ``log.txt``. The folder of the scan is left out.
+    Files that a scan names and that are missing, such as a view of a ``.conf`` file, are listed.
 
     Parameters
     ----------
@@ -65,6 +67,10 @@ def report_problem(
     scan, output, options = Path(scan), Path(output), PipelineOptions.of(options)
     file, member = split_member(scan)
     check_output(output, [file])
+    parts: list[Path] = []
+    with suppress(ScanReadError, OSError):  # which is then what is reported
+        parts += [part.path for part in parts_of(file)]
+    missing = [part.name for part in parts if not part.is_file()]
     found: dict[str, object] = {
         "versions": versions() | {"python": platform.python_version(), "sqlite": sqlite_version},
         "computer": platform.platform(),
@@ -73,7 +79,8 @@ def report_problem(
             "name": file.name,
             "member": member,
             "bytes": file.stat().st_size if file.is_file() else None,
-            "content_hash": content_hash(scan),
+            "content_hash": None if missing else content_hash(scan),
+            "missing": missing,
         },
     }
     log = "The process ended before it returned its log.\n"
@@ -93,7 +100,7 @@ def report_problem(
         archive.writestr("options.toml", describe_options(options))
         archive.writestr("log.txt", _without_folder(log, file))
         if with_scan:
-            for part in (file, *(part.path for part in parts_of(file))):
+            for part in (file, *parts):
                 if part.is_file():
                     archive.write(part, f"scan/{part.name}")
     write_file(output, packed.getvalue())

@@ -237,7 +237,7 @@ class SignatureOptions(Options):
 
     method: Annotated[str, AfterValidator(_known_method)] = "hapt+r-bihdm"
     """The descriptor; `lab signature --help-all` lists all of them. Names joined by + fuse descriptors."""
-    n_values: Count = 23
+    n_values: Annotated[int, Field(ge=1, le=10_000)] = 23
     """Number L of values of the descriptor, or of each that is fused; of bags of features, of words.
     Higher values depend more on how finely a surface is triangulated."""
     n_modes: Annotated[int, Field(ge=2)] = 60

@@ -191,6 +191,23 @@ def test_a_scan_that_fails_is_packed_without_its_points_and_its_folder(
     )
 
 
+def test_a_scan_with_a_missing_view_is_packed_as_far_as_it_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_mesh(shapes.icosphere(1), tmp_path / "there.ply")
+    pose = "0 0 0 0 0 0 1"
+    Path("all.conf").write_text(f"bmesh there.ply {pose}\nbmesh lost.ply {pose}\n")
+    done = run("lab", "report-problem", "all.conf", "--with-scan")
+    assert "missing, and not in the file: lost.ply" in done.stderr
+    assert "failed in read: " in done.stderr
+    with zipfile.ZipFile("all-problem.zip") as archive:
+        assert {"scan/all.conf", "scan/there.ply"} < {*archive.namelist()}
+        scan = json.loads(archive.read("problem.json"))["scan"]
+    assert (scan["missing"], scan["content_hash"]) == (["lost.ply"], None)
+    assert "cannot read" in refusal("lab", "report-problem", "nowhere.conf")
+
+
 # --- merge ----------------------------------------------------------------------------------------------
 
 
