@@ -1,7 +1,8 @@
 """Cache of the indexes and maps of a catalogue, as arrays that are mapped into memory.
 
-An index of a million shapes takes a minute to compute and milliseconds to open. It is stored in the cache
-folder of the user, and belongs to one state of the catalogue. The folder may be deleted.
+An index of a million shapes takes 75 s and 2.3 GiB to compute, with the default options, and milliseconds to
+open. It is stored in the cache folder of the user, and belongs to one state of the catalogue. The folder may
+be deleted.
 
 Nothing is stored beside the file of a catalogue, because that folder may come from somebody else, with links
 to folders of the reader in it.
@@ -124,6 +125,13 @@ class IndexCache:
             except Exception as error:  # noqa: BLE001  as in `_opened`
                 yield kept, f"cannot be read: {error}"
 
+    def clear(self) -> None:
+        """Remove all that is stored of this catalogue, which has ids and classes of shapes."""
+        self._last = None
+        for kept in self._kept():
+            remove_kept(kept)
+        self._remove_abandoned()
+
     def _kept(self) -> list[Path]:
         """The folders that a cache of this catalogue has written; never what a link leads to."""
         if self.folder is None or not self.folder.is_dir():
@@ -155,13 +163,19 @@ class IndexCache:
             for kept in self._kept():
                 if kept.name.rpartition("-")[2] != name.rpartition("-")[2]:
                     remove_kept(kept)
-            for unfinished in self.folder.glob(f"{UNFINISHED}*"):
-                if unfinished.lstat().st_mtime < time.time() - ABANDONED:
-                    shutil.rmtree(
-                        unfinished, ignore_errors=True
-                    )  # which removes nothing through a link
+            self._remove_abandoned()
         except OSError as error:
             logger.info("an index is not stored in %s: %s", self.folder, error)
+
+    def _remove_abandoned(self) -> None:
+        """Remove what killed processes left."""
+        if self.folder is None:
+            return
+        for unfinished in self.folder.glob(f"{UNFINISHED}*"):
+            with suppress(OSError):
+                if unfinished.lstat().st_mtime < time.time() - ABANDONED:
+                    # It removes nothing through a link.
+                    shutil.rmtree(unfinished, ignore_errors=True)
 
 
 def is_kept(folder: Path) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -103,7 +104,8 @@ class Catalogue(Rows):
             self.close()
             raise
         file = file_of(self.location)
-        self.cache = IndexCache(str(file.absolute()) if file else self.location)
+        # By the real path, so that a catalogue has one cache whatever links lead to it.
+        self.cache = IndexCache(os.path.realpath(file) if file else self.location)
 
     # --- shapes -----------------------------------------------------------------------------------------
 
@@ -165,6 +167,14 @@ class Catalogue(Rows):
         sizes["record"] = sum(len(text.encode()) for text in texts)
         sizes["signatures"] = sum(map(len, entry.signatures.values()))
         return sizes | {name: len(arrays) for name, arrays in entry.payloads.items()}
+
+    def remove(self, *shape_ids: str) -> None:
+        """Remove shapes: from the catalogue, its free space and log, and the cache of its indexes.
+
+        Raises InputError, and changes nothing, if one of the ids does not exist.
+        """
+        super().remove(*shape_ids)
+        self.cache.clear()
 
     def put(self, record: records.Record, content: records.Content | None = None) -> records.Record:
         """Store a shape, or with no content its failure, as by `store`; the record that is then stored."""

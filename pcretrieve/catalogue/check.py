@@ -20,7 +20,7 @@ from pcretrieve.errors import CatalogueError, ShapeError, Stage
 class Defect:
     """Something that is wrong in a catalogue."""
 
-    kind: Literal["database", "orphan", "shape", "signature", "index"]
+    kind: Literal["database", "log", "orphan", "shape", "signature", "index"]
     shape_id: str | None
     message: str
     repair: str | None = None
@@ -34,6 +34,9 @@ def find_defects(
 ) -> list[Defect]:
     """The defects of the database, of each shape, and of the stored indexes, as `pcretrieve.check` says."""
     found = _database_defects(catalogue, repair=repair)
+    if lost := catalogue.database.lost:
+        done = "dropped: run the last ingest again" if repair else None
+        found.append(Defect("log", None, lost, done))
     # A file with damaged pages is neither read further nor changed, because that may damage it further.
     if all(defect.repair or defect.kind != "database" for defect in found):
         for (number,) in catalogue.database.execute("SELECT number FROM shapes ORDER BY id"):

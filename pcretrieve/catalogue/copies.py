@@ -9,12 +9,27 @@ from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
+from random import SystemRandom
+from secrets import token_hex
 from tempfile import TemporaryDirectory
 
 from pcretrieve.catalogue.catalogue import Catalogue, CatalogueLike
-from pcretrieve.catalogue.records import Record, check_options
+from pcretrieve.catalogue.records import (
+    Entry,
+    Record,
+    check_options,
+    settings_of,
+    stored_options,
+)
 from pcretrieve.catalogue.rows import Rows, file_of
-from pcretrieve.catalogue.sqlite import check_tables, connect, translated
+from pcretrieve.catalogue.sqlite import (
+    check_tables,
+    connect,
+    create_private,
+    journal,
+    lost,
+    translated,
+)
 from pcretrieve.errors import CatalogueError, InputError
 from pcretrieve.options import check_many
 
@@ -26,8 +41,9 @@ STORED_AT_ONCE = 500
 # Number of conflicts that a message names.
 NAMED = 5
 
-# Number of pages, of 4 kB, that are copied between two lines of the log.
-PAGES_AT_ONCE = 1 << 18
+# Steps of SQLite between two looks at how far a copy is, and bytes between two lines of the log.
+STEPS_AT_ONCE = 1000
+LOGGED_BYTES = 1 << 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +93,12 @@ def merge_catalogues(parts: Sequence[CatalogueLike], output: CatalogueLike) -> M
         return _merge([target, *sources])
 
 
-def backup(catalogue: CatalogueLike, file: str | Path) -> int:
+def backup(catalogue: CatalogueLike, file: str | Path, *, names: bool = True) -> int:
     """Write a copy of a catalogue to one SQLite file, while others may read and write the catalogue.
 
-    The copy of a file is one state of it. That of a database has each shape as a whole; shapes that are
-    stored meanwhile may be missing. Indexes are not copied: they are made again when they are needed.
+    The copy of a file is one state of it. That of a database, or without names, has each shape as a whole;
+    shapes that are stored meanwhile may be missing. Indexes are not copied: they are made again when they are
+    needed. What was removed from the catalogue is not in the copy, and the copy is for its user alone (0600).
 
     Parameters
     ----------
@@ -89,6 +106,10 @@ def backup(catalogue: CatalogueLike, file: str | Path) -> int:
         The catalogue. Its schema and its options may be those of an earlier version.
     file : str or Path
         The file, which must not exist. It has its name when it is complete, and is a catalogue.
+    names : bool, default True
+        Whether the copy has names. Otherwise its ids are numbers in random order, and it has no paths or
+        hashes of files, classes, times, notes, failures, or name of a whitening. It still has the bodies, by
+        which people can be recognised. The catalogue must have the schema of this version.
 
     Returns
     -------
@@ -104,23 +125,27 @@ def backup(catalogue: CatalogueLike, file: str | Path) -> int:
         Path(file),
         catalogue.location if isinstance(catalogue, Catalogue) else catalogue,
     )
-    if target.exists():
-        raise CatalogueError(f"{target} exists: name a new file for the backup, or remove it first")
-    source = file_of(location)
+    exists = CatalogueError(f"{target} exists: name a new file for the backup, or remove it first")
+    if os.path.lexists(target):
+        raise exists
+    copy_rows = _copy_rows if names else _copy_without_names
+    source = file_of(location) if names else None
     try:
         with TemporaryDirectory(prefix=".backup-", dir=target.parent) as folder:
             unfinished = Path(folder) / target.name
             if source is not None:
                 _copy_file(source, unfinished)
             elif isinstance(catalogue, Catalogue):  # whose location has no password
-                _copy_rows(catalogue, unfinished)
+                copy_rows(catalogue, unfinished)
             else:
                 with Rows(location, {}, create=False) as rows:
-                    _copy_rows(rows, unfinished)
+                    copy_rows(rows, unfinished)
             with unfinished.open("rb") as written:
                 os.fsync(written.fileno())
-            unfinished.rename(target)
+            _name(unfinished, target)
         return target.stat().st_size
+    except FileExistsError as error:
+        raise exists from error
     except OSError as error:
         raise CatalogueError(
             f"cannot write the backup {target}: {error.strerror or error}; name a file in a folder that "
@@ -128,21 +153,45 @@ def backup(catalogue: CatalogueLike, file: str | Path) -> int:
         ) from error
 
 
+def _name(file: Path, target: Path) -> None:
+    """Give a file its name; FileExistsError if another file, or a link, has it."""
+    try:
+        os.link(file, target)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links of files
+        create_private(target)
+        file.replace(target)
+
+
 def _copy_file(source: Path, target: Path) -> None:
     """Copy an SQLite file of any schema version, with the changes of its log, in one state."""
-    with closing(connect(source, create=False)) as connection:
+    lost(source)
+    create_private(target)
+    with closing(connect(source, create=False)) as connection, translated(source):
         check_tables(source, connection)
-        with translated(target), closing(sqlite3.connect(target, isolation_level=None)) as copy:
-            # Within a transaction, so that parts that are copied later belong to the same state.
-            connection.execute("BEGIN")
-            connection.execute("SELECT count(*) FROM meta")
-            connection.backup(copy, pages=PAGES_AT_ONCE, progress=_log)
-            connection.rollback()
-            copy.execute("DELETE FROM meta WHERE key = 'batch'")  # no ingest counts in the copy
+        connection.set_progress_handler(_Progress(target), STEPS_AT_ONCE)
+        # By rows, not by pages, whose free space has bytes of what was removed.
+        connection.execute("VACUUM INTO ?", [str(target.absolute())])
+    # Also where files can only be read, because locks do not reach other computers.
+    with translated(target), closing(sqlite3.connect(target, isolation_level=None)) as copy:
+        copy.execute("PRAGMA secure_delete = ON")
+        copy.execute(f"PRAGMA journal_mode = {journal(target) or 'DELETE'}")
+        copy.execute("DELETE FROM meta WHERE key = 'batch'")  # no ingest counts in the copy
 
 
-def _log(status: int, n_left: int, n_pages: int) -> None:
-    logger.info("copied: %d of %d pages", n_pages - n_left, n_pages)
+class _Progress:
+    """Logs how large a file has become."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self._logged = 0
+
+    def __call__(self) -> None:
+        size = self._file.stat().st_size
+        if size >= self._logged + LOGGED_BYTES:
+            self._logged = size
+            logger.info("copied: %.1f GiB", size / LOGGED_BYTES)
 
 
 def _copy_rows(rows: Rows, target: Path) -> None:
@@ -151,6 +200,46 @@ def _copy_rows(rows: Rows, target: Path) -> None:
     settings = {name: stored[name] for name in ("options", "numbers_version")}
     with Rows(target, settings, create=True) as copy:
         _merge([copy, rows])
+
+
+def _copy_without_names(rows: Rows, target: Path) -> None:
+    """Copy the shapes that did not fail, without what names a person, a file or a time."""
+    stored = rows.settings()
+    options = stored_options(rows.location, stored, any_numbers=True)
+    options = options.changed(retrieval={"calibration": None})  # the name of a file
+    settings = settings_of(options) | {"numbers_version": stored["numbers_version"]}
+    ids = [origin.id for origin in rows.origins() if origin.status == "done"]
+    # Ids follow names, and numbers the order in which scans came.
+    SystemRandom().shuffle(ids)
+    with Rows(target, settings, create=True) as copy:
+        for start in range(0, len(ids), STORED_AT_ONCE):
+            here = ids[start : start + STORED_AT_ONCE]
+            entries = {entry.record.id: entry for entry in rows.entries(here)}
+            # A shape may have been removed, or have failed, meanwhile.
+            numbered = [
+                _without_names(entries[shape_id], number)
+                for number, shape_id in enumerate(here, start + 1)
+                if shape_id in entries and entries[shape_id].record.status == "done"
+            ]
+            copy.add(numbered)
+            logger.info("stored: %d of %d shapes", start + len(here), len(ids))
+        with copy.database.writing():
+            copy.keep_setting("up", stored.get("up"))
+
+
+def _without_names(entry: Entry, number: int) -> Entry:
+    """A shape whose id and path are a number, and which no merge takes for another one."""
+    record = replace(
+        entry.record,
+        id=str(number),
+        path=str(number),
+        content_hash=token_hex(),
+        label=None,
+        steps=tuple(replace(step, notes=()) for step in entry.record.steps),
+        added="",
+        stamp=None,
+    )
+    return replace(entry, record=record)
 
 
 def _merge(stores: Sequence[Rows]) -> MergedCatalogues:

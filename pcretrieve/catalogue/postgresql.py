@@ -53,6 +53,7 @@ ADVICE = {
 class PostgresqlDatabase:
     """A schema of a PostgreSQL database, with the operations of `SqliteDatabase`."""
 
+    is_file = False
     scanned = ""
 
     def __init__(self, url: str, settings: Mapping[str, str], *, create: bool) -> None:
@@ -124,8 +125,11 @@ class PostgresqlDatabase:
             self.execute(lock)
             yield
 
-    def shrink(self) -> None:
-        """Nothing: PostgreSQL uses the space of removed rows again."""
+    #: PostgreSQL has no log that this program reads.
+    lost = None
+
+    def scrub(self) -> None:
+        """Nothing: the server overwrites removed rows after VACUUM, which is up to its owner."""
 
     def faults(self) -> list[str]:
         """None that a client can see."""

@@ -351,7 +351,7 @@ class Rows:
             self._changed()
 
     def remove(self, *shape_ids: str) -> None:
-        """Remove shapes; InputError, without a change, if one of the ids does not exist."""
+        """Remove shapes, and their bytes; InputError, without a change, if one of the ids does not exist."""
         with self.database.writing():
             known = {one for (one,) in self._each("SELECT id FROM shapes", "id", shape_ids)}
             for shape_id in shape_ids:
@@ -359,7 +359,7 @@ class Rows:
                     raise self.unknown(shape_id)
             self._delete("id", shape_ids)
             self._changed()
-        self.database.shrink()
+        self.database.scrub()
 
     def forget(self, number: int) -> None:
         """Remove the shape of a number, the record of which need not be readable."""

@@ -12,6 +12,7 @@ import logging
 import os
 import re
 import sqlite3
+import stat
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
@@ -19,6 +20,7 @@ from os.path import samestat
 from pathlib import Path
 from typing import Any, Literal
 
+from pcretrieve.catalogue.log import log_fault
 from pcretrieve.catalogue.records import READ_AT_ONCE, changed_row, created, damaged
 from pcretrieve.errors import CatalogueError
 
@@ -26,9 +28,6 @@ logger = logging.getLogger(__name__)
 
 # Longest time to wait for a process that writes; seconds. Tries, .01 s apart, to set the mode of a new file.
 LOCK_TIMEOUT, N_WAITS = 30.0, 1000
-
-# Share of unused pages of a file above which it is written again without them.
-UNUSED = 0.25
 
 # Largest number of defects of pages that are listed.
 LISTED = 20
@@ -44,8 +43,15 @@ ADVICE = {
     "disk is full": "cannot grow, the disk is full: make room and run the same command again",
 }
 
-# Size and first bytes of the header of a write-ahead log.
-LOG_BYTES, LOG_MAGIC = 32, (b"7\x7f\x06\x82", b"7\x7f\x06\x83")
+# Files that SQLite has beside a file: its write-ahead log, the index of that, and its rollback journal.
+BESIDE = ("-wal", "-shm", "-journal")
+
+# Last bytes of a journal that names the journal of several files, which SQLite deletes, whatever it is.
+# A catalogue never has one, because its transactions write one file.
+JOURNAL_OF_SEVERAL = bytes.fromhex("d9d505f920a163d7")
+
+# Rights of a new file: those of its user alone, because it may have people in it.
+PRIVATE = 0o600
 
 MOUNTS = Path("/proc/self/mountinfo")
 
@@ -80,12 +86,16 @@ LOCAL = {"fuse.fuse-overlayfs", "fuseblk"}
 class SqliteDatabase:
     """An SQLite file."""
 
+    is_file = True
+
     #: After the name of a table that is faster to read as a whole than by an index.
     scanned = " NOT INDEXED"
 
     def __init__(self, path: Path, settings: Mapping[str, str], *, create: bool) -> None:
         self._path = path
         self.location = str(path)
+        #: What is lost with the log, if it was damaged when the file was opened.
+        self.lost = lost(path)
         self._connection = connect(path, create=create)
         try:
             self._prepare(settings)
@@ -144,17 +154,25 @@ class SqliteDatabase:
                 )
             yield
 
-    def shrink(self) -> None:
-        """Give the space of removed rows back to the disk, if that is much of the file."""
-        try:
-            (unused,) = self._connection.execute("PRAGMA freelist_count").fetchone()
-            (pages,) = self._connection.execute("PRAGMA page_count").fetchone()
-            if unused > UNUSED * pages:
+    def scrub(self) -> None:
+        """Write the file again without what was removed, and empty its log."""
+        # Pages keep pieces of rows that were moved to other pages, also with secure_delete.
+        for statement in ("VACUUM", "PRAGMA wal_checkpoint(TRUNCATE)"):
+            try:
                 with _without_checkpoints(self._path):
-                    self._connection.execute("VACUUM")
-        # Another process writes the file, or the disk is full: the rows are removed all the same.
-        except sqlite3.Error as error:
-            logger.info("the unused space of %s stays in it: %s", self._path, error)
+                    rows = self._connection.execute(statement).fetchall()
+                # The first number of a checkpoint says whether it had to wait too long.
+                why = "another process reads it" if rows and rows[0][0] else ""
+            # Another process writes the file, or the disk is full: the rows are removed all the same.
+            except sqlite3.Error as error:
+                why = str(error)
+            if why:
+                logger.warning(
+                    "%s, or its log, still has bytes of what was removed (%s): the next `remove` writes it "
+                    "again, and a copy by `catalogue backup` has none",
+                    self._path,
+                    why,
+                )
 
     def faults(self) -> list[str]:
         """What is wrong with the pages and the SQL indexes of the file."""
@@ -184,7 +202,7 @@ class SqliteDatabase:
             # SQLite does not wait where another process sets the mode of the file at the same time.
             for wait in (*[0.01] * N_WAITS, 0.0):
                 with suppress(CatalogueError) if wait else nullcontext():
-                    self.execute(f"PRAGMA journal_mode = {_journal(self._path) or 'DELETE'}")
+                    self.execute(f"PRAGMA journal_mode = {journal(self._path) or 'DELETE'}")
                     break
                 time.sleep(wait)
             with self._transaction("IMMEDIATE"):
@@ -241,21 +259,17 @@ def connect(path: Path, *, create: bool) -> sqlite3.Connection:
         raise CatalogueError(
             f"there is no folder {path.parent} to put a catalogue into: make it first"
         )
-    if create and _journal(path) is None:
+    if create and journal(path) is None:
         raise CatalogueError(
             f"{path} is on a file system of the type {_file_system(path)[0]}, whose locks other computers do "
             "not see, so that two writers would damage it: ingest into a file on a local disk, and copy it "
             "when it is complete (pcretrieve catalogue backup); or use PostgreSQL"
         )
-    log = Path(f"{os.path.realpath(path)}-wal")
-    with suppress(OSError), log.open("rb") as file:
-        if (head := file.read(LOG_BYTES)) and not (
-            len(head) == LOG_BYTES and head.startswith(LOG_MAGIC)
-        ):
-            logger.warning(
-                "%s is damaged: what was stored last, and not in %s yet, is lost", log, path.name
-            )
+    check_files(path)
     with translated(path):
+        if create and not size:
+            with suppress(OSError):  # it is there, or SQLite says more
+                create_private(Path(os.path.realpath(path)))
         if not size or _is_writable(path):
             return _connected(path, "rwc" if create else "rw")
         if create:
@@ -263,6 +277,7 @@ def connect(path: Path, *, create: bool) -> sqlite3.Connection:
         try:
             return _connected(path, "ro")
         except sqlite3.OperationalError as error:
+            log = Path(f"{os.path.realpath(path)}-wal")
             if log.exists() and log.stat().st_size:
                 raise CatalogueError(
                     f"{path} is incomplete without its last changes in {log.name}, which cannot be applied "
@@ -270,6 +285,44 @@ def connect(path: Path, *, create: bool) -> sqlite3.Connection:
                 ) from error
             # SQLite cannot create its further files in this folder, and needs none if no process writes.
             return _connected(path, "ro&immutable=1")
+
+
+def check_files(path: Path) -> None:
+    """Check that SQLite can open the file and those beside it: it waits for pipes, and trusts journals."""
+    place = os.path.realpath(path)
+    for name in (place, *(f"{place}{suffix}" for suffix in BESIDE)):
+        with suppress(OSError):  # of which SQLite says more
+            mode = os.lstat(name).st_mode
+            if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+                raise CatalogueError(
+                    f"{name} must be a file, and is a link, a pipe or a device: remove it, or give "
+                    "another --catalogue"
+                )
+    with suppress(OSError), Path(f"{place}-journal").open("rb") as journal:
+        journal.seek(max(0, os.fstat(journal.fileno()).st_size - len(JOURNAL_OF_SEVERAL)))
+        if journal.read() == JOURNAL_OF_SEVERAL:
+            raise CatalogueError(
+                f"{journal.name} names another file, which SQLite would delete, and no catalogue does: "
+                f"remove it, if {path.name} comes from somebody else"
+            )
+
+
+def create_private(path: Path) -> None:
+    """Make an empty file for its user alone. SQLite gives its rights to the files that it has beside it."""
+    os.close(os.open(path, os.O_CREAT | os.O_EXCL, PRIVATE))
+
+
+def lost(path: Path) -> str | None:
+    """What is lost with a damaged log, after a warning; None if the log is whole."""
+    with suppress(OSError):
+        check_files(path)
+        log = Path(f"{os.path.realpath(path)}-wal")
+        if fault := log_fault(log):
+            words = f"what was stored last, and not in {path.name} yet, is lost"
+            message = f"{log} is damaged ({fault}): {words}"
+            logger.warning("%s", message)
+            return message
+    return None
 
 
 @contextmanager
@@ -293,7 +346,7 @@ def translated(path: Path) -> Iterator[None]:
 
 def _is_writable(path: Path) -> bool:
     """Whether SQLite can write to a file, for which it creates further files in the same folder."""
-    if _journal(path) is None:
+    if journal(path) is None:
         return False
     effective = os.access in os.supports_effective_ids  # the user by whose rights files are opened
     return all(os.access(place, os.W_OK, effective_ids=effective) for place in (path, path.parent))
@@ -305,7 +358,9 @@ def _connected(path: Path, mode: str) -> sqlite3.Connection:
     )
     # A transaction that has ended is on the disk, and its journal is not; a schema calls nothing that acts.
     statements = ["PRAGMA synchronous = EXTRA", "PRAGMA trusted_schema = OFF"]
-    if mode.startswith("rw") and _journal(path) == "DELETE":
+    # What is removed is overwritten. Not every SQLite is compiled to do so.
+    statements.append("PRAGMA secure_delete = ON")
+    if mode.startswith("rw") and journal(path) == "DELETE":
         # Also for a file that was copied from a place where it had a write-ahead log.
         statements += [
             # With an exclusive lock, SQLite reads a log without memory that is shared with other processes.
@@ -323,7 +378,7 @@ def _connected(path: Path, mode: str) -> sqlite3.Connection:
     return connection
 
 
-def _journal(path: Path) -> Literal["WAL", "DELETE"] | None:
+def journal(path: Path) -> Literal["WAL", "DELETE"] | None:
     """The journal mode of SQLite for a file; None if it can only be read where it is."""
     kind, options = _file_system(path)
     if kind in WITHOUT_LOCKS or options.intersection(NETWORK.get(kind, ())):

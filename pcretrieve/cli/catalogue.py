@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import asdict
+from datetime import date
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import pcretrieve as pr
 from pcretrieve.cli import options as opt, output as out
 from pcretrieve.cli.messages import Progress, say, shown_path, without_password
 from pcretrieve.errors import InputError
+from pcretrieve.values.files import check_no_links
 
 MIB = 1 << 20
 
@@ -110,22 +112,47 @@ def _show(record: pr.Record, stored: dict[str, int]) -> None:
     out.write_steps(record.steps)
 
 
+def _day(text: str) -> str:
+    try:
+        return date.fromisoformat(text).isoformat()
+    except ValueError as error:
+        raise click.BadParameter(f"must be a day such as 2026-01-31, got {text}") from error
+
+
 @opt.command("remove")
-@click.argument(
-    "shape_ids", nargs=-1, required=True, metavar="ID...", shell_complete=opt.complete_ids
-)
+@click.argument("shape_ids", nargs=-1, metavar="[ID]...", shell_complete=opt.complete_ids)
 @opt.catalogue_option
-def remove_command(shape_ids: tuple[str, ...], catalogue: str) -> out.Result:
-    """Remove shapes from a catalogue. Their files stay.
+@opt.option(
+    "--before DATE",
+    "Remove the shapes that were stored before this day, such as 2026-01-31 (UTC).",
+    _day,
+)
+def remove_command(shape_ids: tuple[str, ...], catalogue: str, before: str | None) -> out.Result:
+    """Remove shapes from a catalogue, and their bytes from its file. The scans stay where they are.
 
     \b
     pcretrieve remove cat0 cat1 --catalogue bodies.sqlite
+    pcretrieve remove --before 2026-01-31 --catalogue bodies.sqlite
     """
+    if bool(shape_ids) == (before is not None):
+        raise click.UsageError("give the ids of shapes, or --before, and not both")
     chosen = dict.fromkeys(shape_ids)
     with pr.Catalogue(catalogue) as store:
-        store.remove(*chosen)
+        if before is not None:
+            # A copy without names has no times.
+            times = store.times().items()
+            chosen = dict.fromkeys(one for one, added in times if "" < added < before)
+        files = [record.path for record in store.several(chosen)]
+        if chosen:
+            store.remove(*chosen)
+        is_file = store.database.is_file
     say(f"removed {len(chosen)} from {catalogue}")
-    return out.Result({"removed": [*chosen]})
+    files = [file for file in files if Path(file).exists()]
+    if chosen:
+        scans = f"their {len(files)} scans, and copies" if files else "copies"
+        server = "" if is_file else ", and PostgreSQL keeps the bytes until VACUUM"
+        say(f"not removed: {scans} elsewhere, such as backups, exports and pages{server}")
+    return out.Result({"removed": [*chosen], "files": files})
 
 
 @opt.command("merge")
@@ -211,7 +238,11 @@ def _write_check(catalogue: str, result: pr.Check) -> None:
 @opt.command("backup")
 @click.argument("catalogue", type=opt.CATALOGUE)
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
-def backup_command(catalogue: str, file: Path) -> out.Result:
+@opt.option(
+    "--without-names",
+    "To give the catalogue away: ids are numbers; no paths, classes, times, notes or failures.",
+)
+def backup_command(catalogue: str, file: Path, without_names: bool) -> out.Result:
     """Copy a catalogue to one file, while others may use it.
 
     The copy is a catalogue itself, in SQLite. For large databases `pg_dump` is faster.
@@ -220,7 +251,7 @@ def backup_command(catalogue: str, file: Path) -> out.Result:
     pcretrieve catalogue backup bodies.sqlite bodies-monday.sqlite
     """
     say(f"copying {catalogue}")
-    size = pr.backup(catalogue, file)
+    size = pr.backup(catalogue, file, names=not without_names)
     say(f"{size / MIB:.1f} MiB: {file}")
     return out.Result({"file": str(file), "bytes": size})
 
@@ -270,13 +301,15 @@ def _export_meshes(store: pr.Catalogue, shape_ids: tuple[str, ...], output: Path
         return [output]
     for shape_id in shape_ids:
         store.mesh(shape_id)
+    chosen = shape_ids or [record.id for record in store.records(status="done")]
+    # Ids are names of files, but a catalogue from elsewhere may have any.
+    names = {one: one.replace("/", "%2F").replace("\0", "%00") + ".ply" for one in chosen}
+    files = {shape_id: output / name for shape_id, name in names.items()}
+    check_no_links(files.values())
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot make the folder {output}: {error.strerror}") from error
-    files = []
-    for shape_id in shape_ids or [record.id for record in store.records(status="done")]:
-        # Ids are names of files, but a catalogue from elsewhere may have any.
-        files.append(output / (shape_id.replace("/", "%2F").replace("\0", "%00") + ".ply"))
-        pr.write_mesh(store.mesh(shape_id), files[-1])
-    return files
+    for shape_id, file in files.items():
+        pr.write_mesh(store.mesh(shape_id), file)
+    return list(files.values())

@@ -24,7 +24,7 @@ from pcretrieve.matching import DistanceMatrix, ids_path, read_matrix
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.values import FloatArray
 from pcretrieve.values.base import Value
-from pcretrieve.values.files import csv_text, write_file
+from pcretrieve.values.files import check_no_links, csv_text, write_file
 
 # Columns of the file of queries, and the attributes of `QueryScores` in the same order.
 SCORES = (*measures.MEASURES[:-1], "ap")
@@ -133,11 +133,11 @@ def write_evaluation(ranked: Rankings, folder: str | Path) -> tuple[Path, ...]:
     }
     if rates := measures.verification(ranked.genuine, ranked.impostor):
         files["det.csv"] = (rates._fields, zip(*(column.tolist() for column in rates), strict=True))
-    paths = []
-    for name, (header, rows) in files.items():
-        paths.append(folder / name)
-        write_file(folder / name, csv_text(header, rows).encode("utf-8", errors="surrogateescape"))
-    return tuple(paths)
+    paths = tuple(folder / name for name in files)
+    check_no_links(paths)
+    for path, (header, rows) in zip(paths, files.values(), strict=True):
+        write_file(path, csv_text(header, rows).encode("utf-8", errors="surrogateescape"))
+    return paths
 
 
 def read_scores(path: str | Path) -> measures.QueryScores:

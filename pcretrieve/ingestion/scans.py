@@ -14,6 +14,7 @@ from pcretrieve.formats.identity import printable
 from pcretrieve.formats.write import check_output
 from pcretrieve.ingestion.discover import discover, shape_ids
 from pcretrieve.ingestion.pool import in_processes
+from pcretrieve.values.files import check_no_links
 
 Found = TypeVar("Found")
 
@@ -141,7 +142,7 @@ def _files(
         raise InputError(
             f"cannot make the folder {output}: {error.strerror}; name another"
         ) from error
-    return [
-        output / f"{name}{suffix}"
-        for name in shape_ids([printable(scan) for scan in scans], {}).values()
-    ]
+    names = shape_ids([printable(scan) for scan in scans], {}).values()
+    files: list[Path | None] = [output / f"{name}{suffix}" for name in names]
+    check_no_links(filter(None, files))
+    return files

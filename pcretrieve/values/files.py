@@ -45,6 +45,16 @@ def check_target(path: Path, sources: Sequence[Path] = ()) -> None:
         raise InputError(f"{path} is one of the files to be read: name another file")
 
 
+def check_no_links(files: Iterable[Path]) -> None:
+    """Check that no file with a name that nobody typed is a link, which `write_file` would follow."""
+    for file in files:
+        if file.is_symlink():
+            raise InputError(
+                f"{file} is a link, and what it leads to would be replaced: remove the link, or name another "
+                "folder"
+            )
+
+
 def _replace(target: Path, data: bytes) -> None:
     # A short name, because a name longer than that of the file might be too long.
     temporary = target.with_name(f".{secrets.token_hex(8)}.part")

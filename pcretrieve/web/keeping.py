@@ -115,7 +115,8 @@ class Collection:
         for _, other in done.duplicates:
             raise InputError(f"the catalogue has this scan already, as {other.id!r}")
         for record in done.failed:
-            store.remove(record.id)
+            # Not by `remove`, which writes the whole file again: a failure has no body.
+            store.revise(removed=[record.path])
             raise InputError(
                 f"the scan failed in {record.stage}: {without_folders(record.message or '')}"
             )

@@ -1,0 +1,129 @@
+"""The write-ahead log of an SQLite file → what is wrong with it, before SQLite reads it.
+
+SQLite uses a log up to its first wrong frame and drops the rest in silence [1]_. Such a rest is normal if it
+belongs to an older log, or is the last transaction of a process that was killed or lost its power. Only one
+transaction can be unfinished, because each is synced before the next begins.
+
+References
+----------
+.. [1] https://sqlite.org/walformat.html
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+Words = NDArray[np.uint32]
+
+# Bytes of the header of a log, and of that of a frame, which a page follows.
+HEADER = 32
+FRAME_HEADER = 24
+
+# The first bytes of a log, and the order of the bytes in the words of its checksums.
+ORDERS = {b"7\x7f\x06\x82": "<u4", b"7\x7f\x06\x83": ">u4"}
+
+# Sizes of pages that SQLite has.
+PAGES = {2**power for power in range(9, 17)}
+
+# Bytes that a disk writes as a whole.
+SECTOR = 512
+
+# Bytes that are read at once.
+READ_AT_ONCE = 1 << 22
+
+
+def log_fault(log: Path) -> str | None:
+    """What is wrong with a log; None also while a process writes it, which has looked at it before."""
+    with suppress(OSError), log.open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        before = os.fstat(file.fileno())
+        fault = _fault(file, before.st_size) if before.st_size else None
+        # Other programs write without the lock.
+        after = os.fstat(file.fileno())
+        if (after.st_size, after.st_mtime_ns) == (before.st_size, before.st_mtime_ns):
+            return fault
+    return None
+
+
+def _fault(file: IO[bytes], size: int) -> str | None:
+    header = file.read(HEADER)
+    order, page = ORDERS.get(header[:4]), int.from_bytes(header[8:12], "big")
+    if len(header) < HEADER or order is None or page not in PAGES:
+        return "its header is wrong"
+    numbers = np.frombuffer(header, ">u4").astype(np.uint32)
+    salts, before = numbers[4:6], numbers[6:]
+    words = np.frombuffer(header[:24], order)
+    if (_checksums(words[None], np.zeros((1, 2), np.uint32)) != before).any():
+        return "its header is wrong"
+    n_bytes = FRAME_HEADER + page
+    at_once = max(1, READ_AT_ONCE // n_bytes)
+    n_frames, n_rest = divmod(size - HEADER, n_bytes)
+    wrong, n_lost, is_changed = n_frames, 0, False
+    for start in range(0, n_frames, at_once):
+        data = file.read(min(at_once, n_frames - start) * n_bytes)
+        # Page, size of the file if a transaction ends here, two salts, two checksums.
+        heads = np.frombuffer(data, ">u4").reshape(-1, n_bytes // 4)[:, :6].astype(np.uint32)
+        is_ours = (heads[:, 2:4] == salts).all(axis=1)
+        is_commit = heads[:, 1] > 0
+        first = 0
+        if wrong == n_frames:
+            words = np.frombuffer(data, order).reshape(-1, n_bytes // 4)
+            given = np.concatenate([before[None], heads[:-1, 4:]])
+            differences = heads[:, 4:] - _checksums(words, given)  # (n, 2)
+            is_wrong = ~is_ours | differences.any(axis=1)
+            before, first = heads[-1, 4:], len(heads)
+            if is_wrong.any():
+                first = int(is_wrong.argmax())
+                wrong = start + first
+                is_changed = _is_one_word(differences[first], words.shape[1])
+                # Changed salts say that the frame is of another log.
+                n_lost += int(is_commit[first] and not is_ours[first] and is_changed)
+        n_lost += int((is_ours & is_commit)[first:].sum())
+    if n_lost > 1 or (n_lost and is_changed):
+        return f"frame {wrong + 1} of {n_frames} is wrong"
+    rest = file.read()
+    is_ours_too = rest[8:16] == header[16:24] if len(rest) >= 16 else wrong == n_frames
+    # Where a process is killed, a write has ended; where power fails, a sector.
+    if n_rest not in (0, FRAME_HEADER) and size % SECTOR and is_ours_too:
+        return "its end is cut off"
+    return None
+
+
+def _checksums(words: Words, before: Words) -> Words:
+    """The checksums (n, 2) of n headers of logs, or frames, each after another checksum (n, 2).
+
+    They are the last two of u(k) = u(k-1) + u(k-2) + x(k), and so sums of x by Fibonacci numbers.
+    """
+    weights = _weights(words.shape[1])
+    x = np.stack([before[:, 0], before[:, 1] - before[:, 0]], axis=1)
+    summed = x @ weights[:2] + np.stack([words @ each for each in weights[2:].T], axis=1)
+    return np.asarray(summed, np.uint32)
+
+
+@cache
+def _weights(n_words: int) -> Words:
+    """Weights (2 + n, 2) of the checksum before, and of the words of a frame, or of the header of a log."""
+    n_left_out = 0 if n_words < HEADER // 4 else 4  # the salts and the checksum of the frame
+    n_summed = 2 + n_words - n_left_out
+    numbers = [0, 1]
+    while len(numbers) <= n_summed:
+        numbers.append((numbers[-1] + numbers[-2]) % 2**32)
+    fibonacci = np.array(numbers[::-1], np.uint32)
+    weights = np.stack([fibonacci[1:], fibonacci[:-1]], axis=1)
+    gap = np.zeros((n_left_out, 2), np.uint32)
+    return np.asfortranarray(np.concatenate([weights[:4], gap, weights[4:]]))
+
+
+def _is_one_word(difference: Words, n_words: int) -> bool:
+    """Whether a change of one word explains the difference of a checksum, which a lost sector hardly has."""
+    weights = _weights(n_words)[2:]
+    in_data = difference[0] * weights[:, 1] == difference[1] * weights[:, 0]
+    return bool(in_data[weights.any(axis=1)].any() or not difference.all())
