@@ -182,9 +182,11 @@ class File:
                 if is_kept():
                     self.disk[at:] = bytes(max(0, at - len(self.disk)))
                 continue
-            for start in range(0, len(data), SECTOR):
+            # Sectors of the file, not of the data, which may begin within one.
+            for sector in range(at - at % SECTOR, at + len(data), SECTOR):
                 if is_kept():
-                    piece, place = data[start : start + SECTOR], at + start
+                    place = max(at, sector)
+                    piece = data[place - at : sector + SECTOR - at]
                     self.disk.extend(bytes(max(0, place - len(self.disk))))
                     self.disk[place : place + len(piece)] = piece
         self.pending.clear()
