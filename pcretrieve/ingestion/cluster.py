@@ -194,14 +194,36 @@ def _connected(executor: DaskExecutor) -> Iterator[Any]:
             f"{executor.scheduler_file} must be the file of a Dask scheduler, it is not there"
         )
     file = None if executor.scheduler_file is None else str(executor.scheduler_file)
+    with _forwarding():
+        try:
+            client = Client(executor.scheduler, scheduler_file=file, timeout=CONNECT_TIMEOUT)
+        # An address, or a file, that is none of a scheduler raises all kinds of errors.
+        except Exception as error:
+            raise PcretrieveError(
+                f"no Dask scheduler answers at {executor.scheduler or file}: "
+                f"{str(error) or type(error).__name__}"
+            ) from error
+        with client:
+            yield client
+
+
+@contextmanager
+def _forwarding() -> Iterator[None]:
+    """Keep what Dask prints, such as tracebacks, for the log: the error that follows has the right words."""
+    handlers = logging.getLogger("distributed").handlers
+    for handler in handlers:
+        handler.addFilter(_forwarded)
     try:
-        client = Client(executor.scheduler, scheduler_file=file, timeout=CONNECT_TIMEOUT)
-    except (OSError, ValueError) as error:
-        raise PcretrieveError(
-            f"no Dask scheduler answers at {executor.scheduler or file}: {error}"
-        ) from error
-    with client:
-        yield client
+        yield
+    finally:
+        for handler in handlers:
+            handler.removeFilter(_forwarded)
+
+
+def _forwarded(record: logging.LogRecord) -> bool:
+    """Log a message of Dask below the warnings that people see; false, so that it is not printed."""
+    logger.info("%s: %s", record.name, record.getMessage())
+    return False
 
 
 # --- in the Dask worker -------------------------------------------------------------------------------

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -104,6 +106,39 @@ def test_a_scheduler_that_ends_is_an_error_with_words(
     own_cluster.kill(own_cluster.scheduler)
     with pytest.raises(PcretrieveError, match="the scheduler has ended: the same command"):
         list(outcomes)
+
+
+@pytest.mark.slow
+def test_what_dask_prints_does_not_precede_the_error(
+    own_cluster: DaskCluster, tmp_path: Path
+) -> None:
+    write_mesh(shapes.ellipsoid((1, 1, 2), subdivisions=2), tmp_path / "egg.off")
+    for worker in own_cluster.workers:
+        own_cluster.kill(worker)
+    words = ["ingest", "egg.off", "--scheduler-file", own_cluster.file, "--log-file", "log"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "pcretrieve", *map(str, words), "-c", "c.sqlite"],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as ingesting:
+        assert ingesting.stderr is not None
+        for line in ingesting.stderr:
+            if "no workers now" in line:
+                break
+        own_cluster.kill(own_cluster.scheduler)
+        said = ingesting.stderr.read()
+    assert said.startswith("Error: the connection to the Dask scheduler was lost")
+    assert said.count("\n") == 1
+    assert "distributed.client: Failed to reconnect" in (tmp_path / "log").read_text()
+
+
+@pytest.mark.parametrize("content", [b"{}", b"nonsense", b"\xff\0", b'{"address": 5}'])
+def test_a_file_that_is_none_of_a_scheduler_is_an_error(tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "scheduler.json"
+    file.write_bytes(content)
+    with pytest.raises(PcretrieveError, match=r"no Dask scheduler answers at .*json: \S"):
+        list(DaskExecutor(scheduler_file=file)(own_process, range(3), **LIMITS))
 
 
 @pytest.mark.slow
