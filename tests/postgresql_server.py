@@ -1,10 +1,11 @@
-"""A throw-away PostgreSQL server in a temporary folder."""
+"""A throw-away PostgreSQL server in a temporary folder, which tests may stop and start."""
 
 from __future__ import annotations
 
 import os
 import pwd
 import shutil
+import signal
 import socket
 import subprocess
 from collections.abc import Iterator
@@ -34,39 +35,91 @@ def programs() -> Path:
     )
 
 
-@contextmanager
-def running_server() -> Iterator[str]:
-    """The URL of the database of a server that runs until the context ends."""
-    pytest.importorskip("psycopg", reason="psycopg is not installed (the extra postgresql)")
-    tools = programs()
-    # Not below the folder of pytest, in which root lets no other user look.
-    folder = Path(mkdtemp(prefix="pcretrieve-postgresql-"))
-    as_user: dict[str, Any] = {}
-    if os.geteuid() == 0:  # PostgreSQL refuses to run as root
-        nobody = pwd.getpwnam("nobody")
-        as_user = {"user": nobody.pw_uid, "group": nobody.pw_gid, "extra_groups": []}
-        os.chown(folder, nobody.pw_uid, nobody.pw_gid)
-    data = folder / "data"
+class Server:
+    """A server with its files in a folder, at a port of this computer and at a socket in the folder."""
 
-    def run(*command: str | Path) -> None:
-        subprocess.run(command, check=True, cwd=folder, capture_output=True, timeout=100, **as_user)
+    def __init__(self, folder: Path) -> None:
+        self._tools = programs()
+        self._folder = folder
+        self._data = folder / "data"
+        self._as_user: dict[str, Any] = {}
+        if os.geteuid() == 0:  # PostgreSQL refuses to run as root
+            nobody = pwd.getpwnam("nobody")
+            self._as_user = {"user": nobody.pw_uid, "group": nobody.pw_gid, "extra_groups": []}
+            os.chown(folder, nobody.pw_uid, nobody.pw_gid)
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = free.getsockname()[1]
+        self.url = f"postgresql://tester@127.0.0.1:{self.port}/postgres"
+        self.socket_url = f"postgresql://tester@/postgres?host={folder}&port={self.port}"
+        words = ("-D", self._data, "-U", "tester", "-A", "trust", "-E", "UTF8", "--no-sync")
+        self._run("initdb", *words)
 
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    try:
-        run(tools / "initdb", "-D", data, "-U", "tester", "-A", "trust", "-E", "UTF8", "--no-sync")
+    def start(self) -> None:
+        """Start the server, and wait until it works."""
         given = (
-            f"port={port}",
+            f"port={self.port}",
             "listen_addresses=127.0.0.1",
-            f"unix_socket_directories={folder}",
+            f"unix_socket_directories={self._folder}",
             *SETTINGS,
         )
         options = " ".join(f"-c {setting}" for setting in given)
-        run(tools / "pg_ctl", "-D", data, "-w", "-l", folder / "log", "-o", options, "start")
+        log = self._folder / "log"
+        self._run("pg_ctl", "-D", self._data, "-w", "-l", log, "-o", options, "start")
+
+    def stop(self) -> None:
+        """Stop the server as a crash does: it recovers when it is started again."""
+        self._run("pg_ctl", "-D", self._data, "-m", "immediate", "stop")
+
+    def processes(self) -> list[int]:
+        """The process of the server, and then its children."""
+        first = int((self._data / "postmaster.pid").read_text().split()[0])
+        children = Path(f"/proc/{first}/task/{first}/children").read_text().split()
+        return [first, *map(int, children)]
+
+    @contextmanager
+    def stands_still(self) -> Iterator[None]:
+        """Stop all processes of the server, which keep their connections."""
+        stopped = self.processes()
+        for process in stopped:
+            os.kill(process, signal.SIGSTOP)
         try:
-            yield f"postgresql://tester@127.0.0.1:{port}/postgres"
+            yield
         finally:
-            run(tools / "pg_ctl", "-D", data, "-m", "immediate", "stop")
+            for process in stopped:
+                os.kill(process, signal.SIGCONT)
+
+    def _run(self, tool: str, *words: str | Path) -> None:
+        command = [self._tools / tool, *words]
+        subprocess.run(
+            command,
+            check=True,
+            cwd=self._folder,
+            capture_output=True,
+            timeout=100,
+            **self._as_user,
+        )
+
+
+@contextmanager
+def server_of_its_own() -> Iterator[Server]:
+    """A server that runs until the context ends."""
+    pytest.importorskip("psycopg", reason="psycopg is not installed (the extra postgresql)")
+    # Not below the folder of pytest, in which root lets no other user look.
+    folder = Path(mkdtemp(prefix="pcretrieve-postgresql-"))
+    try:
+        server = Server(folder)
+        server.start()
+        try:
+            yield server
+        finally:
+            server.stop()
     finally:
         shutil.rmtree(folder)
+
+
+@contextmanager
+def running_server() -> Iterator[str]:
+    """The URL of the database of a server that runs until the context ends."""
+    with server_of_its_own() as server:
+        yield server.url

@@ -221,6 +221,7 @@ class Catalogue(Rows):
         """The axis of the files that points upwards, such as ``-y``, if it was said."""
         return self.settings().get("up")
 
+    @records.repeated
     def keep_up(self, axis: str | None) -> None:
         """Store which axis points upwards, or with None that pictures show it for each shape, drawn again."""
         if not self.database.is_writable:

@@ -12,7 +12,7 @@ from typing import Literal
 from pcretrieve.catalogue.arrays import stored_shape, unpacked, unpacked_values
 from pcretrieve.catalogue.cache import remove_kept
 from pcretrieve.catalogue.catalogue import Catalogue
-from pcretrieve.catalogue.records import OWN, ChangedRow, Entry, Payload, Record
+from pcretrieve.catalogue.records import OWN, ChangedRow, Entry, Payload, Record, repeated
 from pcretrieve.errors import CatalogueError, ShapeError, Stage
 
 
@@ -69,6 +69,7 @@ def set_to_be_ingested_again(catalogue: Catalogue, record: Record, message: str)
     return "set to be ingested again"
 
 
+@repeated
 def _database_defects(catalogue: Catalogue, *, repair: bool) -> list[Defect]:
     """Defects of the pages and the SQL indexes, and rows of no shape."""
     database = catalogue.database

@@ -9,9 +9,11 @@ import json
 import zlib
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
+from functools import wraps
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, ParamSpec, TypeVar
 from uuid import uuid4
 
 from pcretrieve.errors import CatalogueError, OptionError
@@ -139,6 +141,26 @@ def damaged(location: str, how: str) -> CatalogueError:
 
 class ChangedRow(CatalogueError):
     """Texts or numbers of a row that are not those that were stored, as by a flipped bit on the disk."""
+
+
+class TransactionLost(CatalogueError):
+    """The connection to a database was lost before a transaction was stored: it can be run again."""
+
+
+Given = ParamSpec("Given")
+Answer = TypeVar("Answer")
+
+
+def repeated(operation: Callable[Given, Answer]) -> Callable[Given, Answer]:
+    """Run an operation again from its start while its transaction is lost; the database limits the time."""
+
+    @wraps(operation)
+    def run(*given: Given.args, **named: Given.kwargs) -> Answer:
+        while True:
+            with suppress(TransactionLost):
+                return operation(*given, **named)
+
+    return run
 
 
 def changed_row(location: str, how: str) -> ChangedRow:

@@ -1,6 +1,7 @@
 """The rows of a catalogue: records, and bytes by name, in an SQLite file or a PostgreSQL database.
 
-Each operation is one transaction: it is atomic, and isolated from operations of other processes.
+Each operation is one transaction: it is atomic, and isolated from operations of other processes. One that is
+cut because a database went away is run again from its start.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from pcretrieve.catalogue.records import (
     free_id,
     inserting,
     record_of,
+    repeated,
     row_of,
 )
 from pcretrieve.catalogue.sqlite import SqliteDatabase
@@ -128,6 +130,11 @@ class Rows:
     def close(self) -> None:
         """Close the file or the connection."""
         self.database.close()
+
+    def answer_at_once(self) -> None:
+        """Raise an error where a database is away, as a server must, instead of trying again."""
+        if not isinstance(self.database, SqliteDatabase):
+            self.database.patience = 0.0
 
     def settings(self) -> dict[str, str]:
         """The settings with which the catalogue was created, its version and the name of its state."""
@@ -294,6 +301,7 @@ class Rows:
 
     # --- everything of a shape --------------------------------------------------------------------------
 
+    @repeated
     def entries(
         self,
         ids: Collection[str] | Collection[int],
@@ -323,6 +331,7 @@ class Rows:
         )
         return sorted(entries, key=lambda entry: entry.record.id)
 
+    @repeated
     def store(self, entry: Entry) -> Record:
         """Store a shape by its path; the record that the catalogue then has for this path.
 
@@ -344,12 +353,14 @@ class Rows:
                     self._changed()
             return self.record(shape_id)
 
+    @repeated
     def add(self, entries: Collection[Entry]) -> None:
         """Store shapes as they are, and replace earlier shapes of the same paths."""
         with self.database.writing():
             self._insert(entries)
             self._changed()
 
+    @repeated
     def remove(self, *shape_ids: str) -> None:
         """Remove shapes, and their bytes; InputError, without a change, if one of the ids does not exist."""
         with self.database.writing():
@@ -361,12 +372,14 @@ class Rows:
             self._changed()
         self.database.scrub()
 
+    @repeated
     def forget(self, number: int) -> None:
         """Remove the shape of a number, the record of which need not be readable."""
         with self.database.writing():
             self._delete("number", [number])
             self._changed()
 
+    @repeated
     def revise(
         self,
         *,
@@ -391,6 +404,7 @@ class Rows:
 
     # --- signatures and pictures ------------------------------------------------------------------------
 
+    @repeated
     def listed(self, digest: str) -> Listed:
         """The signatures that are stored under a digest; `OWN` for those by the options of the catalogue."""
         ids: list[str] = []
@@ -422,6 +436,7 @@ class Rows:
                 packed = bytearray(rows[place[by_id][has]].data)
         return Listed(revision, ids, labels, has, packed)
 
+    @repeated
     def keep(self, digest: str, signatures: Collection[tuple[Record, bytes]]) -> None:
         """Store signatures, except of shapes that are gone, or have another content hash."""
         with self.database.writing():

@@ -18,6 +18,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, Field, NonNegativeInt
 
 from pcretrieve.catalogue import Catalogue, CatalogueLike, Record
+from pcretrieve.catalogue.records import repeated
 from pcretrieve.errors import CatalogueError
 
 State = Literal["none", "running", "finished", "stopped", "killed"]
@@ -148,6 +149,8 @@ class Progress:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._counts.state = "finished" if kind is None else "stopped"
+        if kind is not None:
+            self._catalogue.answer_at_once()
         self._write()
 
     def skip(self, n: int) -> None:
@@ -173,11 +176,12 @@ class Progress:
             return
         self._written = time.monotonic()
         self._counts.updated = time.time()
-        database = self._catalogue.database
-        with (
-            suppress(CatalogueError),
-            database.writing(),
-        ):  # a full disk is the concern of the next shape
+        with suppress(CatalogueError):  # a full disk is the concern of the next shape
+            self._keep(is_first)
+
+    @repeated
+    def _keep(self, is_first: bool) -> None:
+        with self._catalogue.database.writing():
             if is_first or _stored(self._catalogue).started == self._counts.started:
                 self._catalogue.keep_setting(SETTING, self._counts.model_dump_json())
 

@@ -99,6 +99,7 @@ class Readers:
         catalogue: Catalogue | None = getattr(self._own, "catalogue", None)
         if catalogue is None:
             catalogue = self._own.catalogue = Catalogue(self._location)
+            catalogue.answer_at_once()
         return function(catalogue)
 
     def _closed(self, barrier: Barrier) -> None:
