@@ -6,10 +6,15 @@ import os
 import stat
 import subprocess
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from pcretrieve import Catalogue, backup
+from pcretrieve.catalogue import Record, cache
 from pcretrieve.errors import InputError
 from pcretrieve.values.files import write_file
 
@@ -80,3 +85,60 @@ def test_a_disk_without_room_keeps_the_old_content(tmp_path: Path) -> None:
     assert python(FULL, tmp_path).startswith("cannot write a: File too large;")
     assert (tmp_path / "a").read_text() == "old"
     assert names(tmp_path) == ["a"]
+
+
+# --- the power may fail -----------------------------------------------------------------------------------
+
+
+class Synced:
+    """Calls of `os.fsync`, which still reach the disk, and what they had reached when a file was renamed.
+
+    renamed: the new name of each renamed file or folder.
+    lost: the names of renamed files, or files in a renamed folder, which a power cut could leave incomplete.
+    """
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.renamed: list[str] = []
+        self.lost: list[str] = []
+        self._sizes: dict[int, int] = {}  # by inode
+        self._fsync = os.fsync
+        patch.setattr(os, "fsync", self._synced)
+        for name in ("rename", "replace"):
+            patch.setattr(os, name, partial(self._renamed, getattr(os, name)))
+
+    def _synced(self, descriptor: int) -> None:
+        self._fsync(descriptor)
+        found = os.fstat(descriptor)
+        self._sizes[found.st_ino] = found.st_size
+
+    def _renamed(self, rename: Callable[..., None], old: Path, new: Path) -> None:
+        for path in (Path(old), *Path(old).rglob("*")):
+            found = path.stat()
+            if path.is_file() and self._sizes.get(found.st_ino) != found.st_size:
+                self.lost.append(path.name)
+        self.renamed.append(Path(new).name)
+        rename(old, new)
+
+
+@pytest.fixture
+def synced(monkeypatch: pytest.MonkeyPatch) -> Synced:
+    return Synced(monkeypatch)
+
+
+def test_a_file_reaches_the_disk_before_it_has_its_name(synced: Synced, tmp_path: Path) -> None:
+    for data in (b"a", b"x" * 5_000_000):
+        write_file(tmp_path / "page.html", data)
+    assert (synced.renamed, synced.lost) == (2 * ["page.html"], [])
+
+
+def test_a_backup_reaches_the_disk_before_it_has_its_name(synced: Synced, tmp_path: Path) -> None:
+    with Catalogue(tmp_path / "c.sqlite", create=True) as store:
+        store.put(Record("a", "/a.ply", "", status="failed", stage="read", error="Bad", message=""))
+        backup(store, tmp_path / "copy.sqlite")
+    assert (synced.renamed, synced.lost) == (["copy.sqlite"], [])
+
+
+def test_an_index_reaches_the_disk_before_it_has_its_name(synced: Synced, tmp_path: Path) -> None:
+    cache._write(tmp_path, "index", {"large": np.zeros(100_000), "small": np.zeros(1)})
+    # An index whose checksums are incomplete is computed again.
+    assert (synced.renamed, synced.lost) == (["index"], [cache.CHECKSUMS])

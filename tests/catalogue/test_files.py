@@ -185,17 +185,40 @@ def test_a_catalogue_that_may_not_be_written_can_be_read(original: Path) -> None
             Catalogue(folder / "killed")
 
 
-def test_no_other_process_writes_while_one_ends_a_checkpoint(path: Path) -> None:
+# Another process holds the lock of writers, or, as an older version might, one that others may share.
+@pytest.mark.parametrize("held", [fcntl.LOCK_EX, fcntl.LOCK_SH], ids=["exclusive", "shared"])
+@pytest.mark.parametrize("change", ["remove", "shrink"])
+def test_no_other_process_writes_while_one_ends_a_checkpoint(
+    change: str, held: int, path: Path
+) -> None:
+    def write() -> None:
+        with Catalogue(path) as other:
+            if change == "remove":
+                other.remove("2")
+            else:
+                other.database.shrink()
+
+    execute(path, "DELETE FROM arrays")
+    before = path.stat().st_size
     with (
         Catalogue(path) as store,
         Path(f"{path}-wal").open("rb") as log,
         ThreadPoolExecutor(1) as thread,
     ):
-        fcntl.flock(log, fcntl.LOCK_EX)
-        late = thread.submit(run, "remove", "2", "-c", path)
-        assert not wait_for(lambda: late.done() or store.get("2") is None, 1)
+        fcntl.flock(log, held)
+        late = thread.submit(write)
+        assert not wait_for(lambda: late.done() or store.get("2") is None, 0.3)
         fcntl.flock(log, fcntl.LOCK_UN)
-        assert late.result().exit_code == 0 and store.get("2") is None
+        late.result()
+        assert (store.get("2") is None) == (change == "remove")
+    assert path.stat().st_size < before
+
+
+def test_a_writer_shares_its_lock_with_nobody(path: Path) -> None:
+    with Catalogue(path) as store, Path(f"{path}-wal").open("rb") as log:
+        with store.database.writing(), pytest.raises(BlockingIOError):
+            fcntl.flock(log, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        fcntl.flock(log, fcntl.LOCK_SH | fcntl.LOCK_NB)
 
 
 # --- damage ---------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import product
@@ -10,8 +11,9 @@ from typing import Any
 
 import pytest
 from commands import run
+from stored import content
 
-from pcretrieve import Catalogue, PipelineOptions
+from pcretrieve import Catalogue, PipelineOptions, merge_catalogues
 from pcretrieve.catalogue import Record, postgresql as postgresql_module
 from pcretrieve.catalogue.records import OWN, PAYLOADS, Entry, settings_of
 from pcretrieve.catalogue.rows import Rows
@@ -162,6 +164,65 @@ def test_locations(tmp_path: Path) -> None:
         Catalogue("mysql://host/shapes", create=True)
     with pytest.raises(CatalogueError, match="there is no catalogue"):
         Catalogue(Path("sqlite://rows"))
+
+
+def test_a_failure_never_replaces_a_finished_shape(rows: Rows) -> None:
+    """It replaces an earlier failure, and a shape replaces either."""
+    before, revision = rows.records(), rows.revision()
+    assert rows.store(failed("a", id="another", content_hash="new")) == done("a").record
+    assert (rows.records(), rows.revision()) == (before, revision)
+    (kept,) = rows.entries(["a"])
+    assert (kept.signatures, kept.payloads) == (done("a").signatures, done("a").payloads)
+    assert rows.store(failed("e", message="another reason")).message == "another reason"
+    for name in "ae":
+        assert rows.store(done(name, content_hash="new")) == done(name, content_hash="new").record
+    assert ids(rows.records()) == ["a", "b", "c", "d", "e"]
+
+
+# --- merges ---------------------------------------------------------------------------------------------
+
+
+def catalogues(folder: Path, *entries: Entry) -> list[Path]:
+    """A catalogue for each of some shapes."""
+    paths: list[Path] = []
+    for entry in entries:
+        paths.append(folder / f"part{len(paths)}.sqlite")
+        with Catalogue(paths[-1], create=True) as store:
+            store.store(entry)
+    return paths
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        (
+            done("a", content_hash="other"),
+            "/a.ply has different contents in .*part0.* and in .*part1",
+        ),
+        (done("a", label="other"), "/a.ply has the labels 'label' and 'other' in .*part0"),
+        (done("b", id="a"), "'a' is /a.ply in .*part0.* and /b.ply in .*part1"),
+    ],
+    ids=["contents", "labels", "ids"],
+)
+def test_conflicts_are_named_and_nothing_is_merged(other: Entry, said: str, tmp_path: Path) -> None:
+    parts = catalogues(tmp_path, done("a"), other)
+    for order in (parts, parts[::-1]):
+        with pytest.raises(CatalogueError, match="with conflicts cannot be merged: ") as raised:
+            merge_catalogues(order, tmp_path / "whole.sqlite")
+        assert order is not parts or re.search(said, str(raised.value))
+        assert not (tmp_path / "whole.sqlite").exists()
+    # Also with what the target has.
+    before = content(parts[0])
+    with pytest.raises(CatalogueError, match="with conflicts cannot be merged: "):
+        merge_catalogues(parts[1:], parts[0])
+    assert content(parts[0]) == before
+
+
+def test_a_shape_and_a_failure_of_another_content_are_no_conflict(tmp_path: Path) -> None:
+    parts = catalogues(tmp_path, failed("a", content_hash="other"), done("a"))
+    for number, order in enumerate((parts, parts[::-1])):
+        merge_catalogues(order, tmp_path / f"whole{number}.sqlite")
+        assert content(tmp_path / f"whole{number}.sqlite") == content(parts[1])
 
 
 # --- PostgreSQL -----------------------------------------------------------------------------------------

@@ -5,12 +5,16 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import os
+import signal
+import subprocess
+import sys
 import threading
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from processes import PATIENCE, wait_for
+from processes import PATIENCE, living, wait_for
 
 from pcretrieve.errors import (
     InputError,
@@ -22,6 +26,7 @@ from pcretrieve.errors import (
 )
 from pcretrieve.ingestion import pool
 
+HERE = str(Path(__file__).parent)
 HALF_THE_MEMORY = 1 << 29  # bytes, of 1 GiB
 hoard: list[object] = []  # what a worker never gives back
 
@@ -125,3 +130,50 @@ def test_what_lacks_memory_in_a_used_worker_is_tried_in_a_fresh_one() -> None:
         PcretrieveError, match=r"could take a shape.* the last one printed: ZeroDivisionError"
     ):
         list(pool.in_processes(unready, [0]))
+
+
+# A main process with two workers: one computes without an end, the other waits for its next item.
+MAIN = """
+import os, sys
+from pathlib import Path
+from test_pool import compute
+from pcretrieve.ingestion import pool
+
+if __name__ == "__main__":
+    items = iter(["done", "without an end", "without an end"])
+    running = pool.in_processes(compute, [Path(sys.argv[1], name) for name in items], workers=2)
+    print(next(running), flush=True)
+    next(running)
+"""
+
+
+def compute(place: Path) -> None:
+    """Note the process, and compute without an end in code that looks at no pipe."""
+    (place.parent / f"{os.getpid()}").touch()
+    if place.name != "done":
+        while True:
+            pass
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux ends workers that compute")
+def test_workers_that_compute_end_with_a_killed_main_process(tmp_path: Path) -> None:
+    known = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [*sys.path, HERE]))}
+    (tmp_path / "noted").mkdir()
+    (tmp_path / "main.py").write_text(MAIN)
+    with subprocess.Popen(
+        [sys.executable, tmp_path / "main.py", tmp_path / "noted"],
+        env=known,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    ) as main:
+        assert main.stdout is not None and main.stdout.readline()
+        assert wait_for(lambda: len([*(tmp_path / "noted").iterdir()]) == 2)
+        workers = {int(path.name) for path in (tmp_path / "noted").iterdir()}
+        assert workers <= {*living(main.pid)}
+        main.kill()
+    try:
+        assert wait_for(lambda: not workers & {*living(main.pid)}, 5)
+    finally:
+        for worker in workers & {*living(main.pid)}:
+            os.kill(worker, signal.SIGKILL)

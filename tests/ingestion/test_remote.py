@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
 from typing import Any
 from uuid import uuid4
 
@@ -19,6 +20,7 @@ from processes import in_this_process
 from pcretrieve import Catalogue, ingest, read_scan, write_mesh
 from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.formats import remote
+from pcretrieve.formats.format import url_of
 from pcretrieve.ingestion.discover import discover
 
 fsspec = pytest.importorskip("fsspec", reason="fsspec is not installed (the extra remote)")
@@ -125,6 +127,95 @@ def test_copies_of_what_a_scan_names(
     monkeypatch.setattr(remote, "LARGEST", 100)
     with pytest.raises(ScanReadError, match=r"/egg\.ply has more than 100 bytes: copy it"):
         read_scan(f"{http}/egg.ply")
+
+
+# --- limits ---------------------------------------------------------------------------------------------
+
+# The largest size of a file at a URL, as the guide says; bytes.
+LARGEST = 4 << 30
+
+# Where an endless file ends nevertheless, so that a disk is not filled where nothing limits it; bytes.
+MOST_SENT = 1 << 27
+
+
+class Odd(Quiet):
+    """Answers with more than it should, or never, by the name of the file."""
+
+    has_ended = Event()
+    sent = 0
+
+    def do_HEAD(self) -> None:
+        if self.path == "/silent.ply":
+            self.has_ended.wait()
+            return
+        self.send_response(200)
+        if self.path != "/endless.ply":
+            self.send_header("ETag", "x")
+            self.send_header("Content-Length", self.path[1:].removesuffix(".ply"))
+        self.end_headers()
+
+    def do_GET(self) -> None:
+        self.do_HEAD()
+        with suppress(ConnectionError):
+            while self.path == "/endless.ply" and Odd.sent < MOST_SENT:
+                Odd.sent += self.wfile.write(bytes(1 << 16))
+
+
+@pytest.fixture
+def odd() -> Iterator[str]:
+    pytest.importorskip("aiohttp", reason="aiohttp is not installed (the extra remote)")
+    Odd.has_ended, Odd.sent = Event(), 0
+    with ThreadingHTTPServer(("127.0.0.1", 0), Odd) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_address[1]}"
+        Odd.has_ended.set()
+        server.shutdown()
+
+
+def test_a_file_that_is_declared_too_large_is_not_fetched(odd: str) -> None:
+    with pytest.raises(ScanReadError, match=rf"\.ply has more than {LARGEST} bytes: copy it to"):
+        read_scan(f"{odd}/{LARGEST + 1}.ply")
+    with pytest.raises(ScanReadError) as raised:
+        read_scan(f"{odd}/{LARGEST}.ply")  # of which nothing comes
+    assert "has more than" not in str(raised.value)
+
+
+def test_a_file_without_an_end_is_not_fetched_further(
+    odd: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(remote, "LARGEST", 1 << 20)
+    with pytest.raises(ScanReadError, match=r"/endless\.ply has more than 1048576 bytes: copy it"):
+        read_scan(f"{odd}/endless.ply")
+    assert Odd.sent < MOST_SENT
+
+
+def test_a_server_that_does_not_answer_is_one_failure(odd: str, tmp_path: Path) -> None:
+    silent = f"{odd}/silent.ply"
+    (failure,) = ingest(silent, tmp_path / "c.sqlite", executor=in_this_process, timeout=1).failed
+    assert (failure.path, failure.stage) == (silent, "read")
+    assert failure.message is not None and "was not read within 1 s: raise --t" in failure.message
+
+
+@pytest.mark.slow
+def test_a_scan_that_does_not_arrive_is_one_failure(odd: str, tmp_path: Path) -> None:
+    (failure,) = ingest(f"{odd}/7.ply", tmp_path / "c.sqlite", timeout=1, workers=1).failed
+    assert (failure.stage, failure.error) == ("worker", "StageTimeout")
+
+
+def test_what_is_a_url() -> None:
+    for name, url in {
+        "https://host/a.ply": "https://host/a.ply",
+        "s3://bucket/a b.ply": "s3://bucket/a b.ply",
+        "FILE:///a.ply": "FILE://a.ply",
+        "file:///a.ply": "file:///a.ply",
+        "local:///a.ply": "local:///a.ply",
+        "c:/scans/a.ply": None,
+        "/scans/http://host/a.ply": None,
+        "simplecache::https://host/a.ply": None,
+        "http:a.ply": None,
+        "3d://a.ply": None,
+    }.items():
+        assert url_of(Path(name)) == url, name
 
 
 def test_stores_that_are_not_there() -> None:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,16 @@ input()
 """
 
 
+# Of the same client, which then asks for what takes much longer than this test.
+ASK_MUCH = """
+import shapes
+egg = shapes.ellipsoid(subdivisions=5)
+tetwild.tetrahedralize(
+    egg.vertices, egg.faces, edge_length=0.02, envelope=0.001, optimize=True, timeout=600
+)
+"""
+
+
 def ball(
     *, faces: IntArray = BALL.faces, edge_length: float = 0.2, timeout: float = 60.0
 ) -> tuple[FloatArray, IntArray]:
@@ -62,6 +73,12 @@ def runs(process: int) -> bool:
     except OSError:  # it ended while we looked
         return runs(process)
     return any(thread.rpartition(")")[2].split()[0] not in "ZX" for thread in threads)
+
+
+def seconds_of(process: int) -> float:
+    """The time of a processor that a process has used."""
+    user, system = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[11:13]
+    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
 
 def own_server() -> int:
@@ -150,6 +167,25 @@ def test_it_ends_with_its_client_and_leaves_no_folder(code: int, tmp_path: Path)
         client.communicate("\n", timeout=PATIENCE)
     assert client.returncode == code
     assert wait_for(lambda: not runs(server))
+
+
+@pytest.mark.slow
+def test_it_ends_with_a_killed_client_while_it_computes() -> None:
+    known = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    command, pipe = [sys.executable, "-c", f"{ASK_ONCE}{ASK_MUCH}"], subprocess.PIPE
+    with subprocess.Popen(command, env=known, stdin=pipe, stdout=pipe, text=True) as client:
+        assert client.stdout is not None and client.stdin is not None
+        server = int(client.stdout.readline())
+        before = seconds_of(server)
+        client.stdin.write("\n")
+        client.stdin.flush()
+        assert wait_for(lambda: seconds_of(server) > before + 0.1)
+        client.kill()
+    try:
+        assert wait_for(lambda: not runs(server), 5)
+    finally:
+        with suppress(ProcessLookupError):
+            os.kill(server, signal.SIGKILL)
 
 
 # --- remeshing ----------------------------------------------------------------------------------------
