@@ -69,6 +69,8 @@ def test_damaged_headers_and_chunks(tmp_path: Path) -> None:
             struct.pack("<I", 2**32 - 1),
             "its header declares 4294967295 records in 0 bytes",
         ),
+        # It has one record of 94 bytes, that of LASzip.
+        (laz, 100, struct.pack("<I", 2), "its header declares 2 records in 94 bytes"),
         (
             las,
             107,

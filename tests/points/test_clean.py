@@ -70,6 +70,13 @@ def test_each_point_keeps_a_sensor_that_saw_its_voxel() -> None:
     )
 
 
+def test_no_sensor_is_between_two_that_saw_one_voxel() -> None:
+    sensors = np.random.default_rng(0).choice([-9.0, 9.0], (len(BODY.points), 1)) * [1, 0, 0]
+    viewpoints = clean(replace(BODY, viewpoints=sensors), COARSE)[0].viewpoints
+    assert viewpoints is not None
+    assert set(map(tuple, viewpoints.tolist())) == {(-9, 0, 0), (9, 0, 0)}
+
+
 RANDOM = np.random.default_rng(0).random((500, 3))
 
 

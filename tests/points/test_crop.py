@@ -113,6 +113,14 @@ def test_one_point_far_away() -> None:
         )
 
 
+def test_a_twentieth_of_the_points_far_away_are_errors_and_more_may_be_a_body() -> None:
+    far = POINTS + np.array([1e3, 0, 0])
+    for share in (0.04, 0.06):
+        n = round(share / (1 - share) * len(POINTS))
+        kept = cropped(np.concatenate([POINTS, far[:n]]), keep_largest=False, ground="none")
+        assert len(kept.points) == len(POINTS) + (n if share > 0.05 else 0)
+
+
 @pytest.mark.parametrize("n", [800, 20_000], ids=["few", "most"])
 @pytest.mark.parametrize("turn", [(0, 0, 0), (1, 2, 3)], ids=["upright", "turned"])
 def test_the_ground_goes_and_the_body_stays(n: int, turn: FloatArray) -> None:
