@@ -24,6 +24,7 @@ from pcretrieve.estimators import (
     WithinClassWhitening,
 )
 from pcretrieve.options import RetrievalOptions, SignatureOptions
+from pcretrieve.pipeline.process import remembered
 from pcretrieve.retrieval import (
     DISTANCES,
     SignatureIndex,
@@ -85,6 +86,28 @@ def test_neighbours_are_those_of_the_index_without_themselves(distance: str) -> 
     for number, (distances, nearest) in enumerate(zip(own, rows, strict=True)):
         assert sorted(nearest) == [row for row in range(60) if row != number]
         np.testing.assert_array_equal(distances, np.sort(apart[number][nearest]))
+
+
+def test_no_signature_is_its_own_neighbour_whatever_is_compared_at_a_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    estimator = SignatureNeighbors().fit(posed_logs())
+    whole = estimator.kneighbors(n_neighbors=59)
+    monkeypatch.setattr("pcretrieve.estimators.BLOCK_DISTANCES", 7 * 60)
+    for found, expected in zip(estimator.kneighbors(n_neighbors=59), whole, strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_surfaces_are_remembered_by_their_options() -> None:
+    egg = shapes.ellipsoid((1, 1, 1.5), subdivisions=2)
+    for n_pairs in (20, 30, 20):
+        options = pr.PipelineOptions().changed(
+            surface={"mode": "keep"},
+            spectral={"n_pairs": n_pairs},
+            signature={"n_modes": 10, "n_values": 5},
+        )
+        spectrum = remembered(egg, options).spectrum
+        assert spectrum is not None and len(spectrum.eigenvalues) == n_pairs
 
 
 def test_the_score_is_the_mean_average_precision_of_new_queries() -> None:

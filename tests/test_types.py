@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import shapes
 from scipy.sparse import csc_array, eye_array
+from scipy.sparse.csgraph import dijkstra
 
 from pcretrieve import errors
 from pcretrieve.arrays import DOUBLE_OFFSET, SINGLE_OFFSET, Frame, power_of_two
@@ -29,6 +30,7 @@ from pcretrieve.values import (
     TriangleMesh,
     bounding_diagonal,
 )
+from pcretrieve.values.geometry import edge_graph
 
 CORNERS = np.eye(3)
 IDENTITY = csc_array(eye_array(3))
@@ -311,3 +313,9 @@ def test_points_in_one_place_have_a_frame() -> None:
 
 def test_the_power_of_two_above_a_length() -> None:
     assert [power_of_two(length) for length in (0.0, 0.5, 0.75, 1.9, 2.0)] == [1, 1, 1, 2, 4]
+
+
+def test_vertices_at_one_place_are_linked() -> None:
+    mesh = TriangleMesh(np.array([[0, 0, 0], [0, 0, 0], [1.0, 0, 0]]), np.array([[0, 1, 2]]))
+    apart = dijkstra(edge_graph(mesh), directed=False)
+    np.testing.assert_allclose(apart, [[0, 0, 1], [0, 0, 1], [1, 1, 0]], atol=1e-12)

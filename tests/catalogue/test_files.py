@@ -221,6 +221,12 @@ def test_a_writer_shares_its_lock_with_nobody(path: Path) -> None:
         fcntl.flock(log, fcntl.LOCK_SH | fcntl.LOCK_NB)
 
 
+def test_a_file_is_trusted_with_nothing_and_written_to_the_disk(path: Path) -> None:
+    with Catalogue(path) as store:
+        assert store.database.execute("PRAGMA trusted_schema") == [(0,)]
+        assert store.database.execute("PRAGMA synchronous") == [(3,)]  # EXTRA
+
+
 # --- damage ---------------------------------------------------------------------------------------------
 
 

@@ -179,6 +179,14 @@ def test_a_failure_never_replaces_a_finished_shape(rows: Rows) -> None:
     assert ids(rows.records()) == ["a", "b", "c", "d", "e"]
 
 
+def test_a_shape_does_not_take_the_path_of_another(rows: Rows) -> None:
+    before = rows.records()
+    rows.revise(moved={"/a.ply": "/b.ply"})
+    assert rows.records() == before
+    rows.revise(moved={"/a.ply": "/new.ply"})
+    assert [record.path for record in rows.several(["a", "b"])] == ["/new.ply", "/b.ply"]
+
+
 # --- merges ---------------------------------------------------------------------------------------------
 
 

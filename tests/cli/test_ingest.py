@@ -107,6 +107,18 @@ def test_the_status_of_an_ingest_and_a_retry_of_its_failures(folder: Path) -> No
         with pr.Catalogue(catalogue) as store, store.database.writing():
             store.keep_setting("batch", json.dumps(counts))
         assert pr.status(catalogue).state == state
+    counts = {
+        "n_scans": 10,
+        "n_done": 1,
+        "n_failed": 1,
+        "n_skipped": 4,
+        "started": time.time() - 10,
+    }
+    with pr.Catalogue(catalogue) as store, store.database.writing():
+        known = {"state": "running", "updated": time.time(), "computer": "another"}
+        store.keep_setting("batch", json.dumps(known | counts))
+    # Two scans in 10 s, and four are left.
+    assert pr.status(catalogue).seconds_left == pytest.approx(20, rel=0.1)
     ingest(folder)
     found = pr.status(catalogue)
     assert (found.state, found.n_scans, found.n_done, found.n_failed) == ("finished", 6, 2, N_BAD)

@@ -16,9 +16,11 @@ from PIL import Image
 
 import pcretrieve as pr
 from pcretrieve.catalogue import Content, Record
+from pcretrieve.cli.search import _told
 from pcretrieve.evaluation.measures import MEASURES
 from pcretrieve.formats import write_mesh
 from pcretrieve.matching import MATCHERS, match_all
+from pcretrieve.query import Described
 
 N_KINDS, N_EACH = 4, 4
 PCA = ("--whitening", "pca", "--distance", "d1", "--n-values", 9)
@@ -130,6 +132,15 @@ def test_a_query_of_another_resolution_is_told(eggs: Path, tmp_path: Path) -> No
         "fine.off has 16 times the faces of the results"
         in run("query", "-c", eggs / "eggs.sqlite", fine).stderr
     )
+
+
+def test_a_query_of_fewer_faces_is_told_too(capsys: pytest.CaptureFixture[str]) -> None:
+    record = Record("egg", "/egg.off", "", n_faces=8000)
+    neighbors, values = pr.Neighbors(("egg",), np.zeros(1)), pr.Signature(np.ones(3), "r-bihdm")
+    for n_faces, said in ((500, "coarse.off has 0.062 times the faces"), (4000, "")):
+        answer = pr.Answer(neighbors, (record,), query=Described(values, n_faces=n_faces))
+        _told([], True, ("coarse.off", answer))
+        assert (said in (found := capsys.readouterr().err)) and bool(found) == bool(said)
 
 
 # --- matrices and comparisons ---------------------------------------------------------------------------

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import shapes
+import trimesh
 
 from pcretrieve.descriptors import hapt
-from pcretrieve.descriptors.hapt import CELL, moments, projected_areas
+from pcretrieve.descriptors.hapt import CELL, _vertex_normals, moments, projected_areas
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.values import FloatArray, TriangleMesh
 
@@ -95,3 +96,13 @@ def test_a_body_that_is_all_length_needs_too_large_a_grid() -> None:
     message = r"at most 16,777,216 voxels of 0.01 √area, got [\d,]+: the"
     with pytest.raises(DegenerateMeshError, match=message):
         hapt(shapes.joined(*arms))
+
+
+def test_normals_at_vertices_do_not_depend_on_how_sides_are_divided() -> None:
+    """Each corner of a cube has one direction, though one of its sides has one triangle or two there."""
+    cube = trimesh.creation.box()
+    vertices = np.array(cube.vertices)
+    normals = _vertex_normals(vertices, np.array(cube.faces, dtype=np.int32))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    outward = np.sign(vertices) / np.sqrt(3)
+    np.testing.assert_allclose(normals, outward, atol=1e-12)

@@ -149,6 +149,14 @@ def test_ranks_are_those_of_sorting_by_distance_and_id() -> None:
         assert result.hit_rank[result.hit_query == query].tolist() == expected
 
 
+def test_errors_of_pairs_hand_worked() -> None:
+    """Limits at the pairs of one class: a quarter of the others is within 2, and a half within 3."""
+    rates = verification(np.array([1.0, 2.0, 3.0]), np.array([1.5, 2.5, 3.5, 4.0]))
+    assert rates is not None
+    found = [rates.missed(rate) for rate in (0.0, 0.2, 0.25, 0.4, 0.5, 1.0)]
+    np.testing.assert_allclose(found, [2 / 3, 2 / 3, 1 / 3, 1 / 3, 0, 0], atol=1e-12)
+
+
 def test_precision_recall_hand_worked() -> None:
     # Query a alone: hits at ranks 1 and 3 of R = 2, so precision 1 up to recall ½ and ⅔ beyond.
     result = ranked(

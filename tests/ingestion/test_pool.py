@@ -22,6 +22,7 @@ from pcretrieve.errors import (
     PcretrieveError,
     Stage,
     UnexpectedError,
+    WorkerDied,
     in_stage,
 )
 from pcretrieve.ingestion import pool
@@ -130,6 +131,17 @@ def test_what_lacks_memory_in_a_used_worker_is_tried_in_a_fresh_one() -> None:
         PcretrieveError, match=r"could take a shape.* the last one printed: ZeroDivisionError"
     ):
         list(pool.in_processes(unready, [0]))
+
+
+def die(place: Path) -> None:
+    (place / str(os.getpid())).touch()
+    os._exit(7)
+
+
+def test_an_item_whose_process_ends_is_tried_twice(tmp_path: Path) -> None:
+    ((_, outcome),) = pool.in_processes(die, [tmp_path], workers=1)
+    assert isinstance(outcome, WorkerDied) and "ended with exit code 7" in str(outcome)
+    assert len([*tmp_path.iterdir()]) == 2
 
 
 # A main process with two workers: one computes without an end, the other waits for its next item.

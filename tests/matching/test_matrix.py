@@ -95,8 +95,10 @@ def test_where_a_matrix_cannot_be_written(tmp_path: Path) -> None:
         write_matrix(MATRIX, tmp_path / "nowhere" / "run.txt")
     with pytest.raises(InputError, match=r"must not end in \.ids"):
         write_matrix(MATRIX, tmp_path / "run.ids")
-    with pytest.raises(InputError, match=r"ids must have one line each, got 'a\\nb'"):
-        write_matrix(DistanceMatrix(("a\nb",), [[0.0]]), tmp_path / "run.txt")  # type: ignore[arg-type]
+    for name in ("a\nb", "a\rb", "a\x0bb", "a\u2028b", ""):
+        with pytest.raises(InputError, match="ids must have one line each, got ") as raised:
+            write_matrix(DistanceMatrix((name,), np.zeros((1, 1))), tmp_path / "run.txt")
+        assert repr(name) in str(raised.value)
     assert not list(tmp_path.iterdir())
 
 

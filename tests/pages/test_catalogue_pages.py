@@ -18,6 +18,7 @@ from search_server import NASTY
 from pcretrieve import (
     Answer,
     PipelineOptions,
+    Record,
     draw_map,
     ingest,
     matrix,
@@ -28,6 +29,7 @@ from pcretrieve import (
 )
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation import evaluate
+from pcretrieve.pages.retrieval_page import _judged
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -268,3 +270,16 @@ def test_pages_are_accessible_and_fit_a_phone(
             with browsers.opened(browser, file.as_uri(), size, dark=dark) as page:
                 assert browsers.overflow(page) <= 0
                 assert browsers.violations(page) == []
+
+
+def test_results_after_as_many_as_the_class_has_are_not_wrong() -> None:
+    def record(label: str | None) -> Record:
+        return Record("a", "/a.off", "", label)
+
+    labels = ("kind0", "kind1", "kind1", None, "kind0", "kind1")
+    found: list[tuple[Record, bytes | None, float]] = [
+        (record(label), None, 0.1) for label in labels
+    ]
+    judged = _judged("kind0", found, {"kind0": 3, "kind1": 3})
+    assert [card.relevant for card in judged] == [True, False, None, None, True, None]
+    assert {card.relevant for card in _judged(None, found, {"kind0": 3})} == {None}

@@ -14,7 +14,7 @@ from pcretrieve import Catalogue, PipelineOptions, PointCloud, TriangleMesh, rec
 from pcretrieve.errors import ReconstructionError, ScanReadError
 from pcretrieve.formats import ScanLike, write_mesh
 from pcretrieve.options import PRESETS
-from pcretrieve.pipeline.process import process
+from pcretrieve.pipeline.process import moved, process
 from pcretrieve.surface import defects
 
 POINTS = shapes.points_on(shapes.body(), 8000)
@@ -63,6 +63,14 @@ def test_a_cloud_far_from_the_origin_is_the_same_body(shift: float) -> None:
         signature(one, {"signature": {"method": "r-bihdm"}}).values for one in (there, here)
     )
     np.testing.assert_allclose(np.log(far), np.log(near), atol=0.02)
+
+
+def test_sensors_move_with_their_points() -> None:
+    by, above = np.array([1.0, -2, 3]), np.array([0.0, 0, 5])
+    there = moved(PointCloud(POINTS, viewpoints=POINTS + above), by)
+    assert there.viewpoints is not None
+    np.testing.assert_allclose(there.points, POINTS + by)
+    np.testing.assert_allclose(there.viewpoints, POINTS + above + by)
 
 
 def test_an_error_names_its_scan_and_its_stage(tmp_path: Path) -> None:

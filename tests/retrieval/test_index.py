@@ -304,6 +304,19 @@ def test_where_no_directions_lead_few_signatures_are_compared() -> None:
     assert len(found) <= bounds.N_LAST * 5
 
 
+def test_many_neighbours_are_looked_for_beyond_the_first_blocks() -> None:
+    """Two blocks have fewer shapes than are few for so many neighbours."""
+    gallery = np.random.default_rng(8).normal(size=(5000, 6))
+    exact = np.linalg.norm(gallery - gallery[0], axis=1)
+    made = LowerBounds.of(gallery)
+    k = made.rows.shape[1] // 4
+    found = made.candidates(
+        gallery[0], k, lambda rows: float(np.sort(exact[rows])[k - 1]), SCANS[0]
+    )
+    assert len(made.rows) > bounds.N_BLOCKS and bounds.N_LAST * k > 2 * made.rows.shape[1]
+    assert np.isin(np.argsort(exact)[:k], found).all()
+
+
 def test_queries_beyond_single_precision_leave_nothing_out() -> None:
     gallery = galleries()["spread"]
     made = LowerBounds.of(gallery)

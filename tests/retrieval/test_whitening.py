@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks.measuring import evaluate_table
-from tables import classes_of, table_of
+from tables import classes_of, posed_logs, table_of
 
 from pcretrieve.descriptors import DESCRIPTORS, signature_length
 from pcretrieve.errors import InputError, OptionError
@@ -246,3 +246,11 @@ def test_the_metric_of_people_is_known_for_these_signatures_alone() -> None:
         OptionError, match="whitening 'people' is known for hapt, r-bihdm and their fusion"
     ):
         fit_whitening("people", np.ones((3, 8)))
+
+
+def test_labels_are_used_by_auto_alone() -> None:
+    logs, labels = posed_logs(), classes_of(60, 6)
+    assert fit_whitening("auto", logs, labels).kind == "within-class"
+    without = fit_whitening("unsupervised", logs)
+    assert fit_whitening("unsupervised", logs, labels) == without
+    assert without.kind != "within-class"

@@ -19,7 +19,7 @@ from pcretrieve.points.neighbors import SPACING_NEIGHBORS, neighborhoods, spacin
 from pcretrieve.points.outside import sampled
 from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.surface import SurfaceMarks, body_surfaces, defects
-from pcretrieve.surface.caps import NO_CAP, capped
+from pcretrieve.surface.caps import NO_CAP, _stands, capped
 from pcretrieve.surface.coarse import BESIDE, coarse_surface, crossings, filled, indicator
 from pcretrieve.surface.reconstruct import uniform_points
 from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
@@ -275,3 +275,13 @@ def test_crossings_lie_on_the_surface() -> None:
         places = here.astype(float)
         places[:, axis] += shares[tuple(here.T)]
         np.testing.assert_allclose(np.abs(places - centre).sum(axis=1), RADIUS, atol=1e-3)
+
+
+def test_a_base_may_lie_above_less_than_three_tenths_of_the_points() -> None:
+    """Those that touch its plane are not beneath it."""
+    rng = np.random.default_rng(0)
+    base = np.column_stack([rng.uniform(-1, 1, (50, 2)), np.zeros(50)])
+    for n_beneath, stands in ((280, True), (320, False)):
+        height = np.repeat([-1.0, 0.0, 1.0], [n_beneath, 50, 950 - n_beneath])
+        points = np.column_stack([rng.uniform(-0.9, 0.9, (1000, 2)), height])
+        assert _stands(base, np.array([0, 0, -1.0]), PointCloud(points)) == stands

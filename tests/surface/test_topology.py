@@ -196,6 +196,15 @@ def test_a_ball_with_defects_is_repaired_to_the_ball(broken: TriangleMesh, note:
     assert mesh.volume == pytest.approx(BALL.volume, rel=1e-14)
 
 
+def test_a_face_at_a_rim_that_is_stored_again_turned_is_kept_once() -> None:
+    """Unlike a fin, it has two faces at its side on the rim, but three at the others."""
+    sheet = shapes.square(4)
+    for stored in (sheet.faces[:1], sheet.faces[:1, ::-1]):
+        mesh, _ = repaired(with_more(sheet, stored))
+        assert mesh.area == pytest.approx(sheet.area, rel=1e-14)
+        assert len(mesh.faces) == len(sheet.faces)
+
+
 def test_noisy_vertices_alone_are_smoothed_and_the_ball_keeps_its_size() -> None:
     ball = shapes.icosphere(4)
     assert denoised(ball)[0] is ball

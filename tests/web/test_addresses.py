@@ -45,6 +45,14 @@ def test_the_collection_is_searched_filtered_and_sorted(server: Server) -> None:
         assert found == expected
 
 
+def test_a_day_of_the_collection_includes_its_last_hour(server: Server) -> None:
+    every = server.ask("/shapes").json["shapes"]
+    days = sorted({shape["added"][:10] for shape in every})
+    for first, last in ((days[0], days[-1]), (days[-1], days[-1])):
+        found = server.ask(f"/shapes?since={first}&until={last}").json["shapes"]
+        assert found == [shape for shape in every if first <= shape["added"][:10] <= last] != []
+
+
 @pytest.mark.slow
 def test_any_name_is_one_part_of_an_address(server: Server) -> None:
     name = quote(NASTY, safe="")
