@@ -115,6 +115,13 @@ ONE = Signature(np.ones(1), "x")
         ),
         (ONE.distance, [1], "the other signature must be of the type Signature, got int"),
         (ONE.distance, [Signature(np.ones(1), "y")], "must be made by the same options, got ('x',"),
+        (ONE.distance, [Signature(np.ones(1), "x", "other")], "must be made by the same options"),
+        (ONE.distance, [Signature(np.ones(1), "x", unit="m")], "must be made by the same options"),
+        (
+            ONE.distance,
+            [Signature(np.ones(1), "x", metric="values")],
+            "must be made by the same options",
+        ),
         (eigenpairs, [CORNERS], "operator must be of the type LaplaceBeltrami, got ndarray"),
         (ModalSpectrum.of, [1], "pairs must be of the type Eigenpairs or ModalSpectrum, got int"),
         (Surface, [0.0], "the area of a surface must be positive and finite, got 0.0"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
@@ -9,7 +11,7 @@ from tables import classes_of, table_of
 
 from pcretrieve.errors import InputError
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.query import SURE, UNLIKELY, Match
+from pcretrieve.query import SURE, UNLIKELY, Match, _match
 from pcretrieve.retrieval import SignatureIndex, pairwise, table_whitening
 from pcretrieve.retrieval.clusters import GAP, near_pairs, plane_map
 from pcretrieve.retrieval.scores import MatchScores, _Pairs, _shares, fit_scores
@@ -148,6 +150,15 @@ def test_shapes_nearer_than_a_thousandth_are_equally_near() -> None:
     at_limit = found.sureness(0.001, 0.5)
     assert found.sureness(0.0, 0.5) == found.sureness(0.00095, 0.5) == at_limit
     assert found.sureness(0.00105, 0.5) != at_limit
+
+
+def test_the_next_class_is_as_far_as_the_last_neighbour_if_none_of_them_is_of_it() -> None:
+    found = scores_of(classes(20, 6, seed=1, spread=0.05))
+    near, far = 0.1, 0.5
+    alone = _match([(far, "cat"), (near, "cat")], found, None)
+    assert alone == Match("cat", None, found.sureness(near, far))
+    assert found.sureness(near, far) > found.sureness(near, near)
+    assert _match([(far, "dog"), (near, "cat")], found, None) == replace(alone, other="dog")
 
 
 def test_an_answer_is_one_line() -> None:

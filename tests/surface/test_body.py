@@ -19,6 +19,7 @@ from pcretrieve.points.neighbors import SPACING_NEIGHBORS, neighborhoods, spacin
 from pcretrieve.points.outside import sampled
 from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.surface import SurfaceMarks, body_surfaces, defects
+from pcretrieve.surface.body import _invented
 from pcretrieve.surface.caps import NO_CAP, _stands, capped
 from pcretrieve.surface.coarse import BESIDE, coarse_surface, crossings, filled, indicator
 from pcretrieve.surface.reconstruct import uniform_points
@@ -285,3 +286,14 @@ def test_a_base_may_lie_above_less_than_three_tenths_of_the_points() -> None:
         height = np.repeat([-1.0, 0.0, 1.0], [n_beneath, 50, 950 - n_beneath])
         points = np.column_stack([rng.uniform(-0.9, 0.9, (1000, 2)), height])
         assert _stands(base, np.array([0, 0, -1.0]), PointCloud(points)) == stands
+
+
+def test_a_quarter_of_a_sheet_may_be_invented_but_not_on_one_side() -> None:
+    sheet = shapes.ellipsoid((1, 1, 0.05), subdivisions=4)
+    x, _, z = sheet.vertices.T
+    both = x > np.quantile(x, 0.75)
+    assert _invented(sheet, both) == pytest.approx(0.25, abs=0.01)
+    one = (z > 0) & (x > np.quantile(x[z > 0], 0.5))
+    assert one.mean() < 0.26
+    with pytest.raises(ReconstructionError, match="had to be invented, on one side: scan the"):
+        _invented(sheet, one)
