@@ -18,7 +18,6 @@ from pcretrieve.ingestion.labels import read_labels
 from pcretrieve.simulation import body, make_subject
 from pcretrieve.simulation.samples import moved
 from pcretrieve.surface import components
-from pcretrieve.surface.topology import compact
 from pcretrieve.values import FloatArray, IntArray, TriangleMesh
 from pcretrieve.values.geometry import edge_graph
 
@@ -136,7 +135,7 @@ def _seal(mesh: TriangleMesh) -> IntArray:
         kept = skin & ~removed[mesh.faces].any(axis=1)
         part = components(TriangleMesh(mesh.vertices, mesh.faces[kept]))
         kept[kept] = part == np.bincount(part).argmax()
-        begins = _open_edges(mesh.faces[kept])[:, 0]
+        begins = open_edges(mesh.faces[kept])[:, 0]
         # Openings that meet at a vertex are made one.
         shared = np.flatnonzero(np.bincount(begins) > 1)
         if not len(shared):
@@ -144,7 +143,7 @@ def _seal(mesh: TriangleMesh) -> IntArray:
         removed[shared] = True
 
 
-def _open_edges(faces: IntArray) -> IntArray:
+def open_edges(faces: IntArray) -> IntArray:
     """(k, 2) the edges that have a face on one side only, in its direction."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     n = int(edges.max()) + 1
@@ -155,7 +154,7 @@ def _sealed(mesh: TriangleMesh, skin: IntArray) -> TriangleMesh:
     """Some faces of a mesh, whose openings are closed by a vertex in the middle of each."""
     faces = mesh.faces[skin]
     vertices, caps = [mesh.vertices], [faces]
-    after = dict(_open_edges(faces).tolist())
+    after = dict(open_edges(faces).tolist())
     while after:
         loop = [next(iter(after))]
         while loop[-1] in after:
@@ -312,8 +311,3 @@ def neighbourhood(mesh: TriangleMesh, centre: int, radius: float) -> FloatArray:
     near = np.zeros(len(inside), dtype=bool)
     near[rows[label == label[np.searchsorted(rows, centre)]]] = True
     return near
-
-
-def compacted(mesh: TriangleMesh) -> TriangleMesh:
-    """The mesh without vertices that no face has."""
-    return compact(mesh.vertices, mesh.faces)

@@ -15,10 +15,11 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from benchmarks.bodies import Body, is_outside
+from benchmarks.bodies import Body, is_outside, open_edges
 from pcretrieve.draw.open3d import RayScene
 from pcretrieve.simulation import RigOptions, camera_pose, scan
 from pcretrieve.simulation.scanner import outside_holes, strays
+from pcretrieve.surface import components
 from pcretrieve.surface.reconstruct import uniform_points
 from pcretrieve.values import FloatArray, IntArray, TriangleMesh
 from pcretrieve.values.geometry import edge_graph
@@ -190,21 +191,32 @@ def left_by(damage: str, points: FloatArray, body: Body, rng: np.random.Generato
 # those with a larger one are no ends.
 N_ENDS, SHARES = 5, (0.02, 0.3)
 
+# Largest squared length of the cut relative to the area of what is cut off: 2 π radius / length for limbs,
+# 4 π for patches of a trunk. It is measured along the edges of faces, which makes it longer.
+ROUND = 5.0
+
 # Number of extremities that are looked at, of which some are ends of one limb.
 N_EXTREMITIES = 12
 
 
 def _from_an_end(mesh: TriangleMesh, rng: np.random.Generator) -> FloatArray:
     """(n,) geodesic distances of the vertices from the end of a random limb."""
-    reach, areas = LIMB * _height(mesh), mesh.face_areas / mesh.area
-
-    def is_limb(paths: FloatArray) -> bool:
-        share = float(areas[(paths < reach)[mesh.faces].all(axis=1)].sum())
-        return SHARES[0] < share < SHARES[1]
-
+    reach = LIMB * _height(mesh)
     extremities = list(islice(_from_extremities(mesh), N_EXTREMITIES))
-    ends = [paths for paths in extremities if is_limb(paths)][:N_ENDS]
+    ends = [paths for paths in extremities if _is_limb(mesh, paths < reach)][:N_ENDS]
     return ends[int(rng.integers(len(ends)))] if ends else extremities[0]
+
+
+def _is_limb(mesh: TriangleMesh, inside: Mask) -> bool:
+    """Whether vertices are the end of a limb: the cut is short, and leaves the rest in one piece."""
+    cut_off = inside[mesh.faces].all(axis=1)
+    area = float(mesh.face_areas[cut_off].sum())
+    if not SHARES[0] < area / mesh.area < SHARES[1]:
+        return False
+    rest = TriangleMesh(mesh.vertices, mesh.faces[~cut_off])
+    rim = open_edges(mesh.faces[cut_off])
+    length = np.linalg.norm(mesh.vertices[rim[:, 0]] - mesh.vertices[rim[:, 1]], axis=1).sum()
+    return bool(components(rest).max() == 0 and length**2 / area < ROUND)
 
 
 def _from_extremities(mesh: TriangleMesh) -> Iterator[FloatArray]:
@@ -222,14 +234,25 @@ def _from_extremities(mesh: TriangleMesh) -> Iterator[FloatArray]:
         yield distances
 
 
-# How far one body is pushed into another after they touch, relative to the diagonal; and the largest angle of
-# the push to the direction ahead; degrees.
-PUSH, ASIDE = (0.01, 0.03), 35.0
+# How far one body is pushed into another after they touch, relative to the diagonal; the largest angle of the
+# push to the direction ahead, in degrees; and of how many ways that are tried the one is taken by which
+# their middles come nearest to each other, so that not only their fingers touch.
+PUSH, ASIDE, N_WAYS = (0.01, 0.03), 35.0, 6
 
 
 def pressed(one: Body, other: Body, rng: np.random.Generator) -> Body:
     """Two bodies as one, the other pushed into the first from its front."""
     a, b = one.mesh, other.mesh
+    placed = min((_touching(a, b, rng) for _ in range(N_WAYS)), key=lambda way: way[0])[1]
+    faces = np.concatenate([a.faces, b.faces + len(a.vertices)])
+    both = TriangleMesh(np.concatenate([a.vertices, placed]), faces)
+    return Body(f"{one.name}+{other.name}", one.label, both, one.places)
+
+
+def _touching(
+    a: TriangleMesh, b: TriangleMesh, rng: np.random.Generator
+) -> tuple[float, FloatArray]:
+    """The vertices of a mesh that is turned at random and pushed into another, and how far apart they are."""
     turn = Rotation.from_euler("y", rng.uniform(-180, 180), degrees=True).as_matrix()
     azimuth = np.radians(rng.uniform(-ASIDE, ASIDE))
     ahead = np.array([np.sin(azimuth), 0, np.cos(azimuth)])
@@ -237,14 +260,11 @@ def pressed(one: Body, other: Body, rng: np.random.Generator) -> Body:
     placed = (b.vertices - b.vertices.mean(axis=0)) @ turn.T + a.vertices.mean(axis=0)
     placed[:, 1] += a.vertices[:, 1].min() - placed[:, 1].min()
     placed += away * ahead
-    # The bodies touch where a vertex of one first meets the surface of the other.
+    # They touch where a vertex of one first meets the surface of the other.
     gaps = [
         RayScene(placed, b.faces).cast(a.vertices, np.broadcast_to(ahead, a.vertices.shape))[0],
         RayScene(a.vertices, a.faces).cast(placed, np.broadcast_to(-ahead, placed.shape))[0],
     ]
     gap = min(float(each.min()) for each in gaps)
-    gap = away if np.isinf(gap) else gap
-    placed -= (gap + rng.uniform(*PUSH) * a.diagonal) * ahead
-    faces = np.concatenate([a.faces, b.faces + len(a.vertices)])
-    both = TriangleMesh(np.concatenate([a.vertices, placed]), faces)
-    return Body(f"{one.name}+{other.name}", one.label, both, one.places)
+    gap = (away if np.isinf(gap) else gap) + float(rng.uniform(*PUSH)) * a.diagonal
+    return away - gap, placed - gap * ahead
