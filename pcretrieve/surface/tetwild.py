@@ -1,23 +1,19 @@
-"""Surface → boundary of a tetrahedral mesh by fTetWild (pytetwild), in a server process with a time limit.
+"""Surface → boundary of a tetrahedral mesh by fTetWild (pytetwild), in a process with a time limit.
 
-fTetWild holds the global interpreter lock during a call and has no time limit of its own. It is therefore run
-in one server process, which is started at the first use, processes the surfaces one after another, and is
-killed if a surface exceeds its time limit. The server ends with its client process.
+fTetWild holds the global interpreter lock during a call and has no time limit of its own. Each surface
+therefore gets a process, which is killed if it exceeds the limit, and ends with its client. To start one
+takes a second, a surface at least eleven.
 """
 
 from __future__ import annotations
 
-import atexit
-import contextlib
 import ctypes
 import io
 import os
 import signal
-import struct
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from importlib import import_module
 from importlib.metadata import distribution
@@ -101,13 +97,8 @@ def _check_change(before: TriangleMesh, after: TriangleMesh, most: float) -> Non
             )
 
 
-# A message is its length, followed by an .npz archive of arrays. Nothing is pickled.
-LENGTH = struct.Struct("<q")
-
-# The server has the sys.path of its client, instead of one that depends on the working directory.
-SERVER = (
-    "import sys; sys.path[:] = sys.argv[1:]; from pcretrieve.surface.tetwild import serve; serve()"
-)
+# The process has the sys.path of its client, instead of one that depends on the working directory.
+ANSWER = "import sys; sys.path[:] = sys.argv[1:]; from pcretrieve.surface.tetwild import answer; answer()"
 
 
 def tetrahedralize(
@@ -131,87 +122,41 @@ def tetrahedralize(
     ----------
     .. [1] Hu, Schneider, Wang, Zorin and Panozzo, "Fast tetrahedral meshing in the wild", ACM TOG 2020.
     """
-    scalars = {
-        "edge_length": edge_length,
-        "envelope": envelope,
-        "optimize": optimize,
-        "timeout": timeout,
-    }
+    scalars = {"edge_length": edge_length, "envelope": envelope, "optimize": optimize}
     arrays = {name: np.array(value) for name, value in scalars.items()}
-    answer = _server.ask({"vertices": vertices, "faces": faces, **arrays})
-    if "error" in answer:
-        raise RemeshError(f"fTetWild failed: {answer['error']}")
-    if not len(answer["tetrahedra"]):
-        raise RemeshError("fTetWild gave no tetrahedra")
-    return answer["nodes"], answer["tetrahedra"]
-
-
-class _Server:
-    """The client side of the server process."""
-
-    def __init__(self) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
-        self._lock = threading.Lock()
-        atexit.register(self.stop)
-
-    def process(self) -> subprocess.Popen[bytes]:
-        """The running server; it is started if there is none."""
-        if self._process is not None and self._process.poll() is None:
-            return self._process
-        self.stop()
-        places = [str(Path(place).resolve()) for place in sys.path]
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", SERVER, *places], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    places = [str(Path(place).resolve()) for place in sys.path]
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", ANSWER, *places],
+            input=_packed({"vertices": vertices, "faces": faces, **arrays}),
+            stdout=subprocess.PIPE,
+            timeout=timeout,
         )
-        return self._process
-
-    def stop(self) -> None:
-        """Kill the server, if there is one."""
-        if self._process is not None:
-            self._process.kill()
-            for pipe in (self._process.stdin, self._process.stdout):
-                if pipe is not None:
-                    # Closing fails if there is buffered data, because the process has ended.
-                    with contextlib.suppress(OSError):
-                        pipe.close()
-            self._process.wait()
-            self._process = None
-
-    def ask(self, question: Arrays) -> Arrays:
-        """The reply of the server; `RemeshError` if the server ends before it."""
-        with self._lock:
-            process = self.process()
-            try:
-                _send(process.stdin, question)
-                return _receive(process.stdout)
-            except (EOFError, OSError) as error:
-                self.stop()
-                if process.returncode == -signal.SIGALRM:
-                    raise RemeshError(
-                        f"fTetWild did not finish within {question['timeout']:g} s and was stopped"
-                    ) from error
-                raise RemeshError(f"fTetWild died, with exit code {process.returncode}") from error
+    except subprocess.TimeoutExpired as error:
+        raise RemeshError(
+            f"fTetWild did not finish within {timeout:g} s and was stopped"
+        ) from error
+    if done.returncode or not done.stdout:
+        raise RemeshError(f"fTetWild died, with exit code {done.returncode}")
+    found = _unpacked(done.stdout)
+    if "error" in found:
+        raise RemeshError(f"fTetWild failed: {found['error']}")
+    if not len(found["tetrahedra"]):
+        raise RemeshError("fTetWild gave no tetrahedra")
+    return found["nodes"], found["tetrahedra"]
 
 
-_server = _Server()
+# Messages are .npz archives. Nothing is pickled.
 
 
-def _send(pipe: Any, arrays: Arrays) -> None:
+def _packed(arrays: Arrays) -> bytes:
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **arrays)
-    pipe.write(LENGTH.pack(buffer.tell()) + buffer.getvalue())
-    pipe.flush()
+    return buffer.getvalue()
 
 
-def _receive(pipe: Any) -> Arrays:
-    head = pipe.read(LENGTH.size)
-    if len(head) < LENGTH.size:
-        raise EOFError
-    (length,) = LENGTH.unpack(head)
-    body = pipe.read(length)
-    if len(body) < length:
-        raise EOFError
-    with np.load(io.BytesIO(body), allow_pickle=False) as archive:
+def _unpacked(message: bytes) -> Arrays:
+    with np.load(io.BytesIO(message), allow_pickle=False) as archive:
         return dict(archive)
 
 
@@ -222,9 +167,7 @@ def _library() -> ModuleType:
     return import_module("pytetwild.pytetwild")
 
 
-def _answer(pytetwild: ModuleType, question: Arrays) -> Arrays:
-    # The signal of the timer ends this process although fTetWild holds the interpreter lock.
-    signal.setitimer(signal.ITIMER_REAL, float(question["timeout"]))
+def _tetrahedra(pytetwild: ModuleType, question: Arrays) -> Arrays:
     try:
         nodes, tetrahedra = pytetwild.tetrahedralize(
             question["vertices"],
@@ -236,8 +179,6 @@ def _answer(pytetwild: ModuleType, question: Arrays) -> Arrays:
         )
     except (RuntimeError, ValueError, TypeError) as error:
         return {"error": np.array(str(error))}
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
     return {"nodes": nodes.astype(np.float64), "tetrahedra": tetrahedra.astype(np.int32)}
 
 
@@ -248,33 +189,30 @@ PR_SET_PDEATHSIG = 1
 def end_with_parent() -> None:
     """Ask the kernel to kill this process when its parent ends, also during a computation.
 
-    Linux only: on other systems the process continues until it next reads from or writes to the pipe of its
-    parent. For the kernel, the parent is the thread that started this process.
+    Linux only: on other systems the process continues until it has finished. For the kernel, the parent is
+    the thread that started this process.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
-def serve() -> None:
-    """Run the server: process surfaces from standard input until the client closes it."""
-    # The terminal sends Ctrl-C to the server too, but the client handles it. The signal is blocked instead of
-    # ignored, because fTetWild resets the handlers of signals.
+def answer() -> None:
+    """Read a surface from standard input, and write its tetrahedra to standard output."""
+    # The terminal sends Ctrl-C to this process too, but the client handles it, and ends this one. The signal
+    # is blocked instead of ignored, because fTetWild resets the handlers of signals.
     signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-    # A client that exceeded its own time limit is killed, and cannot stop its server.
+    # A client that exceeded its own time limit is killed, and cannot stop this process.
     end_with_parent()
-    # fTetWild prints from C++ to the descriptors 1 and 2, which are redirected.
-    # Python's errors are still shown.
+    # fTetWild prints from C++ to the descriptors 1 and 2, which are redirected. Python's errors are still
+    # shown.
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     sys.stderr = os.fdopen(os.dup(sys.stderr.fileno()), "w")
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         os.dup2(nowhere, stream)
-    pytetwild = _library()  # before the client sends its first surface
-
     # fTetWild writes files into the working directory, which it cannot if the directory was removed.
     folder = Path(tempfile.mkdtemp(prefix="pcretrieve-"))
     os.chdir(folder)
     folder.rmdir()
-    with contextlib.suppress(EOFError, BrokenPipeError):
-        while True:
-            _send(answers, _answer(pytetwild, _receive(sys.stdin.buffer)))
+    with answers:
+        answers.write(_packed(_tetrahedra(_library(), _unpacked(sys.stdin.buffer.read()))))

@@ -20,30 +20,25 @@ from processes import PATIENCE, wait_for
 
 from pcretrieve.errors import RemeshError
 from pcretrieve.options import RemeshOptions
-from pcretrieve.surface import defects, tetwild
+from pcretrieve.surface import defects
 from pcretrieve.surface.tetwild import remesh, tetrahedralize
 from pcretrieve.values import FloatArray, IntArray, Step, TriangleMesh
 
 BALL = shapes.icosphere(2)
 
-# Of a client that waits with its server idle.
-ASK_ONCE = """
+# Of a client that asks for what takes much longer than its test.
+ASK_MUCH = """
 import numpy as np
 from pcretrieve.surface import tetwild
-vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
-faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32)
-tetwild.tetrahedralize(vertices, faces, edge_length=0.5, envelope=0.01, optimize=False, timeout=60)
-print(tetwild._server.process().pid, flush=True)
-input()
-"""
-
-
-# Of the same client, which then asks for what takes much longer than this test.
-ASK_MUCH = """
-import shapes
-egg = shapes.ellipsoid(subdivisions=5)
+n = 200
+angle = 2 * np.pi * np.arange(n) / n
+rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+vertices = np.concatenate([rim, [[0, 0, 1], [0, 0, -1]]])
+after = np.roll(np.arange(n), -1)
+up, down = np.full(n, n), np.full(n, n + 1)
+faces = np.concatenate([np.stack([np.arange(n), after, up], 1), np.stack([after, np.arange(n), down], 1)])
 tetwild.tetrahedralize(
-    egg.vertices, egg.faces, edge_length=0.02, envelope=0.001, optimize=True, timeout=600
+    vertices, faces.astype(np.int32), edge_length=0.01, envelope=0.0005, optimize=True, timeout=600
 )
 """
 
@@ -75,14 +70,29 @@ def runs(process: int) -> bool:
     return any(thread.rpartition(")")[2].split()[0] not in "ZX" for thread in threads)
 
 
-def seconds_of(process: int) -> float:
-    """The time of a processor that a process has used."""
-    user, system = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[11:13]
-    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+def children(process: int | str = "self") -> list[int]:
+    """The processes that a process has started and that are still there."""
+    found = [
+        int(number)
+        for task in Path(f"/proc/{process}/task").glob("*/children")
+        for number in task.read_text().split()
+    ]
+    return [child for child in found if runs(child)]
 
 
-def own_server() -> int:
-    return tetwild._server.process().pid
+def busy_child(process: int | str = "self") -> int:
+    """The process of fTetWild, once it computes: it has no working directory then."""
+
+    def computes() -> list[int]:
+        here = []
+        for child in children(process):
+            with suppress(OSError):
+                if Path(f"/proc/{child}/cwd").readlink().name.endswith(" (deleted)"):
+                    here.append(child)
+        return here
+
+    assert wait_for(lambda: bool(computes()))
+    return computes()[0]
 
 
 pytestmark = pytest.mark.skipif(
@@ -93,14 +103,10 @@ pytestmark = pytest.mark.skipif(
 # --- answers ------------------------------------------------------------------------------------------
 
 
-def test_a_ball_is_filled_and_one_server_answers_again_also_after_ctrl_c_in_the_terminal() -> None:
+def test_a_ball_is_filled() -> None:
     nodes, tetrahedra = ball()
-    first = own_server()
     assert (nodes.dtype.name, tetrahedra.dtype.name) == ("float64", "int32")
     assert volume(nodes, tetrahedra) == pytest.approx(BALL.volume, rel=0.02)
-    os.kill(first, signal.SIGINT)
-    assert len(ball()[1])
-    assert own_server() == first
 
 
 @pytest.mark.parametrize(
@@ -125,22 +131,19 @@ def test_no_answer_is_an_error_and_the_next_one_is_right(
 # --- death --------------------------------------------------------------------------------------------
 
 
-def test_it_is_stopped_when_its_time_is_over_and_the_next_one_answers() -> None:
-    ball()
-    first = own_server()
+def test_it_is_stopped_when_its_time_is_over() -> None:
     with pytest.raises(
         RemeshError, match=r"fTetWild did not finish within 0\.001 s and was stopped"
     ):
         ball(timeout=0.001)
-    assert not runs(first)
+    assert not children()
     assert len(ball()[1])
-    assert own_server() != first
 
 
 def test_its_death_over_a_surface_is_an_error() -> None:
-    ball()
     slow = shapes.ellipsoid(subdivisions=5)
-    threading.Timer(0.2, lambda: os.kill(own_server(), signal.SIGKILL)).start()
+    killer = threading.Thread(target=lambda: os.kill(busy_child(), signal.SIGKILL))
+    killer.start()
     with pytest.raises(RemeshError, match=r"^\[remesh\] fTetWild died, with exit code -9$"):
         tetrahedralize(
             slow.vertices,
@@ -150,42 +153,38 @@ def test_its_death_over_a_surface_is_an_error() -> None:
             optimize=True,
             timeout=PATIENCE,
         )
+    killer.join()
 
 
-@pytest.mark.parametrize("code", [0, -signal.SIGKILL], ids=["exits", "is killed"])
-def test_it_ends_with_its_client_and_leaves_no_folder(code: int, tmp_path: Path) -> None:
+def test_ctrl_c_in_the_terminal_is_left_to_its_client() -> None:
+    slow = shapes.ellipsoid(subdivisions=4)
+    interrupter = threading.Thread(target=lambda: os.kill(busy_child(), signal.SIGINT))
+    interrupter.start()
+    found = tetrahedralize(
+        slow.vertices,
+        slow.faces,
+        edge_length=0.2,
+        envelope=0.001,
+        optimize=False,
+        timeout=PATIENCE,
+    )
+    interrupter.join()
+    assert len(found[1])
+
+
+def test_it_ends_with_a_killed_client_and_needs_no_folder(tmp_path: Path) -> None:
     """Isolated, neither of them looks for modules in the folder of the client, which holds some not meant."""
     for name in ("signal", "numpy", "pytetwild", "pcretrieve"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit('the wrong module')\n")
-    command, pipe = [sys.executable, "-I", "-c", ASK_ONCE], subprocess.PIPE
-    with subprocess.Popen(command, cwd=tmp_path, stdin=pipe, stdout=pipe, text=True) as client:
-        assert client.stdout is not None
-        server = int(client.stdout.readline())
-        assert Path(f"/proc/{server}/cwd").readlink().name.endswith(" (deleted)")
-        if code:
-            client.kill()
-        client.communicate("\n", timeout=PATIENCE)
-    assert client.returncode == code
-    assert wait_for(lambda: not runs(server))
-
-
-@pytest.mark.slow
-def test_it_ends_with_a_killed_client_while_it_computes() -> None:
-    known = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    command, pipe = [sys.executable, "-c", f"{ASK_ONCE}{ASK_MUCH}"], subprocess.PIPE
-    with subprocess.Popen(command, env=known, stdin=pipe, stdout=pipe, text=True) as client:
-        assert client.stdout is not None and client.stdin is not None
-        server = int(client.stdout.readline())
-        before = seconds_of(server)
-        client.stdin.write("\n")
-        client.stdin.flush()
-        assert wait_for(lambda: seconds_of(server) > before + 0.1)
+    with subprocess.Popen([sys.executable, "-I", "-c", ASK_MUCH], cwd=tmp_path) as client:
+        computing = busy_child(client.pid)
         client.kill()
+    assert client.returncode == -signal.SIGKILL
     try:
-        assert wait_for(lambda: not runs(server), 5)
+        assert wait_for(lambda: not runs(computing), 5)
     finally:
         with suppress(ProcessLookupError):
-            os.kill(server, signal.SIGKILL)
+            os.kill(computing, signal.SIGKILL)
 
 
 # --- remeshing ----------------------------------------------------------------------------------------
