@@ -47,7 +47,7 @@ ROOMS = (
 # Names, operators and numbers of the package, as `tokenize` counts them.
 # Docstrings, comments and air are free.
 MOST_TOKENS = 228_000
-MOST_MODULES = 181
+MOST_MODULES = 180
 MOST_ARROWS = 117
 MOST_OPTIONS = 45
 

@@ -5,9 +5,9 @@ measures and precision–recall curves go out.
 """
 
 from pcretrieve.evaluation.comparison import Comparison
-from pcretrieve.evaluation.folds import rank_table
 from pcretrieve.evaluation.front import Evaluation, calibrate, compare, evaluate, matrix
 from pcretrieve.evaluation.measures import RetrievalMeasures
+from pcretrieve.evaluation.rankings import rank_table
 
 __all__ = [
     "Comparison",

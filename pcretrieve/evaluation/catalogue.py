@@ -12,8 +12,7 @@ import numpy as np
 
 from pcretrieve.catalogue import Catalogue, CatalogueLike
 from pcretrieve.errors import BenchmarkError, InputError
-from pcretrieve.evaluation.folds import rank_table
-from pcretrieve.evaluation.rankings import Rankings, Subset, rank_subsets
+from pcretrieve.evaluation.rankings import Rankings, Subset, rank_subsets, rank_table
 from pcretrieve.ingestion.labels import labels_of, match_labels
 from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import OptionsLike, PipelineOptions, RerankKind

@@ -11,8 +11,13 @@ from tables import classes_of, posed_logs, table_of
 
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.evaluation import rank_table
-from pcretrieve.evaluation.folds import grouped_folds, within_class_folds, within_class_subsets
-from pcretrieve.evaluation.rankings import Subset, rank_subsets
+from pcretrieve.evaluation.rankings import (
+    Subset,
+    grouped_folds,
+    rank_subsets,
+    within_class_folds,
+    within_class_subsets,
+)
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import DISTANCES, DistanceBlock, coordinates, fit_whitening, pairwise
 from pcretrieve.retrieval.reranking import NeighbourLists, rerank
