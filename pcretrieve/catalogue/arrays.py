@@ -29,8 +29,13 @@ SHORTEST_COMPRESSED = 4096
 # Compression level of zlib. See docs/decisions.md, LEVEL.
 LEVEL = 1
 
-# Largest compression ratio, and number of bytes to which any array may expand. Most ratios are below 10.
-MOST_RATIO, ANY_SIZE = 100, 1 << 24
+# Largest compression ratio of all arrays of a blob together. Most ratios are below 10.
+MOST_RATIO = 100
+# Number of bytes to which any blob may expand.
+ANY_SIZE = 1 << 24
+
+# Largest number of surfaces of a shape: `reconstructions`, which is 2 by default, and hardly ever above 10.
+MOST_SURFACES = 1000
 
 # Header of an array: its type, its number of dimensions, whether it is compressed, its length in bytes.
 HEADER = struct.Struct("<BBBI")
@@ -56,23 +61,29 @@ def packed(arrays: Sequence[NDArray[Any]]) -> bytes:
     return joined + CHECKSUM.pack(zlib.crc32(joined))
 
 
-def unpacked(blob: bytes) -> list[NDArray[Any]]:
-    """The inverse of `packed`."""
+def unpacked(blob: bytes, most: int) -> list[NDArray[Any]]:
+    """The inverse of `packed`, of at most so many arrays."""
     end = len(blob) - CHECKSUM.size
     view = memoryview(blob)
     if end < 0 or CHECKSUM.unpack_from(blob, end)[0] != zlib.crc32(view[:end]):
         raise ValueError("its checksum does not fit")
-    arrays, position = [], 0
+    arrays: list[NDArray[Any]] = []
+    most_bytes = max(ANY_SIZE, MOST_RATIO * len(blob))
+    position, n_declared = 0, 0
     while position < end:
+        if len(arrays) == most:
+            raise ValueError(f"it holds more than {most} arrays")
         kind, n_axes, compressed, n_bytes = HEADER.unpack_from(blob, position)
         shape = struct.unpack_from(f"<{n_axes}I", blob, position + HEADER.size)
         position += HEADER.size + 4 * n_axes
         body = view[position : position + n_bytes]
         dtype = DTYPES[kind]
+        # An array without values may have long sides too, by which readers allocate.
+        n_declared += math.prod((*(max(side, 1) for side in shape), dtype.itemsize))
+        if n_declared > most_bytes:
+            raise ValueError(f"it declares more than {most_bytes} bytes in {len(blob)}")
         if compressed:
             size = math.prod((*shape, dtype.itemsize))
-            if size > max(ANY_SIZE, MOST_RATIO * n_bytes):
-                raise ValueError(f"it declares {size} bytes in {n_bytes}")
             expanded = zlib.decompressobj().decompress(
                 body, size + 1
             )  # one more does not fit the shape
@@ -100,7 +111,7 @@ def packed_symmetric(matrices: FloatArray) -> bytes:
 
 def unpacked_symmetric(blob: bytes) -> FloatArray:
     """The inverse of `packed_symmetric`: (s, k, k) float64, the same matrices, to the bit."""
-    above, moved = unpacked(blob)
+    above, moved = unpacked(blob, 2)
     k = int(np.sqrt(2 * above.shape[1]))
     upper, lower = _triangles(k)
     bits = np.empty((len(above), k, k), np.int64)
@@ -165,12 +176,14 @@ def payloads_of(shape: Shape, options: PipelineOptions) -> dict[Payload, bytes]:
 
 def stored_shape(payloads: Mapping[Payload, bytes], provenance: tuple[Step, ...]) -> Shape:
     """The shape whose arrays are stored."""
-    areas, eigenvalues = unpacked(payloads["spectra"])  # (s,), (s, k)
+    areas, eigenvalues = unpacked(payloads["spectra"], 2)  # (s,), (s, k)
     n = len(areas)
+    if n > MOST_SURFACES:
+        raise ValueError(f"it declares {n} surfaces, {MOST_SURFACES} may be")
     spectra: list[ModalSpectrum | None] = [None] * n
     meshes: list[TriangleMesh | None] = [None] * n
     if "moments" in payloads:
-        (moments,) = unpacked(payloads["moments"])  # (s, k, k)
+        (moments,) = unpacked(payloads["moments"], 1)  # (s, k, k)
         overlaps = (
             unpacked_symmetric(payloads["overlaps"]) if "overlaps" in payloads else [None] * n
         )
@@ -179,7 +192,7 @@ def stored_shape(payloads: Mapping[Payload, bytes], provenance: tuple[Step, ...]
             for values, m, o in zip(eigenvalues, moments, overlaps, strict=True)
         ]
     if "meshes" in payloads:
-        arrays = unpacked(payloads["meshes"])
+        arrays = unpacked(payloads["meshes"], 2 * n)
         kept = [
             TriangleMesh(*parts, provenance)
             for parts in zip(arrays[::2], arrays[1::2], strict=True)

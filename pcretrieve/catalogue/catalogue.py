@@ -142,7 +142,7 @@ class Catalogue(Rows):
         """The picture of a shape that was stored with it, a PNG file."""
         stored = self._entry(shape_id, ["thumbnails"]).payloads.get("thumbnails")
         with intact(self.location, f"the thumbnail of {shape_id!r}"):
-            return None if stored is None else unpacked(stored)[0].tobytes()
+            return None if stored is None else unpacked(stored, 1)[0].tobytes()
 
     def signature(self, shape_id: str) -> FloatArray:
         """The signature (L,) of a shape by the options of the catalogue, as it is stored."""

@@ -146,7 +146,7 @@ def _faults(catalogue: Catalogue, entry: Entry) -> Iterator[str]:
     if "spectra" in stored:
         reading.append(("its arrays", partial(stored_shape, stored, entry.record.steps)))
     if "thumbnails" in stored:
-        reading.append(("its thumbnail", partial(unpacked, stored["thumbnails"])))
+        reading.append(("its thumbnail", partial(unpacked, stored["thumbnails"], 1)))
     for what, read in reading:
         try:
             read()
