@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import time
+import tracemalloc
 from collections.abc import Callable, Generator, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
+import pytest
+
 from pcretrieve.errors import PcretrieveError, shape_error
 
 PATIENCE = 60  # seconds
+MIB = 1 << 20
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
@@ -66,3 +70,40 @@ def living(session: int) -> list[int]:
         if int(its_session) == session and state not in "ZX":
             found.append(int(process.name))
     return found
+
+
+# --- memory ----------------------------------------------------------------------------------------------
+
+# Prints by how much a call raised the peak of the memory of its own process; MiB.
+MEASURE = """
+import re, sys
+from contextlib import suppress
+from pathlib import Path
+from pcretrieve.errors import PcretrieveError
+from pcretrieve.formats.identity import content_hash
+from pcretrieve.ingestion.discover import discover
+
+def peak():
+    # Not by getrusage, which begins with the peak of the process that started this one.
+    return int(re.search("VmHWM:(.*) kB", Path("/proc/self/status").read_text())[1]) / 1024
+
+if __name__ == "__main__":
+    before = peak()
+    with suppress(PcretrieveError):
+        discover([sys.argv[1]], limits={"workers": 1, "timeout": 60, "memory": None})
+    if Path(sys.argv[1]).is_file():
+        with suppress(PcretrieveError):
+            content_hash(Path(sys.argv[1]))
+    print(peak() - before)
+"""
+
+
+def peak_of(function: Callable[[], object], error: type[Exception], words: str) -> float:
+    """The largest memory of a call that is refused; MiB."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(error, match=words):
+            function()
+        return tracemalloc.get_traced_memory()[1] / MIB
+    finally:
+        tracemalloc.stop()

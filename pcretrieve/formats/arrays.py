@@ -5,10 +5,9 @@ Arrays of Python objects are not read, because unpickling runs code.
 
 from __future__ import annotations
 
-import io
 import zipfile
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +15,8 @@ from numpy.typing import NDArray
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.depth import camera_parts, depth_scan
 from pcretrieve.formats.format import (
-    DEFLATE_RATIO,
     NORMAL_FIELDS,
     POINT_FIELDS,
-    Damaged,
     Part,
     RawScan,
     are_normals,
@@ -28,6 +25,7 @@ from pcretrieve.formats.format import (
 )
 from pcretrieve.formats.pcd import NORMAL_FIELDS as PCD_NORMAL_FIELDS
 from pcretrieve.formats.text import FEWEST_POINTS, MOST_COLUMNS
+from pcretrieve.values.files import array_header, member_array, opened_archive, read_array
 
 # Names of arrays in .npz files, the first of which is taken.
 POINTS = ("points", "xyz", "vertices", "pos", "positions", "coords", "coordinates", "pc", "v")
@@ -43,7 +41,7 @@ def read_npy(path: Path) -> RawScan:
     depth image, if the file of its camera lies beside it: see `depth_scan`.
     """
     with path.open("rb") as file:
-        array = _array(file, path.stat().st_size)
+        array = read_array(file, path.stat().st_size)
     if _is_image(array.shape, array.dtype) and camera_parts(path):
         return depth_scan(path, array)
     return without_zeros(_scan_of(array))
@@ -51,14 +49,14 @@ def read_npy(path: Path) -> RawScan:
 
 def read_npz(path: Path) -> RawScan:
     """Read the points or the mesh of a NumPy archive; rows of zeros of a cloud are dropped with a note."""
-    with zipfile.ZipFile(path) as archive:
+    with opened_archive(path) as archive:
         members = _members(archive)
 
         def array(known: tuple[str, ...]) -> NDArray[Any] | None:
             """The first array of these names."""
             for name in known:
                 if name in members:
-                    return _member(archive, members[name], path.stat().st_size)
+                    return member_array(archive, members[name])
             return None
 
         found = array(POINTS if len(members) != 1 else tuple(members))
@@ -114,7 +112,7 @@ def parts_of_npy(path: Path) -> tuple[Part, ...]:
 def _declared(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:
     """The shape and the type of the array in a file."""
     with path.open("rb") as file:
-        return _header(file)[:2]
+        return array_header(file)[:2]
 
 
 def _is_image(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bool:
@@ -124,7 +122,7 @@ def _is_image(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bool:
 
 def recognise_npz(path: Path) -> bool:
     """Whether an archive has an array of points."""
-    with zipfile.ZipFile(path) as archive:
+    with opened_archive(path) as archive:
         return not {*POINTS}.isdisjoint(_members(archive))
 
 
@@ -154,41 +152,3 @@ def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
     """The arrays of an archive by name, in lower case."""
     arrays = (info for info in archive.infolist() if info.filename.endswith(".npy"))
     return {info.filename.removesuffix(".npy").lower(): info for info in arrays}
-
-
-def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, n_bytes: int) -> NDArray[Any]:
-    """An array in an archive, whose size is checked before it is expanded."""
-    if info.file_size > DEFLATE_RATIO * (info.compress_size + 1) or info.compress_size > n_bytes:
-        raise ScanReadError(
-            f"its member {info.filename} declares {info.file_size} bytes in {info.compress_size}"
-        )
-    data = archive.read(info)
-    return _array(io.BytesIO(data), len(data))
-
-
-def _array(file: IO[bytes], n_bytes: int) -> NDArray[Any]:
-    """An array, whose size is checked before it is read."""
-    shape, dtype, in_columns = _header(file)
-    if dtype.hasobject:
-        raise ScanReadError("it holds Python objects, which are not read: save an array of numbers")
-    promised = int(np.prod([*shape, dtype.itemsize], dtype=object))
-    if any(not 0 <= size <= n_bytes for size in shape) or promised > n_bytes - file.tell():
-        raise Damaged(f"its header declares {promised} bytes, {n_bytes - file.tell()} follow")
-    values = np.frombuffer(file.read(promised), dtype)
-    return values.reshape(shape, order="F" if in_columns else "C")
-
-
-def _header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], bool]:
-    """Shape and type of an array, and whether it is stored by columns."""
-    head = io.BytesIO(
-        file.read(1 << 16)
-    )  # more than NumPy reads, which would allocate what is declared
-    version = np.lib.format.read_magic(head)
-    read = (
-        np.lib.format.read_array_header_1_0
-        if version == (1, 0)
-        else np.lib.format.read_array_header_2_0
-    )
-    shape, in_columns, dtype = read(head)
-    file.seek(head.tell())
-    return shape, dtype, in_columns

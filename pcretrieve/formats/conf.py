@@ -22,17 +22,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.format import Part, RawScan, check_file, joined, text_lines
+from pcretrieve.formats.format import (
+    Part,
+    RawScan,
+    check_file,
+    joined,
+    text_lines,
+)
 from pcretrieve.values import FloatArray
+from pcretrieve.values.files import MOST_MEMBERS, check_members
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 # The line of a view, with seven numbers after the name of the file.
 LINE = "`bmesh FILE tx ty tz qx qy qz qw`"
-# Largest number of views: about half a minute of a sensor with thirty frames a second; and largest size of a
-# file that names them: a path has at most 4096 bytes.
-MOST_VIEWS, MOST_CONF_BYTES = 1000, 4_096_000
+# Largest size of a file that names views: a path has at most 4096 bytes.
+MOST_CONF_BYTES = 4096 * MOST_MEMBERS
 # Distance of the conventional sensor of range scanners, in diagonals of the view: rays are nearly parallel.
 SENSOR_DISTANCE = 10.0
 
@@ -78,10 +84,7 @@ def read_poses(path: Path) -> list[tuple[Path, Rotation, FloatArray]]:
             raise ScanReadError(
                 f"each view must be named once, lines {earlier} and {number} name {words[1]}"
             )
-        if len(named) > MOST_VIEWS:
-            raise ScanReadError(
-                f"a .conf file must name at most {MOST_VIEWS} views: merge parts of the scan first"
-            )
+        check_members(len(named))
         poses.append((view, rotation, np.array(pose[:3])))
     if not poses:
         raise ScanReadError(f"a .conf file must name its views by lines {LINE}, got none")

@@ -94,6 +94,11 @@ class Part(NamedTuple):
     pose: FloatArray | None = None
 
 
+def no_parts(path: Path) -> tuple[Part, ...]:
+    """The parts of files of most formats."""
+    return ()
+
+
 class Format(NamedTuple):
     """A file format. Any of its functions may raise ScanReadError, or OSError of a file that cannot be read.
 
@@ -118,7 +123,7 @@ class Format(NamedTuple):
     """
 
     read: Callable[..., RawScan]
-    parts: Callable[[Path], tuple[Part, ...]] = lambda path: ()
+    parts: Callable[[Path], tuple[Part, ...]] = no_parts
     write_cloud: Callable[[PointCloud], bytes] | None = None
     write_mesh: Callable[[TriangleMesh], bytes] | None = None
     recognise: Callable[[Path], bool] | None = None

@@ -25,10 +25,16 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.format import Damaged, Part, RawScan, check_file, distinct_names, joined
-from pcretrieve.formats.meshes import Scene, check_bodies, check_size, moved
+from pcretrieve.formats.meshes import Scene, check_size, moved
 from pcretrieve.values import FloatArray
+from pcretrieve.values.files import check_members
 
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+# Largest JSON part; bytes. Beyond it are values as text (data URIs), which a GLB file holds as they are.
+MOST_JSON_BYTES = 1 << 26
+# Largest number of values in it, each of which takes up to 300 bytes of memory. 1,000 bodies with materials
+# have about 150,000.
+MOST_JSON_VALUES = 250_000
 WIDTHS = {"SCALAR": 1, "VEC3": 3}
 # Modes of a primitive with triangles; the others are points and lines.
 TRIANGLES, STRIP, FAN = 4, 5, 6
@@ -59,10 +65,26 @@ def gltf_scene(path: Path) -> Scene:
 def buffer_files(path: Path) -> tuple[Part, ...]:
     """The files that hold the buffers of a glTF file."""
     check_file(path)
-    uris = [str(buffer["uri"]) for buffer in json.loads(path.read_bytes()).get("buffers", [])]
+    with path.open("rb") as file:
+        tree = _tree(file.read(MOST_JSON_BYTES + 1))
+    uris = [str(buffer["uri"]) for buffer in tree.get("buffers", [])]
+    check_members(len(uris))
     return tuple(
         map(Part, dict.fromkeys(_file(path, uri) for uri in uris if not uri.startswith("data:")))
     )
+
+
+def _tree(text: bytes) -> Any:
+    """The tree of a JSON part, whose size is checked before it is parsed."""
+    # Each value of a tree follows one of these signs.
+    n_values = sum(map(text.count, (b"{", b"[", b",")))
+    if len(text) > MOST_JSON_BYTES or n_values > MOST_JSON_VALUES:
+        raise ScanReadError(
+            f"the JSON of glTF must have at most {MOST_JSON_BYTES >> 20} MiB and {MOST_JSON_VALUES} values, "
+            f"this one has {len(text) / (1 << 20):.1f} MiB or more with {n_values} values: export the bodies "
+            "alone, without animations, as .glb"
+        )
+    return json.loads(text)
 
 
 def _document(path: Path) -> tuple[Any, list[bytes], int]:
@@ -70,7 +92,7 @@ def _document(path: Path) -> tuple[Any, list[bytes], int]:
     data = path.read_bytes()
     is_glb = path.suffix.lower() == ".glb"
     text, binary = _chunks(data) if is_glb else (data, b"")
-    tree = json.loads(text)
+    tree = _tree(text)
     if not is_glb and not str(tree["asset"]["version"]).startswith("2."):
         raise Damaged(f"it is not glTF 2.0, but {str(tree['asset']['version'])[:10]}")
     buffers = []
@@ -145,7 +167,7 @@ def _placed(tree: Any, n_bytes: int) -> dict[int, tuple[int, FloatArray]]:
         for mesh in {mesh for mesh, _ in placed.values()}
     }
     check_size(sum(sizes[mesh] for mesh, _ in placed.values()), n_bytes)
-    check_bodies(len(placed))
+    check_members(len(placed))
     return placed
 
 

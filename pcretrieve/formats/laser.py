@@ -25,7 +25,15 @@ from typing import Any
 import numpy as np
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.format import Damaged, Extra, RawScan, distinct_names, joined, without_zeros
+from pcretrieve.formats.format import (
+    Damaged,
+    Extra,
+    RawScan,
+    distinct_names,
+    joined,
+    without_zeros,
+)
+from pcretrieve.values.files import check_members
 
 # Header of LAS: its size, the start of the points, and the number of records behind it, each of 54 bytes at
 # least.
@@ -182,6 +190,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, list[str]]]:
     n_bytes = path.stat().st_size
     # As bytes, because a name need not be UTF-8.
     with pye57.E57(os.fsencode(path)) as file:
+        check_members(file.scan_count)
         headers = [file.get_header(number) for number in range(file.scan_count)]
         if not headers:
             raise ScanReadError("the file holds no scans")

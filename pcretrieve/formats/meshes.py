@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import math
-import zipfile
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
@@ -18,8 +17,16 @@ from typing import IO, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.formats.format import Damaged, RawScan, distinct_names, fans, joined, text_lines
+from pcretrieve.formats.format import (
+    Damaged,
+    RawScan,
+    distinct_names,
+    fans,
+    joined,
+    text_lines,
+)
 from pcretrieve.values import FloatArray, TriangleMesh, unit_of
+from pcretrieve.values.files import check_members, opened_archive
 
 # Largest vertex number of an OBJ file; more than any file has.
 LARGEST_NUMBER = 2**40
@@ -35,12 +42,6 @@ UNITS = {
 }
 UNITS |= {"millimeters": "mm", "meters": "m"}
 
-# Largest compression ratio of an archive of markup as a whole, and number of bytes to which any may expand.
-# The ratio of meshes in XML is small, 7.3 of a grid of a million vertices with integer coordinates: an
-# archive that expands to much more was made to fill the memory.
-MARKUP_RATIO = 100
-ANY_MARKUP = 10_000_000
-
 # Elements of 3MF and of COLLADA files: scenes, nodes, and what refers to a node or to a mesh.
 SCENES = ("{*}build", "{*}visual_scene")
 NODES = ("{*}object", "{*}node")
@@ -55,9 +56,6 @@ USES = (
 # A mesh is repeated in a scene for each node that refers to it. The number of vertices and indices in the
 # scene is limited to the number of bytes of the file, or to this number if the file is smaller.
 MOST_OF_SMALL_FILE = 1_000_000
-
-# Largest number of bodies of a scene: each is a scan.
-MOST_BODIES = 1000
 
 
 def mesh_bytes(mesh: TriangleMesh, file_type: str) -> bytes:
@@ -176,12 +174,6 @@ def check_size(n_values: int, n_bytes: int) -> None:
         raise Damaged(f"its scene declares {n_values} values, it has {n_bytes} bytes")
 
 
-def check_bodies(n: int) -> None:
-    """Check the number of bodies of a scene, before they are made."""
-    if n > MOST_BODIES:
-        raise Damaged(f"its scene has {n} bodies, {MOST_BODIES} may be")
-
-
 def moved(mesh: RawScan, motion: FloatArray) -> RawScan:
     """A mesh that a (4, 4) motion places; a reflection reverses the orientation of its triangles."""
     import trimesh
@@ -196,14 +188,9 @@ def moved(mesh: RawScan, motion: FloatArray) -> RawScan:
 
 def three_mf_scene(path: Path) -> Scene:
     """The bodies of a 3MF file."""
-    with zipfile.ZipFile(path) as archive:
+    with opened_archive(path) as archive:
         members = archive.infolist()
-        size, packed = (
-            sum(info.file_size for info in members),
-            sum(info.compress_size for info in members),
-        )
-        if size > max(ANY_MARKUP, MARKUP_RATIO * packed):
-            raise Damaged(f"its members declare {size} bytes in {packed}")
+        size = sum(info.file_size for info in members)
         for info in members:
             if "3d/3dmodel.model" in info.filename.lower():
                 with archive.open(info) as file:
@@ -247,7 +234,7 @@ def _check_instances(file: IO[bytes]) -> None:
     def count(name: str) -> int:
         return sum(map(count, uses.get(name, ()))) or 1
 
-    check_bodies(count(""))
+    check_members(count(""))
 
 
 def _markup(

@@ -26,6 +26,7 @@ from pcretrieve.formats.ply import ply_bytes, read_ply
 from pcretrieve.formats.text import is_table, ptx_names, read_ptx, read_text, xyzn_bytes
 from pcretrieve.plugins import Names, Registry
 from pcretrieve.values import METRES
+from pcretrieve.values.files import check_members
 
 # Separator between the name of a file and the name of a scan in it.
 MARK = "#"
@@ -91,6 +92,7 @@ def members_of(path: Path) -> tuple[Path, ...]:
     check_file(path)
     with _reading(path):
         names = found.names(path)
+        check_members(len(names))
     return (
         tuple(path.with_name(f"{path.name}{MARK}{name}") for name in names)
         if len(names) > 1

@@ -30,6 +30,7 @@ from pcretrieve.formats.format import (
 )
 from pcretrieve.formats.organised import organised_scan
 from pcretrieve.values import FloatArray, PointCloud
+from pcretrieve.values.files import check_members
 
 # Bytes at the start of a file from which its layout is found.
 HEAD_BYTES = 1 << 16
@@ -293,9 +294,10 @@ def ptx_names(path: Path) -> tuple[str, ...]:
 
 def _headers(path: Path, file: IO[str]) -> Iterator[Grid]:
     """Yield the header of each scan. The caller must read the rows before the next header."""
-    size, first = path.stat().st_size, True
-    while lines := [line for line in islice(file, N_HEADER_LINES) if first or line.strip()]:
-        first = False
+    size, n_scans = path.stat().st_size, 0
+    while lines := [line for line in islice(file, N_HEADER_LINES) if not n_scans or line.strip()]:
+        n_scans += 1
+        check_members(n_scans)
         try:
             numbers = [[float(word) for word in line.split()] for line in lines]
             (n_columns,), (n_rows,) = numbers[:2]

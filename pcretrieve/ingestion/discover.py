@@ -14,14 +14,15 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from pcretrieve.errors import InputError, OptionError, ScanReadError
+from pcretrieve.errors import InputError, OptionError, PcretrieveError, ShapeError
 from pcretrieve.formats import Part, is_scan, members_of, missing_extra, parts_of, split_member
-from pcretrieve.formats.format import url_of
+from pcretrieve.formats.format import no_parts, url_of
 from pcretrieve.formats.registry import FORMATS, INSTEAD, suffixes
 from pcretrieve.formats.remote import remote_files
-from pcretrieve.ingestion.pool import in_processes
+from pcretrieve.formats.text import is_table
+from pcretrieve.ingestion.pool import Worker, alone, in_processes
 from pcretrieve.options import check_many
 
 logger = logging.getLogger(__name__)
@@ -32,6 +33,9 @@ PATH_COLUMNS = ("path", "file", "filename", "name")
 
 # Suffixes of files left unread that are named; further ones are counted together.
 MOST_NAMED = 8
+
+# Largest memory of the process that lists a folder at a URL; GiB.
+LISTING_MEMORY = 1.0
 
 # Number of bytes at the beginning and at the end of a file that choose its shard. All tasks read these bytes
 # of all files, but only one task reads the rest of a file.
@@ -45,25 +49,33 @@ def discover(
 ) -> list[Path]:
     """Find the files of scans; a warning names the files in a folder that are not scans, nor in `beside`.
 
-    limits: of processes that look into files of several scans; without limits, this process does.
+    limits: of processes that list folders at URLs and look into files; without limits, this process does.
     """
     check_many("paths", arguments)
-    known = {_absolute(Path(path)) for path in beside}
-    found: dict[Path, None] = {}
-    for argument in arguments:
-        for path in _expand(argument, known):
-            found.setdefault(_absolute(path))
-    parts = {part.path for path in found for part in parts_in(path)}
-    whole = [path for path in found if path not in parts]
-    # A file at a URL is not copied to be looked into. A format of another package may have names.
-    several = [
-        path for path in whole if url_of(path) is None and _may_be_several(path.suffix.lower())
+    groups = [_expand(argument, limits) for argument in arguments]
+    looks = looked_into(dict.fromkeys(file for group in groups for file in group.files), limits)
+    found = {
+        _absolute(file): looks[file]
+        for group in groups
+        for file in group.files
+        if group.are_named or looks[file].is_scan
+    }
+    parts = {part.path for look in found.values() for part in look.parts}
+    expected = {*found, *parts, *(_absolute(Path(path)) for path in beside)}
+    for group in groups:
+        rest = [_absolute(file) for file in group.files if not looks[file].is_scan]
+        unread = unread_files(file for file in rest if file not in expected)
+        if len(rest) == len(group.files) and not group.are_named:
+            left = f", but {unread}" if unread else ""
+            raise InputError(
+                f"{group.name} names no scans{left}; known are {' '.join(sorted(suffixes()))}"
+            )
+        if unread:
+            logger.warning("left unread in %s: %s", group.name, unread)
+    whole = {file: look for file, look in found.items() if file not in parts}
+    return [
+        scan for file, look in whole.items() for scan in map(_absolute, look.members or (file,))
     ]
-    looked = (
-        map(_looked, several) if limits is None else in_processes(members_of, several, **limits)
-    )
-    members = {path: scans for path, scans in looked if isinstance(scans, tuple)}
-    return [scan for path in whole for scan in members.get(path) or (path,)]
 
 
 def shape_ids(paths: Collection[str], taken: Mapping[str, str]) -> dict[str, str]:
@@ -121,46 +133,56 @@ def unread_files(paths: Iterable[Path]) -> str:
     return ", ".join(said)
 
 
-def _expand(argument: str | Path, beside: Collection[Path]) -> list[Path]:
-    """The scans that one argument names, and the parts of scans among them."""
+class _Group(NamedTuple):
+    """The files that an argument means: those that it names, or those of which the scans are meant."""
+
+    name: str | Path
+    files: list[Path]
+    are_named: bool
+
+
+def _expand(argument: str | Path, limits: Mapping[str, Any] | None) -> _Group:
+    """The files that one argument means."""
     if not str(argument):
         raise InputError("a path must not be empty: name a file or a folder")
     path = Path(argument)
     url = url_of(path)
+    are_named = False
     try:
         if url is not None:
             # The file of a URL with the suffix of a format, whatever it has; else the scans in a folder.
-            if split_member(path)[0].suffix.lower() in suffixes() and not glob.has_magic(path.name):
-                return [path]
-            files = remote_files(path)
+            are_named = split_member(path)[0].suffix.lower() in suffixes()
+            are_named &= not glob.has_magic(path.name)
+            files = [path] if are_named else _listed(path, limits)
         elif path.is_dir():
             files = _files_below(path)
         elif path.exists():
-            return _named_by(path)
+            files, are_named = _named_by(path), True
         elif split_member(path)[0].exists():
-            return [path]
+            files, are_named = [path], True
         elif glob.has_magic(str(argument)):
             matches = [Path(name) for name in sorted(glob.glob(str(argument), recursive=True))]
-            if path.suffix.lower() in MANIFESTS:
-                return [scan for match in matches for scan in _named_by(match)]
-            files = [file for match in matches for file in _files_below(match)]
+            are_named = path.suffix.lower() in MANIFESTS and bool(matches)
+            within = _named_by if are_named else _files_below
+            files = [file for match in matches for file in within(match)]
         else:
             raise InputError(f"there is no file or folder {path}")
     except OSError as error:
         raise InputError(f"cannot look into {path}: {error.strerror}") from error
-    scans = {file: None for file in files if is_scan(file)}
-    expected = {*beside, *(part.path for scan in scans for part in parts_in(scan))}
-    unread = unread_files(
-        file for file in files if file not in scans and _absolute(file) not in expected
-    )
-    if not scans:
-        left = f", but {unread}" if unread else ""
+    return _Group(url or path, files, are_named)
+
+
+def _listed(path: Path, limits: Mapping[str, Any] | None) -> list[Path]:
+    """The files in a folder at a URL, listed by an isolated process: a server may never end, or be silent."""
+    try:
+        if limits is None:
+            return remote_files(path)
+        memory = min(limits["memory"] or LISTING_MEMORY, LISTING_MEMORY)
+        return alone(remote_files, path, timeout=limits["timeout"], memory=memory)
+    except ShapeError as error:
         raise InputError(
-            f"{url or path} names no scans{left}; known are {' '.join(sorted(suffixes()))}"
-        )
-    if unread:
-        logger.warning("left unread in %s: %s", url or path, unread)
-    return list(scans)
+            f"cannot look into {url_of(path)}: {error.message}; or name its files in a list (.txt)"
+        ) from error
 
 
 def _named_by(path: Path) -> list[Path]:
@@ -240,22 +262,60 @@ def _files_below(path: Path) -> list[Path]:
     return [file for file in found if not file.name.startswith(".")]
 
 
-def _may_be_several(suffix: str) -> bool:
-    return suffix in suffixes() and getattr(FORMATS.own.get(suffix), "names", True) is not None
+class Look(NamedTuple):
+    """What a file is: whether it is a scan, the files that belong to it, and the scans in it."""
+
+    is_scan: bool
+    parts: tuple[Part, ...] = ()
+    members: tuple[Path, ...] = ()
 
 
-def _looked(path: Path) -> tuple[Path, tuple[Path, ...]]:
-    with suppress(ScanReadError, OSError):  # reading it as a scan will report why
-        return path, members_of(path)
-    return path, ()
+def looked_into(
+    files: Collection[Path],
+    limits: Mapping[str, Any] | None,
+    idle: list[Worker[Path, Look]] | None = None,
+) -> dict[Path, Look]:
+    """What files are. Isolated processes open those that may be long to read, and may use all memory.
+
+    limits, idle: of `in_processes`; without limits, this process opens all files.
+    """
+    hidden = [file for file in files if limits is not None and not _is_plain(file)]
+    isolated = in_processes(_look, hidden, idle=idle, **limits or {})
+    opened = dict(isolated)
+    looks = {}
+    for file in files:
+        look = opened[file] if file in opened else _look(file)
+        # Reading a file as a scan will report why it cannot be looked into.
+        looks[file] = Look(True) if isinstance(look, PcretrieveError) else look
+    return looks
 
 
-def parts_in(path: Path) -> list[Part]:
-    """The files that belong to a scan, by their absolute names; of one at a URL, none is looked for."""
-    with suppress(Exception):  # reading the file as a scan will report the error
-        if url_of(path) is None:
-            return [Part(_absolute(part.path), part.pose) for part in parts_of(path)]
-    return []
+def _is_plain(path: Path) -> bool:
+    """Whether at most the first bytes of a file say what it is. A file at a URL is not looked into."""
+    suffix = split_member(path)[0].suffix.lower()
+    if url_of(path) is not None or suffix not in suffixes():
+        return True
+    own = FORMATS.own.get(suffix)
+    return (
+        own is not None
+        and own.names is None
+        and own.parts is no_parts
+        and own.recognise in (None, is_table)
+    )
+
+
+def _look(path: Path) -> Look:
+    look = Look(True)
+    # A name from a manifest may be none that the system takes; reading it as a scan will report that too.
+    with suppress(Exception):
+        look = look._replace(is_scan=is_scan(path))
+    if url_of(path) is None:
+        with suppress(Exception):
+            look = look._replace(members=members_of(path))
+        with suppress(Exception):
+            parts = (Part(_absolute(part.path), part.pose) for part in parts_of(path))
+            look = look._replace(parts=tuple(parts))
+    return look
 
 
 def _absolute(path: Path) -> Path:

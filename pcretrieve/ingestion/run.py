@@ -9,16 +9,16 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from pcretrieve.catalogue import Catalogue, CatalogueLike, Content, Record
 from pcretrieve.errors import InputError, PcretrieveError
-from pcretrieve.formats import is_scan
 from pcretrieve.formats.identity import printable
 from pcretrieve.ingestion.attempts import Attempt, Work, next_attempt
-from pcretrieve.ingestion.discover import discover, parts_in, scans_of
+from pcretrieve.ingestion.discover import Look, discover, looked_into, scans_of
 from pcretrieve.ingestion.labels import discover_labelled
 from pcretrieve.ingestion.plan import Plan, Planner, Processing, failed
-from pcretrieve.ingestion.pool import Executor, in_processes, remove_abandoned
+from pcretrieve.ingestion.pool import Executor, Worker, in_processes, remove_abandoned
 from pcretrieve.ingestion.progress import Progress
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pipeline import log_steps
@@ -260,10 +260,10 @@ def watch(
     CatalogueError
         If the catalogue was built with other options, or cannot be opened or written.
     """
-    arrivals = Arrivals(Path(folder))
     chosen = None if options is None else PipelineOptions.of(options)
     how = Processing(workers, timeout, memory, executor, retries=retries, on_shape=on_shape)
-    with Catalogue.opened(catalogue, chosen, create=True) as store:
+    arrivals = Arrivals(Path(folder), how.limits)
+    with closing(arrivals), Catalogue.opened(catalogue, chosen, create=True) as store:
         while True:
             if scans := discover(arrivals.look(), limits=how.limits):
                 yield process_scans(scans, store, how)
@@ -384,10 +384,12 @@ class Arrivals:
     The kernel (inotify) does not report what other computers write to a network file system.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, limits: Mapping[str, Any] | None = None) -> None:
         if not folder.is_dir():
             raise InputError(f"there is no folder {folder} to watch: make it, or name another")
         self._folder = folder.absolute()
+        self._limits = limits
+        self._idle: list[Worker[Path, Look]] = []
         self._seen: dict[Path, State] = {}
         self._given: dict[Path, State] = {}
 
@@ -398,19 +400,21 @@ class Arrivals:
         """
         now: dict[Path, State] = {}
         owned: set[Path] = set()
-        for place, _, names in os.walk(self._folder):
-            for path in (Path(place, name) for name in names if not name.startswith(".")):
-                if is_scan(path):
-                    parts = parts_in(path)
-                    owned.update(part.path for part in parts)
-                    needed = (
-                        part.path for part in parts if part.pose is not None or part.path.exists()
-                    )
-                    with suppress(OSError):  # it has vanished meanwhile, or a view is not there yet
-                        states = (file.stat() for file in (path, *needed))
-                        now[path] = tuple(
-                            (one.st_ino, one.st_size, one.st_mtime_ns) for one in states
-                        )
+        files = [
+            Path(place, name)
+            for place, _, names in os.walk(self._folder)
+            for name in names
+            if not name.startswith(".")
+        ]
+        for path, look in looked_into(files, self._limits, self._idle).items():
+            if look.is_scan:
+                owned.update(part.path for part in look.parts)
+                needed = (
+                    part.path for part in look.parts if part.pose is not None or part.path.exists()
+                )
+                with suppress(OSError):  # it has vanished meanwhile, or a view is not there yet
+                    states = (file.stat() for file in (path, *needed))
+                    now[path] = tuple((one.st_ino, one.st_size, one.st_mtime_ns) for one in states)
         found = [
             path
             for path, state in now.items()
@@ -419,3 +423,8 @@ class Arrivals:
         self._seen = now
         self._given |= {path: now[path] for path in found}
         return sorted({*found} - owned)
+
+    def close(self) -> None:
+        """End the processes that look into files."""
+        for worker in self._idle:
+            worker.stop()

@@ -24,7 +24,6 @@ References
 from __future__ import annotations
 
 import io
-import zipfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -42,7 +41,7 @@ from pcretrieve.retrieval.distances import table_coordinates
 from pcretrieve.retrieval.people import ALIKE, KNOWN, LEAST_SHARE, People, corrected, row_products
 from pcretrieve.values import FloatArray, Metric, SignatureTable
 from pcretrieve.values.base import Value, locked
-from pcretrieve.values.files import write_file
+from pcretrieve.values.files import member_array, opened_archive, write_file
 
 #: What stands for a whitening that suits the shapes, with and without their labels.
 AUTOMATIC = ("auto", "unsupervised")
@@ -151,19 +150,16 @@ def write_whitening(whitening: Whitening, path: Path) -> None:
 def read_whitening(path: Path) -> Whitening:
     """Read a whitening of `write_whitening`."""
     try:
-        # NumPy leaves a file open that is no archive.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            whitening = Whitening.from_arrays(arrays)
-            return replace(whitening, reason=f"{whitening.reason}, from {path}")
-    except (
-        OSError,
-        ValueError,
-        EOFError,
-        zipfile.BadZipFile,
-        AttributeError,
-        TypeError,
-        KeyError,
-    ) as error:
+        # `write_whitening` does not compress.
+        with opened_archive(path, ratio=1) as archive:
+            arrays = {
+                member.filename.removesuffix(".npy"): member_array(archive, member)
+                for member in archive.infolist()
+            }
+        whitening = Whitening.from_arrays(arrays)
+        return replace(whitening, reason=f"{whitening.reason}, from {path}")
+    # `zipfile` and NumPy raise exceptions of many kinds for damage.
+    except Exception as error:
         raise InputError(
             f"a whitening must be a name such as auto, or a file of `pcretrieve lab calibrate`, got {path} "
             f"({error})"

@@ -1,19 +1,44 @@
-"""What is written: files in one step, CSV text, and tables of pandas and Parquet (the extra ``tables``)."""
+"""Files that are written: in one step, CSV text, tables of pandas and Parquet (the extra ``tables``).
+
+And files that are read: of several parts, ZIP archives and NumPy's arrays, whose promises are checked before.
+"""
 
 from __future__ import annotations
 
 import csv
+import io
 import os
 import secrets
 import stat
-from collections.abc import Iterable, Mapping, Sequence
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import IO, Any
 
-from pcretrieve.errors import InputError
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.errors import InputError, ScanReadError
 
 ADVICE = "tables need pandas and pyarrow: pip install 'pcretrieve[tables]'"
+
+# Largest number of scans, views, buffers or arrays in one file. Each scan is a row of a catalogue; as many
+# views are about half a minute of a sensor with thirty frames a second.
+MOST_MEMBERS = 1000
+
+# Largest size of the directory of an archive, which `zipfile` reads as a whole; bytes.
+MOST_DIRECTORY = 1 << 20
+
+# Largest compression ratio of an archive as a whole. That of meshes in XML is small, 7.3 of a grid of a
+# million vertices with integer coordinates: an archive that expands to much more was made to fill the memory.
+MOST_RATIO = 100
+# Number of bytes to which any archive may expand.
+ANY_SIZE = 10_000_000
+
+# Methods of compression whose output `zipfile` limits to the size that is asked for.
+METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 def write_file(path: Path, data: bytes) -> None:
@@ -101,3 +126,75 @@ def parquet_bytes(columns: Mapping[str, Sequence[object]], metadata: Mapping[str
     sink = pyarrow.BufferOutputStream()
     parquet.write_table(pyarrow.table(dict(columns)).replace_schema_metadata(dict(metadata)), sink)
     return bytes(sink.getvalue().to_pybytes())
+
+
+# --- what is read ----------------------------------------------------------------------------------------
+
+
+def check_members(n: int) -> None:
+    """Check the number of scans, views, buffers or arrays of a file, before they are made."""
+    if n > MOST_MEMBERS:
+        raise ScanReadError(
+            f"a file must hold at most {MOST_MEMBERS} scans, views or arrays, this one has {n} or more: "
+            "divide it into several files"
+        )
+
+
+class _File(io.FileIO):
+    """A file of which no part is read as a whole that is larger than the largest directory."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is not None and size > MOST_DIRECTORY:
+            raise ValueError(f"its directory declares {size} bytes, {MOST_DIRECTORY} may be")
+        return super().read(size)
+
+
+@contextmanager
+def opened_archive(path: Path, ratio: int = MOST_RATIO) -> Iterator[zipfile.ZipFile]:
+    """A ZIP archive; ValueError if it declares more than `ratio` times its size."""
+    with _File(path) as file:
+        directory = zipfile.ZipFile(file).infolist()
+    check_members(len(directory))
+    size, packed = sum(member.file_size for member in directory), path.stat().st_size
+    if size > max(ANY_SIZE, ratio * packed):
+        raise ValueError(f"its members declare {size} bytes in {packed}")
+    if not {member.compress_type for member in directory} <= {*METHODS}:
+        raise ValueError("its members must be stored or deflated: pack it again")
+    with zipfile.ZipFile(path) as archive:
+        yield archive
+
+
+def member_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
+    """An array in an archive."""
+    with archive.open(member) as file:
+        # Not all that the member expands to, which may be more than its directory declares.
+        data = file.read(member.file_size)
+    return read_array(io.BytesIO(data), len(data))
+
+
+def read_array(file: IO[bytes], n_bytes: int) -> NDArray[Any]:
+    """The array in a file of so many bytes; ValueError if it declares more."""
+    shape, dtype, in_columns = array_header(file)
+    if dtype.hasobject:
+        raise ValueError("it holds Python objects, which are not read: save an array of numbers")
+    promised = int(np.prod([*shape, dtype.itemsize], dtype=object))
+    if any(not 0 <= size <= n_bytes for size in shape) or promised > n_bytes - file.tell():
+        raise ValueError(f"its header declares {promised} bytes, {n_bytes - file.tell()} follow")
+    values = np.frombuffer(file.read(promised), dtype)
+    return values.reshape(shape, order="F" if in_columns else "C")
+
+
+def array_header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], bool]:
+    """Shape and type of an array, and whether it is stored by columns."""
+    head = io.BytesIO(
+        file.read(1 << 16)
+    )  # more than NumPy reads, which would allocate what is declared
+    version = np.lib.format.read_magic(head)
+    read = (
+        np.lib.format.read_array_header_1_0
+        if version == (1, 0)
+        else np.lib.format.read_array_header_2_0
+    )
+    shape, in_columns, dtype = read(head)
+    file.seek(head.tell())
+    return shape, dtype, in_columns

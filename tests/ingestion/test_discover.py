@@ -58,6 +58,11 @@ def test_paths_in_a_manifest_are_relative_to_its_folder(folder: Path) -> None:
         assert names(f"deep/{manifest}") == ["a.ply", "deep/c.xyz", "deep/gone.ply"]
 
 
+def test_a_manifest_may_name_what_no_file_can_be_named(folder: Path) -> None:
+    (folder / "list.txt").write_text("a\0.ply\na\0.csv\na\0.ptx\na\0.gltf\n")
+    assert names("list.txt") == ["a\0.ply", "a\0.csv", "a\0.ptx", "a\0.gltf"]
+
+
 def test_a_folder_says_what_it_leaves_unread(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -170,7 +175,10 @@ def test_content_that_cannot_be_had(folder: Path) -> None:
             "linked.conf",
             r"linked\.conf: each view must be named once, lines 1 and 2 name alias\.ply",
         ),
-        ("many.conf", r"many\.conf: a \.conf file must name at most 1000 views"),
+        (
+            "many.conf",
+            r"many\.conf: a file must hold at most 1000 scans, views or arrays, this one has 1001",
+        ),
         ("long.conf", r"long\.conf: a \.conf file must have at most 4096000 bytes"),
     ):
         with pytest.raises(ScanReadError, match=words):

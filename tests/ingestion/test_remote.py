@@ -79,9 +79,9 @@ def s3(folder: Path) -> Iterator[str]:
 
 
 def test_ingest_skips_what_it_has_until_the_content_changes(folder: Path, tmp_path: Path) -> None:
-    store, memory = fsspec.filesystem("memory"), f"memory://{uuid4().hex}"
+    store, memory = fsspec.filesystem("file"), f"file://{tmp_path}/store"
     store.put(f"{folder}/", memory, recursive=True)
-    catalogue, here = tmp_path / "c.sqlite", in_this_process  # as a file system in memory is
+    catalogue, here = tmp_path / "c.sqlite", in_this_process
     first = ingest(memory, catalogue, options=OPTIONS, executor=here)
     assert [record.path for record in first.done] == [
         f"{memory}/egg.ply",
