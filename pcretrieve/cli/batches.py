@@ -147,13 +147,15 @@ def _facts(record: pr.Record) -> dict[str, object]:
     opt.NUMBER,
     default=0,
 )
+@opt.remote_option
 @opt.process_options
-def retry_command(catalogue: str, progress: str, **chosen: Any) -> out.Result:
+def retry_command(catalogue: str, progress: str, remote: bool, **chosen: Any) -> out.Result:
     """Process failed scans again, with the settings of their catalogue.
 
     \b
     pcretrieve catalogue retry -c bodies.sqlite --stage worker --timeout 3600
     """
+    chosen["remote"] = remote or messages.may_fetch
     with pr.Catalogue(catalogue) as store, messages.Progress("retry", progress) as shown:
         summary = pr.retry(store, on_start=shown.start, on_shape=partial(_advance, shown), **chosen)
     _say_summary(summary, catalogue)

@@ -13,7 +13,7 @@ import click
 
 import pcretrieve as pr
 from pcretrieve.cli import options as opt, output as out
-from pcretrieve.cli.messages import Progress, say, shown_path, without_password
+from pcretrieve.cli.messages import Progress, may_fetch, say, shown_path, without_password
 from pcretrieve.errors import InputError
 from pcretrieve.values.files import check_no_links
 
@@ -190,7 +190,8 @@ def merge_command(parts: tuple[str, ...], output: str) -> out.Result:
     "--repair",
     "Remove damaged indexes and rows without a shape, and mark damaged shapes to be ingested again.",
 )
-def check_command(catalogue: str, sample: int, repair: bool) -> out.Result:
+@opt.remote_option
+def check_command(catalogue: str, sample: int, repair: bool, remote: bool) -> out.Result:
     """Check a catalogue for damage: its file, each record, all arrays, and some signatures.
 
     The exit code is 1 if damage is left.
@@ -205,7 +206,8 @@ def check_command(catalogue: str, sample: int, repair: bool) -> out.Result:
                 shown.advance({})
 
         shown.start(len(store) + sum(store.failures().values()))
-        result = pr.check(store, sample=sample, repair=repair, on_shapes=advance)
+        allowed = remote or may_fetch
+        result = pr.check(store, sample=sample, repair=repair, remote=allowed, on_shapes=advance)
         options = store.options
     document = {"catalogue": without_password(catalogue), "is_whole": result.is_whole} | asdict(
         result

@@ -10,7 +10,7 @@ import shutil
 import sys
 import textwrap
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
 from threading import Event, RLock, Thread
@@ -87,6 +87,16 @@ def say(message: str, *, indent: int | None = 0) -> None:
             click.echo(text, err=True)  # without colours, if that is no terminal
     except OSError:
         silence(sys.stderr)
+
+
+def may_fetch(hosts: Sequence[str]) -> bool:
+    """Ask whether scans may be fetched; no, where nobody can answer."""
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return False
+    stop_waiting()
+    question = f"The catalogue names scans at {', '.join(hosts)}. Fetch them?"
+    with _between_bars():
+        return click.confirm(escaped(without_password(question)), err=True)
 
 
 def silence(stream: TextIO) -> None:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import socket
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from ipaddress import ip_address
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TypeAlias
+from urllib.parse import urlsplit
 
 from pcretrieve.errors import InputError, PcretrieveError, ScanReadError, ShapeError
-from pcretrieve.formats.format import url_of
+from pcretrieve.formats.format import LOCAL, url_of
 from pcretrieve.formats.registry import parts_of, split_member
 
 # Largest size of a file that is copied for one command; bytes.
@@ -21,6 +24,29 @@ VERSIONS = (
     *("LastModified", "Last-Modified", "updated", "mtime", "created"),
 )
 
+# Largest size of all pages of a listing together: some 70,000 files; bytes.
+MOST_LISTED_BYTES = 1 << 24
+# Largest number of files of a listing, which stores give without pages.
+MOST_LISTED = 200_000
+
+# Protocols of file systems, besides HTTP, whose URLs name a computer; others name a bucket.
+SERVERS = frozenset({"ftp", "sftp", "ssh", "smb", "webhdfs", "hdfs"})
+
+#: Whether scans are fetched whose URLs are stored in a catalogue, or what decides that, given their hosts.
+Remote: TypeAlias = bool | Callable[[Sequence[str]], bool]
+
+
+def check_remote(paths: Iterable[str], remote: Remote, location: str) -> None:
+    """Check that the URLs among the paths in a catalogue, which may be somebody else's, may be fetched."""
+    urls = [url for path in paths if (url := url_of(Path(path))) is not None]
+    # Not parsed, because parsers differ in what they take for the host.
+    hosts = {"/".join(url.split("/", 3)[:3]) for url in urls if url.partition(":")[0] not in LOCAL}
+    if hosts and not (remote(sorted(hosts)) if callable(remote) else remote):
+        raise InputError(
+            f"{location} names scans at {', '.join(sorted(hosts))}, which are not fetched unasked, because "
+            "it may name any address: give --remote (in Python remote=True) if you trust it"
+        )
+
 
 def remote_files(path: Path) -> list[Path]:
     """The files that a URL names: by a pattern, in a folder and below, or one."""
@@ -31,6 +57,8 @@ def remote_files(path: Path) -> list[Path]:
             found = system.find(place)
         else:
             found = [place] if system.exists(place) else []
+        if len(found) > MOST_LISTED:
+            raise ScanReadError(_too_long(MOST_LISTED, "names"))
         return [Path(str(system.unstrip_protocol(name))) for name in sorted(found)]
 
 
@@ -88,7 +116,14 @@ def _store(
         try:
             from fsspec.core import url_to_fs
 
-            system, place = url_to_fs(url)
+            protocol = url.partition(":")[0]
+            own: dict[str, Any] = {}
+            if protocol in ("http", "https"):
+                own = {"get_client": _client, "skip_instance_cache": True}
+            elif protocol in SERVERS:  # some of which connect as soon as they are made
+                for *_, address in socket.getaddrinfo(urlsplit(url).hostname, None):
+                    _check_address(address)
+            system, place = url_to_fs(url, **own)
         except ImportError as error:
             raise kind(f"cannot {act} {url}, {error}: pip install 'pcretrieve[remote]'") from error
         yield system, place, url
@@ -98,5 +133,63 @@ def _store(
     except Exception as error:
         words = getattr(error, "strerror", None) or error or type(error).__name__
         if isinstance(error, FileNotFoundError):
-            words = "there is no such file"
+            refused = isinstance(error.__cause__, PcretrieveError)
+            words = error.__cause__ if refused else "there is no such file"
         raise kind(f"cannot {act} {url}: {words}") from error
+
+
+# --- HTTP -----------------------------------------------------------------------------------------------
+
+
+async def _client(**settings: Any) -> Any:
+    """A client for one request or one listing, which checks addresses, and the size of all pages together."""
+    import aiohttp
+    from yarl import URL
+
+    n_bytes = 0
+    is_redirected = False
+
+    class Page(aiohttp.ClientResponse):
+        """A response that is read as text only if it is a page of a listing."""
+
+        async def text(self, encoding: str | None = None, errors: str = "strict") -> str:
+            nonlocal n_bytes
+            page = bytearray()
+            async for chunk in self.content.iter_any():
+                page += chunk
+                n_bytes += len(chunk)
+                if n_bytes > MOST_LISTED_BYTES:
+                    raise ScanReadError(_too_long(MOST_LISTED_BYTES, "bytes"))
+            return page.decode(encoding or "utf-8", errors)
+
+    async def redirected(session: object, context: object, request: Any) -> None:
+        nonlocal is_redirected
+        headers = request.response.headers
+        target = URL(headers.get("Location") or headers.get("URI", ""))
+        is_redirected |= request.url.join(target).host != request.url.host
+
+    def checked_socket(info: Any) -> socket.socket:
+        # From here on, neither a name nor a redirect can lead to another address.
+        family, kind, protocol, _, address = info
+        _check_address(address, is_redirected)
+        return socket.socket(family, kind, protocol)
+
+    steps = aiohttp.TraceConfig()
+    steps.on_request_redirect.append(redirected)
+    settings["connector"] = aiohttp.TCPConnector(socket_factory=checked_socket)
+    return aiohttp.ClientSession(response_class=Page, trace_configs=[steps], **settings)
+
+
+def _too_long(most: int, what: str) -> str:
+    return f"a listing must have at most {most} {what}, this one has more: name a folder below it"
+
+
+def _check_address(address: Sequence[Any], is_redirected: bool = False) -> None:
+    """Refuse link-local addresses, at which clouds give away passwords, and redirects into own networks."""
+    ip = ip_address(address[0])
+    ip = getattr(ip, "ipv4_mapped", None) or ip
+    if ip.is_link_local or (is_redirected and not ip.is_global):
+        raise ScanReadError(
+            f"a URL must not lead to the address {ip}, which is link-local or, by a redirect from another "
+            "host, in a private network: copy the scan to this computer first"
+        )

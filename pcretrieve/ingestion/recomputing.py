@@ -21,8 +21,9 @@ from pcretrieve.catalogue import (
     find_defects,
     set_to_be_ingested_again,
 )
-from pcretrieve.errors import CatalogueError, PcretrieveError, ShapeError
+from pcretrieve.errors import CatalogueError, InputError, PcretrieveError, ShapeError
 from pcretrieve.formats.identity import content_hash
+from pcretrieve.formats.remote import Remote, check_remote
 from pcretrieve.ingestion.attempts import content_of
 from pcretrieve.ingestion.pool import in_processes
 from pcretrieve.options import PipelineOptions
@@ -54,6 +55,7 @@ def check(
     *,
     sample: int = 10,
     repair: bool = False,
+    remote: Remote = False,
     timeout: float = 600.0,
     seed: int | None = None,
     on_shapes: Callable[[int], None] = lambda number: None,
@@ -75,6 +77,9 @@ def check(
         Remove rows of no shape, damaged records and damaged indexes, make SQL indexes again, and replace
         shapes with damaged arrays by failures in the stage ``check``, whose files the next ingest, or
         `retry`, processes again.
+    remote : bool or function, default False
+        Whether signatures of the sample are also computed again from scans at URLs, which the catalogue
+        names: anyone who made it may have written any address. A function is given the hosts, and decides.
     timeout : float, default 600
         Longest time to compute a signature again; seconds.
     seed : int, optional
@@ -89,19 +94,25 @@ def check(
 
     Raises
     ------
+    InputError
+        If a scan of the sample must be fetched from a URL, and may not be.
     CatalogueError
         If the catalogue cannot be opened, or cannot be written to for repairs.
     """
     with Catalogue.opened(catalogue) as store:
+        chosen: list[Record] = []
+        with suppress(CatalogueError):  # which is a defect that the check of the database finds
+            chosen += _sample(store, sample, seed)
+        if not _has_meshes(store):
+            check_remote([record.path for record in chosen], remote, store.location)
         defects = find_defects(store, repair=repair, on_shapes=on_shapes)
         is_broken = any(defect.kind == "database" and defect.repair is None for defect in defects)
-        # A list, because repairs change the order of the finished shapes.
-        chosen = [] if is_broken else list(_sample(store, sample, seed))
+        tasks = _tasks(store, [] if is_broken else chosen)
         again, n_recomputed = partial(_again, store.options), 0
-        with closing(
-            in_processes(again, _tasks(store, chosen), workers=1, timeout=timeout)
-        ) as outcomes:
+        with closing(in_processes(again, tasks, workers=1, timeout=timeout)) as outcomes:
             for task, outcome in outcomes:
+                if outcome is None:
+                    continue
                 n_recomputed += 1
                 if (fault := _fault(task, outcome)) is not None:
                     done = set_to_be_ingested_again(store, task.record, fault) if repair else None
@@ -136,33 +147,40 @@ def _sample(store: Catalogue, number: int, seed: int | None) -> Iterator[Record]
                 yield from page
 
 
-def _tasks(catalogue: Catalogue, records: Iterable[Record]) -> Iterator[_Task]:
-    """What is to be computed again, without shapes of which a part is damaged, or is not there any more."""
+def _has_meshes(catalogue: Catalogue) -> bool:
+    """Whether signatures are computed again from stored surfaces."""
     # Imported here, because other functions do not need this slow import.
     from pcretrieve.spectral import ELEMENTS
 
     of_points = ELEMENTS[catalogue.options.spectral.element].needs == "points"
+    return "meshes" in catalogue.options.catalogue.keep and not of_points
+
+
+def _tasks(catalogue: Catalogue, records: Iterable[Record]) -> Iterator[_Task]:
+    """What is to be computed again, without shapes of which a part is damaged, or is not there any more."""
+    has_meshes = _has_meshes(catalogue)
     for record in records:
         try:
             stored = catalogue.signature(record.id)
             surfaces = catalogue.shape(record.id, needs=("mesh",)).surfaces
-        except CatalogueError:
+        except (CatalogueError, InputError):
             continue  # which is a defect that the check of the rows finds
         meshes = tuple(surface.mesh for surface in surfaces if surface.mesh is not None)
-        if of_points or len(meshes) < len(surfaces):
-            meshes = ()
         # A file that was tried again was not processed by the options of the catalogue.
         is_retried = any(step.stage == "retry" for step in record.steps)
-        with suppress(ShapeError):  # the file is not there any more
-            if meshes or (
-                not is_retried and content_hash(Path(record.path)) == record.content_hash
-            ):
-                yield _Task(record, stored, meshes)
+        if len(meshes) == len(surfaces) if has_meshes else not is_retried:
+            yield _Task(record, stored, meshes if has_meshes else ())
 
 
-def _again(options: PipelineOptions, task: _Task) -> FloatArray:
+def _again(options: PipelineOptions, task: _Task) -> FloatArray | None:
+    """The signature of a shape; None if its file is not there any more, or has changed."""
     if task.meshes:
         from pcretrieve.pipeline.process import signature_of_surfaces
 
         return signature_of_surfaces(task.meshes, options).values
-    return content_of(Path(task.record.path), options).signature
+    path = Path(task.record.path)
+    try:
+        is_same = content_hash(path) == task.record.content_hash
+    except ShapeError:
+        is_same = False
+    return content_of(path, options).signature if is_same else None

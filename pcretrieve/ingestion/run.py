@@ -14,6 +14,7 @@ from typing import Any
 from pcretrieve.catalogue import Catalogue, CatalogueLike, Content, Record
 from pcretrieve.errors import InputError, PcretrieveError
 from pcretrieve.formats.identity import printable
+from pcretrieve.formats.remote import Remote, check_remote
 from pcretrieve.ingestion.attempts import Attempt, Work, next_attempt
 from pcretrieve.ingestion.discover import Look, discover, looked_into, scans_of
 from pcretrieve.ingestion.labels import discover_labelled
@@ -174,6 +175,7 @@ def retry(
     memory: float | None = None,
     executor: Executor = in_processes,
     retries: int = 0,
+    remote: Remote = False,
     on_shape: Callable[[Record], None] = lambda record: None,
     on_start: Callable[[int], None] = lambda number: None,
 ) -> Summary:
@@ -186,6 +188,9 @@ def retry(
     stage : str, optional
         Only shapes that failed in this stage, such as ``surface``, or ``worker`` for those whose process
         ended or exceeded its time limit.
+    remote : bool or function, default False
+        Whether scans at URLs, which the catalogue names, are fetched: anyone who made it may have written any
+        address. A function is given the hosts, and decides.
     workers, timeout, memory, executor, retries, on_shape, on_start : object, optional
         As for `pcretrieve.ingest`.
 
@@ -197,7 +202,7 @@ def retry(
     Raises
     ------
     InputError
-        If no shape failed in this stage.
+        If no shape failed in this stage, or a scan must be fetched from a URL, and may not be.
     CatalogueError
         If the catalogue cannot be opened.
     """
@@ -211,6 +216,7 @@ def retry(
                 f"no shape of {store.location} failed"
                 + (f" in the stage {stage}; stages with failures: {stages}" if stage else "")
             )
+        check_remote(map(str, paths), remote, store.location)
         on_start(len(paths))
         return process_scans(paths, store, how)
 
