@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks import solids
 from benchmarks.poses import POSES
@@ -15,11 +16,14 @@ from benchmarks.sets import read_mesh
 from pcretrieve.draw.open3d import RayScene
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.ingestion.labels import read_labels
+from pcretrieve.retrieval import Positions
 from pcretrieve.simulation import body, make_subject
 from pcretrieve.simulation.samples import moved
 from pcretrieve.surface import components
 from pcretrieve.values import FloatArray, IntArray, TriangleMesh
 from pcretrieve.values.geometry import edge_graph
+
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +122,7 @@ N_RAYS, LEAST_CAVITY = 128, 60
 HEAD = 0.87
 
 
-def _seal(mesh: TriangleMesh) -> IntArray:
+def _seal(mesh: TriangleMesh) -> Positions:
     """The faces of the outer skin of a mesh of Anny: without eyes, their sockets and the mouth inside."""
     part = components(mesh)
     skin = part == np.bincount(part).argmax()
@@ -143,14 +147,14 @@ def _seal(mesh: TriangleMesh) -> IntArray:
         removed[shared] = True
 
 
-def open_edges(faces: IntArray) -> IntArray:
+def open_edges(faces: IntArray) -> Positions:
     """(k, 2) the edges that have a face on one side only, in its direction."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     n = int(edges.max()) + 1
     return edges[~np.isin(edges[:, 0] * n + edges[:, 1], edges[:, 1] * n + edges[:, 0])]
 
 
-def _sealed(mesh: TriangleMesh, skin: IntArray) -> TriangleMesh:
+def _sealed(mesh: TriangleMesh, skin: Positions) -> TriangleMesh:
     """Some faces of a mesh, whose openings are closed by a vertex in the middle of each."""
     faces = mesh.faces[skin]
     vertices, caps = [mesh.vertices], [faces]
@@ -166,9 +170,7 @@ def _sealed(mesh: TriangleMesh, skin: IntArray) -> TriangleMesh:
     return TriangleMesh(np.concatenate(vertices), np.concatenate(caps).astype(np.int32))
 
 
-def is_outside(
-    mesh: TriangleMesh, points: FloatArray, normals: FloatArray, n_rays: int
-) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def is_outside(mesh: TriangleMesh, points: FloatArray, normals: FloatArray, n_rays: int) -> Mask:
     """(n,) whether some of random rays from points of a surface leave it."""
     scene = RayScene(mesh.vertices, mesh.faces)
     rng = np.random.default_rng(0)
@@ -300,7 +302,7 @@ KINDS: dict[str, Callable[[Sources, int, int], list[list[Body]]]] = {
 """Kinds of bodies: functions of sources, the number of individuals, and that of poses of each."""
 
 
-def neighbourhood(mesh: TriangleMesh, centre: int, radius: float) -> FloatArray:
+def neighbourhood(mesh: TriangleMesh, centre: int, radius: float) -> Mask:
     """(n,) whether vertices are in a ball round one of them, and connected with it there."""
     from scipy.sparse.csgraph import connected_components
 

@@ -26,6 +26,7 @@ import json
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -166,7 +167,7 @@ def make(task: Making) -> list[Path]:
         else:
             scanned = points[left_by(damage, points, task.body, rng)]
         placed = moved(random_motion(rng), scanned)
-        _write(task, damage, lambda path, placed=placed: write_ply(path, placed))
+        _write(task, damage, partial(write_ply, points=placed))
     return list(paths.values())
 
 
@@ -397,6 +398,10 @@ def _one_body(row: Row) -> bool:
     return told or any("two bodies" in reason for reason in row.get("reasons") or ())
 
 
+def _has(damage: str, row: Row) -> bool:
+    return bool(row["damage"] == damage)
+
+
 def _whole_scan(row: Row) -> bool:
     return bool(row["damage"] == WHOLE and row["sensor"] != MESH)
 
@@ -427,7 +432,7 @@ ASKED = (
     *(
         Asked(
             f"{damage}: not good",
-            lambda row, damage=damage: row["damage"] == damage,
+            partial(_has, damage),
             lambda row: not _is_good(row),
             0.90,
             0.0,

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from PIL import Image
 
 from benchmarks.bodies import KINDS, PLACES, Body, Sources, neighbourhood
 from benchmarks.judging import FAILED, Examined, examined, metric_of_people
@@ -164,8 +165,8 @@ def _of_kind(kind: str, given: argparse.Namespace) -> Iterator[str]:
         lines = [json.dumps(row) for row in rows]
         write_file(output / "rows.jsonl", ("\n".join(lines) + "\n").encode())
         by_move = sorted(zip(rows, cut, strict=True), key=lambda pair: -_sortable(pair[0]["moved"]))
-        for row, task in by_move[: given.worst]:
-            yield f"    {row['scan']}: moved {row['moved']:.1f}, {_drawn(task)}"
+        for worst, task in by_move[: given.worst]:
+            yield f"    {worst['scan']}: moved {worst['moved']:.2f}, {_drawn(task)}"
 
 
 def _sortable(value: float) -> float:
@@ -256,10 +257,10 @@ def _drawn(task: Task) -> Path:
 PIXELS = 400
 
 
-def contact_sheet(cloud: PointCloud, surface: TriangleMesh | None) -> pictures.Image.Image:
+def contact_sheet(cloud: PointCloud, surface: TriangleMesh | None) -> Image.Image:
     """Points from four sides, and the surface below them; y is up."""
     cameras = pictures.cameras_around(cloud.points, np.eye(3))
-    sheet = pictures.Image.new("RGB", (PIXELS * len(cameras), PIXELS * 2), "white")
+    sheet = Image.new("RGB", (PIXELS * len(cameras), PIXELS * 2), "white")
     for column, camera in enumerate(cameras):
         width = 2 * camera.half / np.sqrt(len(cloud.points))
         picture = pictures.depth_picture(

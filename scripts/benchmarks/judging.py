@@ -92,7 +92,8 @@ def examined(
 
 def point_of(values: FloatArray, options: PipelineOptions) -> FloatArray:
     """(L,) the coordinates of the values of a signature."""
-    return coordinates(values[np.newaxis], DESCRIPTORS[options.signature.method].metric)[0]
+    metric = DESCRIPTORS[options.signature.method].metric
+    return np.asarray(coordinates(values[np.newaxis], metric)[0])
 
 
 def metric_of_people() -> Whitening:

@@ -10,21 +10,19 @@ from collections.abc import Callable, Iterator
 from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from benchmarks.bodies import Body, is_outside, open_edges
+from benchmarks.bodies import Body, Mask, is_outside, open_edges
 from pcretrieve.draw.open3d import RayScene
+from pcretrieve.retrieval import Positions
 from pcretrieve.simulation import RigOptions, camera_pose, scan
 from pcretrieve.simulation.scanner import outside_holes, strays
 from pcretrieve.surface import components
 from pcretrieve.surface.reconstruct import uniform_points
-from pcretrieve.values import FloatArray, IntArray, TriangleMesh
+from pcretrieve.values import FloatArray, TriangleMesh
 from pcretrieve.values.geometry import edge_graph
-
-Mask = NDArray[np.bool_]
 
 # --- uniform points -----------------------------------------------------------------------------------------
 
@@ -38,7 +36,7 @@ N_TYPICAL, N_HOLES, HOLES = 30_000, 6, (0.01, 0.03)
 
 def outer_points(
     mesh: TriangleMesh, n: int, rng: np.random.Generator
-) -> tuple[FloatArray, IntArray]:
+) -> tuple[FloatArray, Positions]:
     """(n, 3) random points of the part of a surface that is seen from outside, and (n,) their faces."""
     points, faces = np.zeros((n, 3)), np.zeros(n, dtype=np.intp)
     missing = np.arange(n)
@@ -116,7 +114,7 @@ def _turntable(body: Body, rng: np.random.Generator) -> FloatArray:
     points = points[points[:, 1] > mesh.vertices[:, 1].min() + SOLES * height]
     if "crown" in body.places:
         points = points[~_lost_hair(points, mesh.vertices[body.places["crown"]], height, rng)]
-    return points[rng.permutation(len(points))[:N_POINTS]]
+    return np.asarray(points[rng.permutation(len(points))[:N_POINTS]])
 
 
 def _pixel_rays(distance: float) -> FloatArray:
@@ -183,7 +181,7 @@ def left_by(damage: str, points: FloatArray, body: Body, rng: np.random.Generato
         return np.asarray((_from_an_end(body.mesh, rng) >= LIMB * height)[near])
     if damage == "side":
         sparse = (points[:, 0] > np.median(points[:, 0])) == (rng.random() < 0.5)
-        return ~sparse | (rng.random(len(points)) < SPARSE)
+        return np.asarray(~sparse | (rng.random(len(points)) < SPARSE))
     return np.ones(len(points), dtype=bool)
 
 

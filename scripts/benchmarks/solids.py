@@ -16,6 +16,8 @@ from pcretrieve.values import FloatArray, IntArray, TriangleMesh
 #: A distance of (..., 3) points from a surface, negative inside; exact or a bound of it.
 Field = Callable[[FloatArray], FloatArray]
 
+Point = Sequence[float] | FloatArray
+
 
 def lying(mesh: TriangleMesh, side: int) -> TriangleMesh:
     """The mesh on one of its sides."""
@@ -26,7 +28,7 @@ def lying(mesh: TriangleMesh, side: int) -> TriangleMesh:
 # --- fields -------------------------------------------------------------------------------------------------
 
 
-def _cone(start: Sequence[float], end: Sequence[float], radii: tuple[float, float]) -> Field:
+def _cone(start: Point, end: Point, radii: tuple[float, float]) -> Field:
     """A rod between two balls."""
     a, b = np.array(start), np.array(end)
 
@@ -38,7 +40,7 @@ def _cone(start: Sequence[float], end: Sequence[float], radii: tuple[float, floa
     return field
 
 
-def _ellipsoid(centre: Sequence[float], radii: Sequence[float]) -> Field:
+def _ellipsoid(centre: Point, radii: Sequence[float]) -> Field:
     def field(points: FloatArray) -> FloatArray:
         scaled = np.linalg.norm((points - np.array(centre)) / np.array(radii), axis=-1)
         return np.asarray((scaled - 1) * min(radii))

@@ -11,14 +11,13 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import cKDTree
 
+from benchmarks.bodies import Body
+from benchmarks.judging import FAILED, examined
 from benchmarks.measuring import (
     Column,
     Table,
@@ -27,24 +26,14 @@ from benchmarks.measuring import (
     argument_parser,
     print_lines,
 )
+from benchmarks.sensors import WHOLE, left_by
 from benchmarks.sets import SETS, Item, left_out
-from pcretrieve.checks import findings_of, verdict_of
-from pcretrieve.descriptors import describe
-from pcretrieve.errors import ShapeError
-from pcretrieve.options import JUDGED, PipelineOptions
-from pcretrieve.pipeline.process import process, shape_of, stages
-from pcretrieve.retrieval import Positions
+from pcretrieve.options import PipelineOptions
 from pcretrieve.simulation import RigOptions, scan
-from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
-from pcretrieve.values.geometry import edge_graph
+from pcretrieve.values import PointCloud
 
-CONDITIONS = ("whole", "no limb", "hole", "density 10 : 1")
-
-# The lengths of the limb that is missing, and of the hole, relative to the largest extent of the body.
-LIMB, HOLE = 0.22, 0.08
-
-# Share of the points that are left on the sparse side.
-SPARSE = 0.1
+# Conditions as they are printed, and the damages that they stand for.
+CONDITIONS = {"whole": WHOLE, "no limb": "limb", "hole": "hole", "density 10 : 1": "side"}
 
 TABLE = Table(
     Column("set", 8, align="<"),
@@ -114,69 +103,14 @@ class Task(NamedTuple):
 def judged(task: Task) -> Judged:
     """Scan a body, damage the scan, and judge it."""
     item, condition = task
-    rng = np.random.default_rng((item.number, CONDITIONS.index(condition)))
-    cloud = scan(item.mesh, RigOptions(), rng)
-    kept = cloud.select(_kept(cloud.points, item.mesh, condition, rng))
-    options = PipelineOptions().changed(signature=JUDGED)
-    whole = process(item.mesh, options.changed(surface={"mode": "keep"}))
-    try:
-        *_, last = stages(PointCloud(kept.points), options)
-        shape = shape_of(last, options)
-    except ShapeError as failure:
-        return Judged(condition, "failed", float("nan"), (str(failure.stage),), {})
-    truth, made = (np.log(describe(one, options.signature).values) for one in (whole, shape))
-    checks = findings_of(last.cloud, last.mesh, last.marks, shape).checks
-    verdict = verdict_of(checks)
-    error = float(np.linalg.norm(made - truth))
-    values = {check.name: (check.value, check.error) for check in checks}
-    return Judged(condition, verdict.judgement, error, verdict.reasons, values)
-
-
-def _kept(
-    points: FloatArray, mesh: TriangleMesh, condition: str, rng: np.random.Generator
-) -> Positions:
-    """(k,) rows of the points that a damage leaves."""
-    middle, height = points.mean(axis=0), np.ptp(points, axis=0).max()
-    if condition == "hole":
-        centre = points[rng.integers(len(points))]
-        gone = np.linalg.norm(points - centre, axis=1) < HOLE * height / 2
-    elif condition == "no limb":
-        near = cKDTree(mesh.vertices).query(points)[1]
-        gone = (_from_an_end(mesh, rng) < LIMB * height)[near]
-    elif condition == "density 10 : 1":
-        side = (points - middle) @ rng.standard_normal(3) > 0
-        gone = side & (rng.random(len(points)) > SPARSE)
-    else:
-        gone = np.zeros(len(points), dtype=bool)
-    return np.flatnonzero(~gone)
-
-
-# A body has four limbs and a head. Ends with a smaller share of the surface are tails of dogs and horses,
-# those with a larger one are no ends.
-N_ENDS, SHARES = 5, (0.02, 0.25)
-
-
-def _from_an_end(mesh: TriangleMesh, rng: np.random.Generator) -> FloatArray:
-    """(n,) geodesic distances of the vertices from the end of a random limb."""
-    reach, areas = LIMB * np.ptp(mesh.vertices, axis=0).max(), mesh.face_areas / mesh.area
-
-    def is_limb(paths: FloatArray) -> bool:
-        share = float(areas[(paths < reach)[mesh.faces].all(axis=1)].sum())
-        return SHARES[0] < share < SHARES[1]
-
-    return next(islice(filter(is_limb, _from_extremities(mesh)), int(rng.integers(N_ENDS)), None))
-
-
-def _from_extremities(mesh: TriangleMesh) -> Iterator[FloatArray]:
-    """(n,) lengths of the shortest paths along edges from one extremity of a body after the other.
-
-    The extremities are found by farthest-point sampling that begins in the middle of the body.
-    """
-    graph = edge_graph(mesh)  # symmetric
-    place = np.linalg.norm(mesh.vertices - mesh.vertices.mean(axis=0), axis=1).argmin()
-    apart = dijkstra(graph, indices=np.array([place]))[0]
-    while True:
-        place = np.where(np.isfinite(apart), apart, 0).argmax()
-        distances = dijkstra(graph, indices=np.array([place]))[0]
-        apart = np.minimum(apart, distances)
-        yield distances
+    rng = np.random.default_rng((item.number, list(CONDITIONS).index(condition)))
+    points = scan(item.mesh, RigOptions(), rng).points
+    body = Body(item.name, item.label, item.mesh)
+    kept = left_by(CONDITIONS[condition], points, body, rng)
+    found, _ = examined(PointCloud(points[kept]))
+    whole, _ = examined(item.mesh, PipelineOptions().changed(surface={"mode": "keep"}))
+    if found.word == FAILED:
+        return Judged(condition, FAILED, float("nan"), found.reasons, {})
+    error = float(np.linalg.norm(np.subtract(found.judged, whole.judged)))
+    values = {name: (check["value"], check["error"]) for name, check in found.checks.items()}
+    return Judged(condition, found.word, error, found.reasons, values)
