@@ -22,7 +22,6 @@ MEASURES = tuple(name.lower() for name in COLUMNS)
 COLUMNS |= {"": "words"}
 FALSE_MATCH_RATES = (0.01, 0.001)
 RARE = ("ST", "E")  # of papers, not needed to judge a collection
-PRECISIONS = {"ID": "text", "CLASS": "text", "A": "number", "B": "number"}
 
 
 @opt.command("evaluate")
@@ -186,98 +185,6 @@ def _write_evaluation(
 def _numbers(values: Iterable[float], form: str = ".4f") -> list[str]:
     """The measures of a row below `COLUMNS`."""
     return [format(value, form) for value in values]
-
-
-@opt.command("compare")
-@click.argument("first", type=opt.CATALOGUE, metavar="A")
-@click.argument("second", type=opt.CATALOGUE, metavar="B")
-@opt.labels_option
-@opt.option(
-    "--changes N",
-    "List so many of the most changed shapes.",
-    opt.NUMBER,
-    into="n_changes",
-    default=5,
-)
-@opt.comparison_options
-def compare_command(
-    first: str, second: str, labels: str | None, n_changes: int, **comparison: Any
-) -> out.Result:
-    """Compare two results for the same shapes, query by query.
-
-    A and B are catalogues, distance matrices, or files queries.csv of `evaluate --csv`. The table has the
-    measures of both, and the differences B minus A with 95 % confidence intervals. Give an option such as
-    --whitening once for both, or twice: for A and for B.
-
-    \b
-    pcretrieve lab compare A.sqlite A.sqlite --whitening none --whitening pca
-    pcretrieve lab compare run1.txt run2.txt --labels shrec11.cla
-    """
-    one, two = (_options_of(comparison, number) for number in range(2))
-    found = pr.compare(first, second, options=one, second_options=two, labels=labels)
-    show = partial(_write_comparison, found, n_changes, (first, second))
-    return out.Result(_comparison_document(found, n_changes), show=show)
-
-
-def _write_comparison(found: pr.Comparison, n_changes: int, names: tuple[str, str]) -> None:
-    table = [
-        (*_numbers(found.first), f"A: {names[0]}"),
-        (*_numbers(found.second), f"B: {names[1]}"),
-        (*_numbers(found.difference, "+.3f"), "B - A"),
-        (*_numbers(found.interval[0], "+.3f"), f"  {found.level:.0%} interval from"),
-        (*_numbers(found.interval[1], "+.3f"), "  to"),
-    ]
-    out.write_table(COLUMNS, table)
-    changed = [one for one in found.changes[:n_changes] if one.first != one.second]
-    if changed:
-        out.write_lines("average precision of the most changed shapes:")
-        rows = (
-            (one.shape_id, one.label, f"{one.first:.4f}", f"{one.second:.4f}") for one in changed
-        )
-        out.write_table(PRECISIONS, rows)
-    n_first, n_second = len(found.only_first), len(found.only_second)
-    left = (
-        f"; left out are {n_first} in A only and {n_second} in B only" if n_first + n_second else ""
-    )
-    say(f"{len(found.changes)} queries in both{left}")
-
-
-def _options_of(values: dict[str, tuple[Any, ...]], number: int) -> dict[str, dict[str, Any]]:
-    """What the flags change for one of both results, over the options of its catalogue."""
-    for name, given in values.items():
-        if len(given) > 2:
-            raise click.UsageError(
-                f"--{name.replace('_', '-')} is given at most twice, got {len(given)}"
-            )
-    return opt.changes(
-        {name: (*given, *given[-1:], None, None)[number] for name, given in values.items()}
-    )
-
-
-def _comparison_document(found: pr.Comparison, n_changes: int) -> dict[str, object]:
-    """The JSON document of a comparison."""
-    names = ("first", "second", "difference", "low", "high")
-    rows = (found.first, found.second, found.difference, *found.interval)
-    return {name: _named(row.tolist()) for name, row in zip(names, rows, strict=True)} | {
-        # The head of the document has the options of one computation, and here are two, or none of files.
-        "first_options": found.first_options,
-        "second_options": found.second_options,
-        "level": found.level,
-        "n_queries": len(found.changes),
-        "only_first": found.only_first,
-        "only_second": found.only_second,
-        "changes": [
-            {"id": one.shape_id, "label": one.label, "first": one.first, "second": one.second}
-            for one in found.changes[:n_changes]
-        ],
-    }
-
-
-# Each result has the settings of its catalogue, and the options of the comparison can be given twice.
-compare_command.params = [one for one in compare_command.params if one.name != "config"]
-for _parameter in compare_command.params:
-    if isinstance(_parameter, click.Option) and _parameter.name in opt.COMPARISON:
-        _parameter.multiple = True
 
 
 @opt.command("calibrate")

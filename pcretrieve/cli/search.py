@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import statistics
-import sys
 from collections.abc import Iterator
 from dataclasses import asdict
 from functools import partial
@@ -280,50 +279,6 @@ def duplicates_command(
     say(f"{len(pairs)} {'pair' if len(pairs) == 1 else 'pairs'}")
     return out.Result(
         [pair._asdict() for pair in pairs], options, partial(out.write_table, PAIR, rows)
-    )
-
-
-@opt.command("cluster")
-@opt.catalogue_option
-@opt.option(
-    "--min-size N", "Least number of shapes of a cluster.", click.IntRange(min=2), default=3
-)
-@opt.option(
-    "--output -o CSV",
-    "Write this file.  [default: standard output; a terminal shows a table]",
-    opt.PATH,
-)
-@opt.on_catalogue
-def cluster_command(
-    store: pr.Catalogue, options: pr.PipelineOptions, min_size: int, output: Path | None
-) -> out.Result:
-    """Group similar shapes, without using their classes.
-
-    The method is HDBSCAN. The table has the columns id and label; a shape in no cluster has no label.
-
-    \b
-    pcretrieve lab cluster --catalogue bodies.sqlite -o clusters.csv
-    """
-    from pcretrieve.values.files import csv_text, write_file
-
-    labels = pr.cluster(store, options=options, min_size=min_size)
-    text = csv_text(("id", "label"), labels.items())
-    if output is not None:
-        write_file(output, text.encode())
-    n_none = sum(label is None for label in labels.values())
-    say(
-        f"{len({*labels.values()} - {None})} clusters of {len(labels)} shapes, {n_none} of them in none"
-    )
-
-    def show() -> None:
-        if output is None and sys.stdout.isatty():
-            rows = ((name, label or "-") for name, label in labels.items())
-            out.write_table({"ID": "text", "CLUSTER": "text"}, rows)
-        elif output is None:
-            out.write_csv(text)
-
-    return out.Result(
-        [{"id": name, "label": label} for name, label in labels.items()], options, show
     )
 
 

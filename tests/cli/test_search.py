@@ -17,7 +17,6 @@ from PIL import Image
 import pcretrieve as pr
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.cli.search import _told
-from pcretrieve.evaluation.measures import MEASURES
 from pcretrieve.formats import write_mesh
 from pcretrieve.matching import MATCHERS, match_all
 from pcretrieve.query import Described
@@ -230,21 +229,6 @@ def test_two_settings_matrices_and_files_give_one_comparison(eggs: Path, tmp_pat
     assert pr.compare(*matrices, labels=eggs / "labels.csv") == expected
     files = (tmp_path / "one" / "queries.csv", tmp_path / "two" / "queries.csv")
     assert pr.compare(*files) == expected
-    both = ("--distance", "log", "--distance", "d1", "--n-values", 23, "--n-values", 5)
-    found = result("lab", "compare", catalogue, catalogue, *PLAIN, *METHOD, *both, "--changes", 3)
-    assert found["difference"] == dict(zip(MEASURES, expected.difference.tolist(), strict=True))
-    assert found["low"] == dict(zip(MEASURES, expected.interval[0].tolist(), strict=True))
-    assert [one["id"] for one in found["changes"]] == [one.shape_id for one in expected.changes[:3]]
-    printed = run("lab", "compare", *files).stdout.splitlines()
-    assert printed[3].split()[:6] == [f"{value:+.3f}" for value in expected.difference]
-    assert printed[1].endswith(f"  A: {files[0]}")
-    change = expected.changes[0]
-    precisions = f"{change.first:.4f}", f"{change.second:.4f}"
-    assert printed[8].split() == [change.shape_id, change.label, *precisions]
-    said = refusal("lab", "compare", catalogue, matrices[0])
-    assert "a distance matrix has no classes: give labels" in said
-    said = refusal("lab", "compare", catalogue, catalogue, *("--distance", "d1") * 3)
-    assert "--distance is given at most twice, got 3" in said
 
 
 # --- duplicates and maps --------------------------------------------------------------------------------
