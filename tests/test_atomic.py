@@ -103,7 +103,7 @@ class Synced:
         self._sizes: dict[int, int] = {}  # by inode
         self._fsync = os.fsync
         patch.setattr(os, "fsync", self._synced)
-        for name in ("rename", "replace"):
+        for name in ("rename", "replace", "link"):
             patch.setattr(os, name, partial(self._renamed, getattr(os, name)))
 
     def _synced(self, descriptor: int) -> None:

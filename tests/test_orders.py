@@ -254,7 +254,6 @@ class Orders(RuleBasedStateMachine):
             (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
         self.patch = pytest.MonkeyPatch()
         self.patch.setattr("pcretrieve.catalogue.cache.SMALLEST_KEPT", 1)
-        self.patch.setattr("pcretrieve.catalogue.copies.PAGES_AT_ONCE", 1)
         self.patch.setenv("XDG_CACHE_HOME", str(self.root))
         self.patch.setenv("PYTHONPATH", os.pathsep.join(sys.path))  # of the server that forks
         self.readers: list[Catalogue] = []

@@ -178,11 +178,14 @@ class Rows:
         self,
         *,
         status: Status | None = None,
+        incomplete: bool = False,
         offset: int = 0,
         limit: int | None = None,
     ) -> Iterator[list[Record]]:
         """The records, including failed ones, in ascending order of id, in pages that are read one by one."""
         chosen = "AND status = ?" if status else ""
+        # In the words of the index.
+        chosen += " AND judgement <> 'good'" if incomplete else ""
         query = f"{RECORDS} WHERE id > ? {chosen} ORDER BY id LIMIT ? OFFSET ?"
         after, left = "", limit
         while left is None or left > 0:

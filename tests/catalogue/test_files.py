@@ -117,7 +117,7 @@ def test_catalogues_of_other_versions(path: Path, original: Path) -> None:
         ("DELETE FROM meta WHERE key = 'schema_version'", "by an older pcretrieve"),
         ("INSERT INTO meta VALUES ('schema_version', 'x')", r"is damaged \(it has no version\)"),
         (setting.format(SCHEMA_VERSION, "schema"), ""),
-        (setting.format(6, "numbers"), r"whose numbers differ \(version 6 there, 15 here\)"),
+        (setting.format(6, "numbers"), r"whose numbers differ \(version 6 there, \d+ here\)"),
     ):
         execute(path, change)
         if said:
@@ -187,7 +187,7 @@ def test_a_catalogue_that_may_not_be_written_can_be_read(original: Path) -> None
 
 # Another process holds the lock of writers, or, as an older version might, one that others may share.
 @pytest.mark.parametrize("held", [fcntl.LOCK_EX, fcntl.LOCK_SH], ids=["exclusive", "shared"])
-@pytest.mark.parametrize("change", ["remove", "shrink"])
+@pytest.mark.parametrize("change", ["remove", "scrub"])
 def test_no_other_process_writes_while_one_ends_a_checkpoint(
     change: str, held: int, path: Path
 ) -> None:
@@ -196,7 +196,7 @@ def test_no_other_process_writes_while_one_ends_a_checkpoint(
             if change == "remove":
                 other.remove("2")
             else:
-                other.database.shrink()
+                other.database.scrub()
 
     execute(path, "DELETE FROM arrays")
     before = path.stat().st_size
