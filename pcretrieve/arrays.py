@@ -21,7 +21,8 @@ UPWARD = ("x", "-x", "y", "-y", "z", "-z")
 # computations in single and in double precision. In single precision a coordinate has 24 binary digits, all
 # of which are needed to distinguish points. In double precision covariances are differences of mean squares,
 # which lose 18 of their 53 binary digits at a distance of 512 sizes.
-SINGLE_OFFSET, DOUBLE_OFFSET = 0.5, 512.0
+SINGLE_OFFSET = 0.5
+DOUBLE_OFFSET = 512.0
 
 
 class Frame(NamedTuple):

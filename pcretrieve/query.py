@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 
 # Least certainty of an answer that is called sure, and below which nobody in the collection is meant:
 # measured on classes that were left out, see docs/decisions.md, sure.
-SURE, UNLIKELY = 0.8, 0.5
+SURE = 0.8
+UNLIKELY = 0.5
 
 # Largest distance of two copies of one body in one pose, by the logarithms of their moments: see
 # docs/decisions.md, SAME.

@@ -213,6 +213,10 @@ class Rows:
         """The class of each shape, including failed ones, by id in ascending order."""
         return dict(self._all("SELECT id, label FROM shapes ORDER BY id"))
 
+    def times(self) -> dict[str, str]:
+        """When each shape, or its failure, was stored, by id: UTC, as 2026-01-31T12:00:00+00:00."""
+        return dict(self._all("SELECT id, added FROM shapes JOIN provenance ON shape = number"))
+
     def classes(self, most: int) -> list[str]:
         """The names of some classes, in no order: all, if they are at most so many."""
         query = "SELECT DISTINCT label FROM shapes WHERE label IS NOT NULL LIMIT ?"

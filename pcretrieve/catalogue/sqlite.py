@@ -27,7 +27,8 @@ from pcretrieve.errors import CatalogueError
 logger = logging.getLogger(__name__)
 
 # Longest time to wait for a process that writes; seconds. Tries, .01 s apart, to set the mode of a new file.
-LOCK_TIMEOUT, N_WAITS = 30.0, 1000
+LOCK_TIMEOUT = 30.0
+N_WAITS = 1000
 
 # Largest number of defects of pages that are listed.
 LISTED = 20

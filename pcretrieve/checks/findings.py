@@ -26,20 +26,29 @@ MEASURED = 5000
 # Distance to the nearest point beyond which a face was filled in, in median distances between nearest
 # neighbours, and, where points are sparse, in spacings there. If points are distributed uniformly over a
 # surface, their nearest neighbours are half a spacing apart, and the share of the surface beyond is 1e-6.
-FILLED, FILLED_OF_SPARSE = 4, 2
+FILLED = 4
+FILLED_OF_SPARSE = 2
 
 # The same beyond which a face may close a cut limb or a hole.
-BARE, BARE_OF_SPARSE = 1.75, 0.6
+BARE = 1.75
+BARE_OF_SPARSE = 0.6
 
 # Of a face that closes a cut limb: the largest cosine between its normal and that of the nearest point, since
 # in a smooth hole these agree; the least distance to it, in median spacings; the largest to the middle
 # of what closes it, in diagonals; the number of places; and the least likeness to a rim, for floors.
-TURNED, CLOSING, NEAR_END, N_ENDS, SHEET = 0.8, 1.9, 0.045, 10, 0.1
+TURNED = 0.8
+CLOSING = 1.9
+NEAR_END = 0.045
+N_ENDS = 10
+SHEET = 0.1
 
 # Of a face in a hole that is not explained by occlusion: the least distance to the nearest point, in
 # diagonals, and the least share of the hemisphere, weighted by the cosine as for ambient occlusion, that
 # surface with points leaves free, unlike folds of a lap; and this share of a face that closes a cut limb.
-FAR_OFF, OPEN, OPEN_END, N_RAYS = 0.007, 0.7, 0.65, 64
+FAR_OFF = 0.007
+OPEN = 0.7
+OPEN_END = 0.65
+N_RAYS = 64
 
 # Height above a face from which rays are cast, relative to the diagonal: beyond single precision.
 ABOVE = 1e-3

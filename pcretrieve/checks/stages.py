@@ -21,7 +21,8 @@ ERROR_OF_ENDS = 200.0
 ERROR_OF_GAPS = 2900.0
 
 # Log-signature error of a base if the ground was not seen: a limb may end there, unless it is a mere sole.
-ERROR_OF_BASE, LEAST_BASE = 0.3, 0.0015
+ERROR_OF_BASE = 0.3
+LEAST_BASE = 0.0015
 
 # Log-signature error of one cut or bridge; those of several are independent.
 ERROR_OF_CUT = 0.15
@@ -198,17 +199,15 @@ def spectrum_checks(shape: Shape) -> list[Check]:
         [surface.spectrum.eigenvalues[1:] for surface in shape.surfaces if surface.spectrum]
     )
     checks = []
-    first = shape.surfaces[0] if shape.surfaces else None
-    if first is not None and first.mesh is not None and first.eigenpairs is not None:
-        vectors = first.eigenpairs.eigenvectors
-        if len(vectors) == len(first.mesh.vertices) and vectors.shape[1] > 1:
-            waist = neck(first.mesh, vectors[:, 1])
-            is_narrow = waist < LEAST_NECK
-            shown = (
-                f"the neck between its halves is {waist:.2g} of the root of the smaller one's area"
-            )
-            error = NECK_ERROR if is_narrow else 0.0
-            checks.append(graded("One body", waist, shown, is_good=not is_narrow, error=error))
+    for surface in shape.surfaces[:1]:
+        if surface.mesh is None or surface.eigenpairs is None:
+            continue
+        vectors = surface.eigenpairs.eigenvectors[: len(surface.mesh.vertices)]
+        waist = neck(surface.mesh, vectors[:, 1])
+        is_narrow = waist < LEAST_NECK
+        shown = f"the neck between its halves is {waist:.2g} of the root of the smaller one's area"
+        error = NECK_ERROR if is_narrow else 0.0
+        checks.append(graded("One body", waist, shown, is_good=not is_narrow, error=error))
     if len(logs) > 1:
         apart = float(np.linalg.norm(logs[:, :N_COMPARED].std(axis=0, ddof=1)))
         shown = f"{apart:.2g} between the spectra of {len(logs)} surfaces"

@@ -33,7 +33,8 @@ EXIT_INTERRUPTED = 130
 JSON_FLAG = "--json"
 
 # Whether the command prints JSON, and whether its document has begun, in the state of a command.
-AS_JSON, BEGUN = "pcretrieve.json", "pcretrieve.document"
+AS_JSON = "pcretrieve.json"
+BEGUN = "pcretrieve.document"
 
 # A JSON document has escaped these in its strings; others are between its values.
 ESCAPES_IN_JSON = {code: escape for code, escape in ESCAPES.items() if code != ord("\n")}

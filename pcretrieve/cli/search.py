@@ -1,4 +1,4 @@
-"""Commands that ask a catalogue which shapes are similar: query, matrix, duplicates, cluster, map, serve."""
+"""Commands that ask a catalogue which shapes are similar: query, matrix, duplicates, map, serve."""
 
 from __future__ import annotations
 

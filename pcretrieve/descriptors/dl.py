@@ -26,7 +26,8 @@ from pcretrieve.values import Eigenpairs, FloatArray, Signature, TriangleMesh
 logger = logging.getLogger(__name__)
 
 # Number of atoms, as published, and of frequencies of the point descriptor.
-N_ATOMS, N_FREQUENCIES = 32, 19
+N_ATOMS = 32
+N_FREQUENCIES = 19
 
 # λ of the lasso, for point descriptors and atoms of unit length.
 PENALTY = 0.1
@@ -114,11 +115,17 @@ def sparse_codes(
 # --- learning from labels ------------------------------------------------------------------------------
 
 # Classes in one step, surfaces of each class, and points of each surface, of which more are kept.
-N_CLASSES, PER_CLASS, N_POINTS, N_KEPT = 8, 3, 60, 1000
+N_CLASSES = 8
+PER_CLASS = 3
+N_POINTS = 60
+N_KEPT = 1000
 
 # The largest step of Adam, which decreases to zero linearly, and the decay of its means of the gradient and
 # of its square (Kingma and Ba, 2015).
-N_STEPS, RATE, DECAY, SQUARED_DECAY = 200, 0.01, 0.9, 0.999
+N_STEPS = 200
+RATE = 0.01
+DECAY = 0.9
+SQUARED_DECAY = 0.999
 
 # μ of the hinge, relative to the median squared distance of a surface to the nearest one of another class.
 MARGIN = 0.3

@@ -22,14 +22,21 @@ TIE = 1e-6
 # distance, legs have more area than arms, but not as much more as of animals. Of 159 people in samples,
 # simulated scans and TOSCA, 143 are found, and of 57 animals, hands and centaurs one.
 LEAST_EQUAL = 0.89
-FOOT_TO_FOOT, HAND_TO_HAND = (0.79, 1.04), (0.64, 0.88)
-END, THICKEST, FOOT = 0.3, 1.6, 0.15
+FOOT_TO_FOOT = (0.79, 1.04)
+HAND_TO_HAND = (0.64, 0.88)
+END = 0.3
+THICKEST = 1.6
+FOOT = 0.15
 
 # Ends of an animal. Limits of ways over its surface: between two pairs of feet, and within the narrower pair,
 # relative to within the wider; how much those from the feet of a pair to other ends differ, relative to the
 # longest; the product of the first and the height above the feet. Of 97 animals and centaurs, 94 stand within
 # 60 degrees, by their skewness 74. People with raised arms have no such feet, of 30 hands two.
-N_ENDS, LONGER, EQUAL, UNLIKE, ABOVE = 7, 1.15, 0.6, 0.75, 0.1
+N_ENDS = 7
+LONGER = 1.15
+EQUAL = 0.6
+UNLIKE = 0.75
+ABOVE = 0.1
 
 
 def upward(axis: str | None) -> FloatArray | None:

@@ -19,7 +19,8 @@ Colour = tuple[float, float, float]
 CLAY = (0.86, 0.80, 0.74)
 
 # Margin on each side of a picture, relative to its width. Smallest field of view, relative to the body.
-MARGIN, SMALL = 0.04, 1e-3
+MARGIN = 0.04
+SMALL = 1e-3
 
 # Number of rays along each side of a pixel, for antialiasing: four rays give five levels of coverage.
 SUPERSAMPLING = 2
@@ -38,7 +39,8 @@ DARKEST = 0.35
 
 # Limits of the side of the square of a point: the smallest in pixels, so that no point is lost; the largest
 # relative to half of the side of the picture, for sparse points.
-LEAST_WIDTH, LARGEST_WIDTH = 1.5, 0.05
+LEAST_WIDTH = 1.5
+LARGEST_WIDTH = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,7 +23,8 @@ CLOUD_PIXELS = 160
 MOST_POINTS = 20_000
 
 # Angles of the camera to the right of the front of a body, and above it; degrees.
-AZIMUTH, ELEVATION = 20.0, 10.0
+AZIMUTH = 20.0
+ELEVATION = 10.0
 
 # How a picture was drawn, and which direction is upwards in it, which its PNG file says. To be changed when
 # bodies are drawn differently, so that pictures of earlier versions in catalogues are drawn again.

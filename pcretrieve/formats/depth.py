@@ -37,12 +37,14 @@ DEPTH_MODES = ("I;16", "I;16B", "I;16L", "I;16N", "I", "F")
 # Size of a pixel of these modes; bytes.
 MOST_PIXEL_BYTES = 4
 # Depth values of one metre, if the file of the camera has none: millimetres in whole numbers, else metres.
-MILLIMETRES, METRES = 1000.0, 1.0
+MILLIMETRES = 1000.0
+METRES = 1.0
 # Value that sensors write for missing measurements, besides zero: the largest number of 16 bits.
 NO_ANSWER = 65535
 
 # Files beside an image, or in the folder above, that hold the parameters of its camera.
-STEMS, SUFFIXES = ("camera", "camera_intrinsic", "intrinsic", "intrinsics"), (".json", ".toml")
+STEMS = ("camera", "camera_intrinsic", "intrinsic", "intrinsics")
+SUFFIXES = (".json", ".toml")
 NAMES = [stem + suffix for stem in STEMS for suffix in SUFFIXES]
 # Largest size of such a file: those of Open3D have less than a kilobyte.
 MOST_BYTES = 1 << 16

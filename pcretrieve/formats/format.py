@@ -19,7 +19,9 @@ from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 UNIT_TOLERANCE = 1e-2
 
 # Names of columns: of points, of normals in PLY files, and of positions of sensors, by PCL.
-POINT_FIELDS, NORMAL_FIELDS, SENSOR_FIELDS = "x y z", "nx ny nz", "vp_x vp_y vp_z"
+POINT_FIELDS = "x y z"
+NORMAL_FIELDS = "nx ny nz"
+SENSOR_FIELDS = "vp_x vp_y vp_z"
 
 # Largest compression ratio of deflate, the usual method of archives and of images.
 DEFLATE_RATIO = 1032

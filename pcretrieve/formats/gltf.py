@@ -37,7 +37,9 @@ MOST_JSON_BYTES = 1 << 26
 MOST_JSON_VALUES = 250_000
 WIDTHS = {"SCALAR": 1, "VEC3": 3}
 # Modes of a primitive with triangles; the others are points and lines.
-TRIANGLES, STRIP, FAN = 4, 5, 6
+TRIANGLES = 4
+STRIP = 5
+FAN = 6
 
 
 def gltf_scene(path: Path) -> Scene:

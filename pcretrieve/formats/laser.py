@@ -44,15 +44,19 @@ NOISE = (7, 18)
 
 LAZRS = Extra("las", ("lazrs",))
 # Content of the record of LASzip: the method, the number of items, and the items by type, size and version.
-LASZIP, ITEM = struct.Struct("<H30xH"), struct.Struct("<HHH")
+LASZIP = struct.Struct("<H30xH")
+ITEM = struct.Struct("<HHH")
 # The method that stores a chunk as layers, and the number of layers of each item; extra bytes have one each.
-LAYERED, LAYERS, EXTRA_BYTES = 3, {10: 9, 11: 1, 12: 2, 13: 1}, 14
+LAYERED = 3
+LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
+EXTRA_BYTES = 14
 # Number of points that are decompressed at a time, so that a file holds what is allocated for it.
 AT_ONCE = 1 << 20
 
 # Pages of an E57 file, each with a checksum at its end; bytes. In the header: where the XML part begins in
 # the file, and its size without checksums.
-PAGE, CHECKSUM = 1024, 4
+PAGE = 1024
+CHECKSUM = 4
 XML = struct.Struct("<24xQQ")
 # Beginning of the XML part: E57 requires UTF-8, in which declarations of entities can be found.
 UTF_8 = re.compile(

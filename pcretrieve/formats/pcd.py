@@ -23,7 +23,8 @@ SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 NORMAL_FIELDS = "normal_x normal_y normal_z"
 
 # Largest compression ratio, of a cloud with few answers, and number of bytes to which any may expand.
-MOST_RATIO, ANY_SIZE = 30, 1 << 24
+MOST_RATIO = 30
+ANY_SIZE = 1 << 24
 # Largest number of values of a point. The largest descriptor of PCL has 1980.
 MOST_VALUES = 4096
 

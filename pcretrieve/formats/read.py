@@ -24,7 +24,8 @@ ScanLike: TypeAlias = "str | Path | GeometryLike"
 
 # Limits of the largest coordinate: products of six lengths, such as squares of
 # volumes, stay in the range of float64.
-LARGEST_COORDINATE, SMALLEST_COORDINATE = 1e50, 1e-50
+LARGEST_COORDINATE = 1e50
+SMALLEST_COORDINATE = 1e-50
 
 
 def read_scan(path: str | Path) -> PointCloud | TriangleMesh:

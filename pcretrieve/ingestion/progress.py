@@ -25,10 +25,12 @@ State = Literal["none", "running", "finished", "stopped", "killed"]
 
 # Shortest time between two writes, and the longest one after which an ingest of another computer, or of a
 # container, is said to be running; seconds.
-INTERVAL, SILENCE = 1.0, 3600.0
+INTERVAL = 1.0
+SILENCE = 3600.0
 
 # The setting that has the counts, and what they say of the process that counts.
-SETTING, PROCESS = "batch", {"computer", "pid", "born"}
+SETTING = "batch"
+PROCESS = {"computer", "pid", "born"}
 
 # Up to the largest time that can be written as a date, at the end of the year 9999.
 Seconds = Annotated[float, Field(ge=0, le=253_402_300_799)]

@@ -36,7 +36,10 @@ RATIO = 0.85
 
 # Radii in units of 3σ: of the neighbourhood that gives the direction and of its weights, of a patch, and of
 # the circle on which patches lie.
-DISC, DISC_WEIGHT, PATCH, CIRCLE = 3.0, 1.5, 1.25, 1.5
+DISC = 3.0
+DISC_WEIGHT = 1.5
+PATCH = 1.25
+CIRCLE = 1.5
 
 # Centres of the nine patches, in units of `CIRCLE`: the middle, four on the axes and four on the diagonals.
 CENTRES = np.array(
@@ -47,7 +50,8 @@ CENTRES = np.array(
 # filter that smooths the histogram of directions, in degrees; and how often.
 N_BINS = 8
 N_DIRECTIONS = 360
-SMOOTHING, N_SMOOTHINGS = 17, 3
+SMOOTHING = 17
+N_SMOOTHINGS = 3
 
 # Smallest ratio of a maximum of the histogram of directions to the largest one that gives a feature.
 HIGH = 0.8

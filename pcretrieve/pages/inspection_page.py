@@ -40,8 +40,11 @@ from pcretrieve.values.files import check_target, write_file
 REMOVED_IN_VIEW = 90
 
 # The sheet of pictures: its margin, the height of a line and of the title, in pixels, and its two greys.
-MARGIN, LINE, TITLE = 16, 22, 34
-DARK, GREY = (0.1, 0.1, 0.1), (0.3, 0.3, 0.3)
+MARGIN = 16
+LINE = 22
+TITLE = 34
+DARK = (0.1, 0.1, 0.1)
+GREY = (0.3, 0.3, 0.3)
 
 
 def inspect(

@@ -21,8 +21,11 @@ VIEWER_SIZE = 1.25
 
 # Colours where a body is thicker and thinner than another one; the difference with the full colour, 6 cm of a
 # person, relative to the root of its area; the number of eigenpairs, and of places that are alike.
-THICKER, THINNER = np.array([0.75, 0.15, 0.10]), np.array([0.12, 0.30, 0.75])
-FULL_COLOUR, N_PAIRS, N_ALIKE = 0.045, 61, 20
+THICKER = np.array([0.75, 0.15, 0.10])
+THINNER = np.array([0.12, 0.30, 0.75])
+FULL_COLOUR = 0.045
+N_PAIRS = 61
+N_ALIKE = 20
 
 # Largest 16-bit integer, in which the viewer stores coordinates.
 FULL_SCALE = 2**16 - 1

@@ -20,10 +20,14 @@ MOST_KEPT = 5_000
 # Number of thumbnails that show along which axis bodies stand. Largest distance of the direction upwards of a
 # picture from an axis that was said, as pictures have four decimals, and from a guess: 10 degrees. Cosine
 # of the angle from which the limbs of a person are believed, and not a guess.
-N_ASKED, SAID, GUESSED, ASKEW = 200, 1e-3, 0.17, 0.6
+N_ASKED = 200
+SAID = 1e-3
+GUESSED = 0.17
+ASKEW = 0.6
 
 # Least number of bodies that show along which axis all stand, and the largest angle between both.
-FEWEST_BODIES, NEAR_AXIS = 10, np.radians(30)
+FEWEST_BODIES = 10
+NEAR_AXIS = np.radians(30)
 
 
 class Thumbnails:

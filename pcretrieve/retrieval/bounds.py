@@ -46,7 +46,8 @@ Scan = Callable[..., tuple[Rows, Singles]]
 # Least number of principal directions that the bounds are computed from, and least share of the variance that
 # is along them. With fewer the bounds are looser and more shapes need an exact distance; with more the bounds
 # take longer, yet less than a flat scan. See docs/decisions.md, N_LEADING.
-N_LEADING, SHARE = 24, 0.95
+N_LEADING = 24
+SHARE = 0.95
 
 # Largest number of the leading axes that the blocks are divided along. A million shapes are divided ten times
 # before they are in blocks.

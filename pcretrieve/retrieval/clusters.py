@@ -16,12 +16,18 @@ PERPLEXITY = 12.0
 
 # Least number of points of t-SNE, which starts at the principal components; fewer are projected on these. The
 # divergence of 1,000 shapes is 4 % above that of 1,000 iterations at the angle 0.5, and looks the same.
-FEWEST, N_ITERATIONS, ANGLE, SEED = 5, 300, 0.8, 0
+FEWEST = 5
+N_ITERATIONS = 300
+ANGLE = 0.8
+SEED = 0
 
 # Distance between the shapes on a map, so that none hides another: nearly the width of a picture, or, of many
 # shapes, this share of the mean spacing; and how often they are moved apart. Largest gap between neighbours
 # along an axis, in mean gaps: islands that drift far apart would leave no room for what is in them.
-GAP, SHARE, N_ROUNDS, WIDEST = 0.036, 0.5, 60, 5.0
+GAP = 0.036
+SHARE = 0.5
+N_ROUNDS = 60
+WIDEST = 5.0
 
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 

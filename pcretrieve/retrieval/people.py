@@ -38,15 +38,18 @@ from pcretrieve.values import FloatArray
 # mean (105,), within and total (105, 105), scale (105,): the moments of the coordinates of hapt, of 59 values
 # of r-bihdm and of log area, divided by the scale of each; network (137, H): A, a and B one above the other,
 # of hapt and N_VALUES of r-bihdm, with H hidden units. Written by scripts/benchmark_people --learn.
-SAMPLE, N_VALUES = "people.npz", 23
+SAMPLE = "people.npz"
+N_VALUES = 23
 
 # Where the coordinates of a descriptor begin, how many of r-bihdm there are, and of how many modes they are.
 BEGINS = {"hapt": 0, "r-bihdm": 45}
-MOST_VALUES, N_MODES = 59, 60
+MOST_VALUES = 59
+N_MODES = 60
 
 # Scans are those of people if they are at most this unlike the simulated ones, and well known if they are at
 # most KNOWN unlike: see `People.unlikeness` and docs/decisions.md, people.
-ALIKE, KNOWN = 14.5, 2.0
+ALIKE = 14.5
+KNOWN = 2.0
 
 # Least share of the neighbours in a catalogue, if something can be learned from them: with many scans of each
 # person they know this person's poses better than simulated people do.

@@ -61,7 +61,8 @@ RATES = np.concatenate([[0.0], np.geomspace(1e-4, 1, 41)])
 
 # Weight of a query whose class is not among the shapes, relative to one whose class is: one in eleven
 # queries is of somebody new. Ridge penalty of the slopes of the regression. See docs/decisions.md, sure.
-ABSENT, RIDGE = 0.1, 0.01
+ABSENT = 0.1
+RIDGE = 0.01
 
 # Distances below this one are taken for it: the logarithm of zero is not finite.
 CLOSEST = 1e-3

@@ -48,7 +48,11 @@ Z_LOW, Z_HIGH = (sum(1 << k for k in range(27) if _AROUND[k][2] != side) for sid
 
 # The state of a voxel, as a set of bits: whether it may be added, was added, is adjacent to the region, is
 # adjacent to it by a link without a surfel, and waits in the queue 0 (the next bit is for the queue 1).
-INSIDE, ADDED, ADJACENT, LINKED, WAITING = 1, 2, 4, 8, 16
+INSIDE = 1
+ADDED = 2
+ADJACENT = 4
+LINKED = 8
+WAITING = 16
 
 
 def grown(inside: Mask, depth: Voxels, to_points: Voxels, walls: Mask) -> Mask:

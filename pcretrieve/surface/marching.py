@@ -241,7 +241,8 @@ def _cube_faces() -> list[list[int]]:
 
 
 # The factors λ > 0 and μ < −λ of Taubin's filter: a low-pass filter without shrinkage.
-SHRINK, SWELL = 0.5, -0.53
+SHRINK = 0.5
+SWELL = -0.53
 
 
 def smoothed(

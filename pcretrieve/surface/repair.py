@@ -137,7 +137,9 @@ def repaired(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
 
 # Passes of Taubin's smoothing, and its two factors; and the ratio of the median angles between neighbouring
 # faces before and after it beyond which vertices are noisy: see docs/decisions.md, noisy.
-N_PASSES, FACTORS, NOISY = 10, (0.5, -0.53), 2.5
+N_PASSES = 10
+FACTORS = (0.5, -0.53)
+NOISY = 2.5
 
 
 def denoised(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:

@@ -18,7 +18,8 @@ from pcretrieve.values.base import SizeUnit, Value, check_type
 Metric = Literal["logarithms", "values", "histograms"]
 
 # Values of a signature that its representation shows, and neighbours that a notebook shows with pictures.
-N_SHOWN, N_PICTURED = 3, 10
+N_SHOWN = 3
+N_PICTURED = 10
 
 # Coordinates of a signature by its metric, of whose differences distances are functions.
 COORDINATES: dict[str, Callable[..., FloatArray]]

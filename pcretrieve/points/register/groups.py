@@ -30,22 +30,27 @@ FEATURE_RADIUS = 6
 
 # Number of points of a view, those with the most distinctive features, that are matched with another view,
 # and number of matches of each point.
-KEY_POINTS, LOOK_ALIKES = 1500, 4
+KEY_POINTS = 1500
+LOOK_ALIKES = 4
 
 # Smallest distance of two points that determine a motion, in voxels; and the largest differences of two
 # corresponding pairs of points: of their distances, in voxels, and of the cosines between their line and
 # their normals.
-SHORTEST_PAIR, PAIR_LENGTH, PAIR_COSINE = 10, 1.5, 0.2
+SHORTEST_PAIR = 10
+PAIR_LENGTH = 1.5
+PAIR_COSINE = 0.2
 
 # Number of motions that are scored, and number of points of each view for the score.
-MOST_MOTIONS, FEW_POINTS = 1500, 200
+MOST_MOTIONS = 1500
+FEW_POINTS = 200
 
 # Tolerance of the score, in units of `reach`; larger than 1, because the candidates are approximate.
 ROUGH = 2
 
 # Largest difference of two motions that are refined to the same motion: cosine of the angle (25 degrees), and
 # distance in voxels.
-SAME_COSINE, SAME_CELLS = 0.906, 10
+SAME_COSINE = 0.906
+SAME_CELLS = 10
 
 
 def feature_histograms(points: FloatArray, normals: FloatArray, *, radius: float) -> FloatArray:
@@ -164,15 +169,14 @@ def _scores(first: View, second: View, motions: FloatArray, tolerance: float) ->
 
 # Largest distances of correspondences in the steps of a refinement, in units of `reach`: of a match, of the
 # final poses, and of two groups.
-COARSE, FINE = (
-    (4.0, 4.0, 3.0, 3.0, 2.0, 2.0, 1.5, 1.0),
-    (2.0, 1.5, 1.0, 1.0, 1.0, 0.7, 0.7, 0.5, 0.5, 0.5),
-)
+COARSE = (4.0, 4.0, 3.0, 3.0, 2.0, 2.0, 1.5, 1.0)
+FINE = (2.0, 1.5, 1.0, 1.0, 1.0, 0.7, 0.7, 0.5, 0.5, 0.5)
 JOINING = (3.0, 2.0, 1.5, 1.0)
 
 # A match is rejected if its root mean square distance is more than LOOSE times that of the best match, and
 # more than TIGHT times `reach`.
-LOOSE, TIGHT = 2.0, 0.25
+LOOSE = 2.0
+TIGHT = 0.25
 
 # Number of searches. Views that are not in one group after the first are matched again, with other random
 # samples.

@@ -18,7 +18,8 @@ from pcretrieve.values import FloatArray
 
 # Largest distances of correspondences in the steps of the registration of a frame, in units of `reach`: from
 # the motion before, and from a pose near the final one.
-TRACKING, NEAR = (4.0, 3.0, 2.0, 1.5, 1.0), (1.0, 1.0)
+TRACKING = (4.0, 3.0, 2.0, 1.5, 1.0)
+NEAR = (1.0, 1.0)
 
 # A frame is tracked if it shares this fraction of its points with the key frame. It becomes a key frame if it
 # shares less than the second fraction, because it then adds surface.

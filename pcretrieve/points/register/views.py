@@ -27,7 +27,8 @@ MOST_PLANES = 4
 # fractions of the diagonal. Points are removed up to so many median distances from their plane, which is four
 # standard deviations too.
 DEVIATIONS = 4.0
-THINNEST, THICKEST = 0.003, 0.03
+THINNEST = 0.003
+THICKEST = 0.03
 REMOVED = 6.0
 
 # A plane of the background has at least this fraction of the points, and extends over this fraction of the
