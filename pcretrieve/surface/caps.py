@@ -10,7 +10,6 @@ from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import splu
 
 from pcretrieve.points.grid import Mask, joined_by
-from pcretrieve.points.neighbors import nearest
 from pcretrieve.surface.fairing import faired
 from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.topology import edges_of
@@ -70,7 +69,11 @@ def capped(surface: TriangleMesh, cloud: PointCloud, *, spacing: float) -> Cappe
 
     spacing: of the points.
     """
-    distance, near = (found[:, 0] for found in nearest(cloud.points, surface.vertices, 1))
+    from scipy.spatial import cKDTree
+
+    # A surface may bulge far from the points, where a search by cells takes long.
+    tree = cKDTree(cloud.points, balanced_tree=False, compact_nodes=False)
+    distance, near = map(np.asarray, tree.query(surface.vertices))  # (n,), (n,)
     far = distance > max(IN_HOLE * cloud.diagonal, IN_SPACINGS * spacing)  # (n,)
     n = len(far)
     ends = edges_of(surface.faces).ends  # (e, 2)
