@@ -9,7 +9,7 @@ import signal
 import socket
 import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -87,7 +87,8 @@ class Server:
             yield
         finally:
             for process in stopped:
-                os.kill(process, signal.SIGCONT)
+                with suppress(ProcessLookupError):  # one that was about to end
+                    os.kill(process, signal.SIGCONT)
 
     def _run(self, tool: str, *words: str | Path) -> None:
         command = [self._tools / tool, *words]
