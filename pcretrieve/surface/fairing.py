@@ -30,6 +30,9 @@ TINY = np.finfo(np.float64).tiny
 # Least area of a vertex, by which the problem divides, relative to the mean.
 LEAST_AREA = 0.01
 
+# Least area of a face of a patch, relative to the mean. A smaller one is degenerate after simplification.
+LEAST_FACE = 1e-4
+
 
 def faired(vertices: FloatArray, faces: IntArray, free: Mask) -> FloatArray:
     """(n, 3) vertices of a closed manifold, after those in a mask have been moved to a fair patch.
@@ -66,11 +69,22 @@ def faired(vertices: FloatArray, faces: IntArray, free: Mask) -> FloatArray:
         rows = diags_array(1 / root) @ stiffness.tocsr()[is_bent]  # (b, k)
         own, others = csc_array(rows[:, moving]), rows[:, ~moving]
         wanted = twice_h * root[:, np.newaxis] * normals[is_bent] - others @ at[~moving]
-        at[moving] = splu(csc_array(own.T @ own)).solve(own.T @ wanted)
+        next_at = at.copy()
+        next_at[moving] = splu(csc_array(own.T @ own)).solve(own.T @ wanted)
+        if _has_collapsed(next_at, patch):
+            break
+        at = next_at
         stiffness, areas, normals = _operators(at, patch)
     moved: FloatArray = vertices.copy()
     moved[numbers] = at
     return moved
+
+
+def _has_collapsed(at: FloatArray, faces: IntArray) -> bool:
+    """Whether faces of a patch have hardly any area: each round can draw vertices together."""
+    a, b, c = (at[faces[:, corner]] for corner in range(3))
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return bool(areas.min() < LEAST_FACE * areas.mean())
 
 
 def with_ring(chosen: Mask, faces: IntArray) -> Mask:
