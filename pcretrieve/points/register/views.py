@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from pcretrieve.errors import InputError, ReconstructionError, Stage
 from pcretrieve.formats.conf import SENSOR_DISTANCE
 from pcretrieve.options import MergeOptions, ScanOptions
-from pcretrieve.points.crop import kept_points
-from pcretrieve.points.ground import COMPARED, N_NEAR, N_PLANES, fitted_plane
+from pcretrieve.points.crop import COMPARED, N_NEAR, N_PLANES, fitted_plane, kept_points
 from pcretrieve.points.normals import estimate_normals
 from pcretrieve.values import FloatArray, PointCloud, bounding_diagonal
 
