@@ -113,6 +113,24 @@ def test_given_poses_are_refined_or_kept() -> None:
     assert error(refined.poses, back @ truth, clouds) < TOLERANCE
 
 
+@pytest.mark.parametrize("wrong", [(), (3,), (1, 4)])
+def test_views_that_stand_off_the_others_are_named(wrong: tuple[int, ...]) -> None:
+    """Moved by 12 mm and turned by 1.5 degrees, if the body is a person; the views beside them are right."""
+    clouds, motions = views()
+    rng = np.random.default_rng(5)
+    poses = np.linalg.inv(motions).astype(np.float64)
+    for number in wrong:
+        shift = motion(rng, angle=np.radians(1.5), shift=0.0)
+        shift[:3, 3] = 0.0067 * shapes.body().diagonal * Rotation.random(rng=rng).apply([1.0, 0, 0])
+        poses[number] = shift @ poses[number]
+    found = merge_views(clouds, MergeOptions(refine=False), FAR, poses=poses)
+    (step,) = found.cloud.provenance
+    named = {int(note.split()[1]) for note in step.notes if "stands" in note}
+    assert named == {*wrong}
+    refined = merge_views(clouds, MergeOptions(), FAR, poses=poses)
+    assert not any("stands" in note for note in refined.cloud.provenance[0].notes)
+
+
 def test_background_is_dropped_before_views_are_matched() -> None:
     """A wall behind the body is removed by its distance, a lamp beside it as a smaller component."""
     clouds, motions = views()

@@ -178,18 +178,26 @@ def shared(views: Sequence[View], poses: Poses, number: int, reach: float) -> fl
     return float(_seen_by(views, {number: poses[number]}, others, reach)[0][0].mean())
 
 
+# Smallest noise with which the distance of two views is compared, in units of `reach`: 1 mm of a person.
+LEAST_NOISE = 0.05
+
+
 @dataclass(frozen=True, slots=True)
 class Overlap:
     """The overlap of two registered views.
 
     share: fraction of the points of one of them.
     rms: root mean square distance of the correspondences, point to plane; unit of the file.
+    apart: median distance of the correspondences; about the noise of the views, if they fit.
+    noise: median distance of the points of the noisier view from the planes of their neighbours.
     """
 
     first: int
     second: int
     share: float
     rms: float
+    apart: float
+    noise: float
 
 
 def overlap(views: Sequence[View], poses: Poses, first: int, second: int, reach: float) -> Overlap:
@@ -199,7 +207,9 @@ def overlap(views: Sequence[View], poses: Poses, first: int, second: int, reach:
         distance = _paired(views[here], views[there], poses[here], poses[there], reach)[2]
         shares.append(len(distance) / len(views[there].sample))
         distances.append(distance)
-    squares = np.concatenate(distances) ** 2
-    return Overlap(
-        first, second, max(shares), float(np.sqrt(squares.mean())) if len(squares) else np.nan
-    )
+    found = np.abs(np.concatenate(distances))
+    rms, apart = np.nan, np.nan
+    if len(found):
+        rms, apart = float(np.sqrt((found**2).mean())), float(np.median(found))
+    noise = max(views[first].noise, views[second].noise, LEAST_NOISE * reach)
+    return Overlap(first, second, max(shares), rms, apart, noise)

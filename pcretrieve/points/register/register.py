@@ -21,6 +21,9 @@ from pcretrieve.values import FloatArray, PointCloud, Step
 # Smallest overlap of two views that is reported; fraction of the points of one of them.
 LEAST_SHARE = 0.02
 
+# Largest distance of a view from the others, relative to the noise: it is 1.0 to 1.25 if the poses are right.
+MOST_APART = 2.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Merged:
@@ -48,12 +51,10 @@ class Merged:
     def rms(self, view: int | None = None) -> float:
         """The root mean square distance of overlaps, weighted by their shares."""
         chosen = [pair for pair in self.overlaps if view in (None, pair.first, pair.second)]
-        weight = sum(pair.share for pair in chosen)
-        return (
-            float(np.sqrt(sum(pair.share * pair.rms**2 for pair in chosen) / weight))
-            if weight
-            else np.nan
-        )
+        if not chosen:
+            return np.nan
+        squares = [pair.rms**2 for pair in chosen]
+        return float(np.sqrt(np.average(squares, weights=[pair.share for pair in chosen])))
 
 
 def merge_views(
@@ -113,6 +114,11 @@ def merge_views(
             notes.append(
                 f"view {number} shares only {shares[number]:.1%} of its points with the others"
             )
+    pairs = [*combinations(keys, 2), *((key, view) for view, key in key_of.items() if key != view)]
+    ordered = sorted((min(pair), max(pair)) for pair in pairs)
+    overlaps = [overlap(ready, placed, first, second, reach) for first, second in ordered]
+    reported = tuple(pair for pair in overlaps if pair.share >= LEAST_SHARE)
+    notes += _standing_off(reported)
     cloud = _joined([ready[number].cloud for number in sorted(placed)], all_poses[sorted(placed)])
     if options.voxel:
         cloud, _ = averaged(cloud, options.voxel * scale)
@@ -122,11 +128,31 @@ def merge_views(
         "points": float(len(cloud.points)),
     }
     step = Step("merge", time.perf_counter() - started, sizes, tuple(notes))
-    pairs = [*combinations(keys, 2), *((key, view) for view, key in key_of.items() if key != view)]
-    ordered = sorted((min(pair), max(pair)) for pair in pairs)
-    overlaps = [overlap(ready, placed, first, second, reach) for first, second in ordered]
-    reported = tuple(pair for pair in overlaps if pair.share >= LEAST_SHARE)
     return Merged(cloud.after(step), all_poses, shares, reported, scale)
+
+
+def _standing_off(overlaps: Sequence[Overlap]) -> list[str]:
+    """A note for each view whose surface is farther from that of the others than noise allows.
+
+    The worst is left out before the others are compared, because it stands off them too.
+    """
+    notes = []
+    pairs = np.array([(pair.first, pair.second) for pair in overlaps])  # (p, 2)
+    values = np.array([pair.share * np.array([1, pair.apart, pair.noise]) for pair in overlaps])
+    left = np.ones(len(pairs), dtype=np.bool_)
+    while left.any():
+        views = pairs[left].ravel()
+        share, apart, noise = (np.bincount(views, column.repeat(2)) for column in values[left].T)
+        times = apart / np.maximum(noise, np.finfo(np.float64).tiny)
+        worst = times.argmax()
+        if times[worst] <= MOST_APART:
+            break
+        notes.append(
+            f"view {worst} stands {apart[worst] / share[worst]:.2g} off the others, {times[worst]:.1f} times "
+            "the noise: refine its pose, scan it again, or leave it out"
+        )
+        left &= (pairs != worst).all(axis=1)
+    return notes
 
 
 def _check_poses(poses: FloatArray, n_views: int) -> None:

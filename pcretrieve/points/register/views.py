@@ -54,6 +54,7 @@ class View(NamedTuple):
     feet: (n, 3) float64, the points of the tangent planes: the foot of the perpendicular from each point of
         the cloud to the least-squares plane of its neighbours.
     spacing: median distance from a point to its nearest neighbour; unit of the file.
+    noise: median distance from a point to the plane of its neighbours; unit of the file.
     """
 
     cloud: PointCloud
@@ -64,6 +65,7 @@ class View(NamedTuple):
     tree: Any
     feet: FloatArray
     spacing: float
+    noise: float
 
 
 def prepared(
@@ -208,6 +210,7 @@ def _view(
         tree,
         points + height[:, None] * normals,
         float(np.median(distance[few, 1])),
+        float(np.median(np.abs(height[few]))),
     )
 
 
