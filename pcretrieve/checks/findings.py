@@ -12,6 +12,7 @@ from pcretrieve.checks.grading import Check
 from pcretrieve.draw.open3d import RayScene
 from pcretrieve.points.density import local_spacings
 from pcretrieve.points.grid import joined_by
+from pcretrieve.points.layers import Layers, double_layers
 from pcretrieve.points.neighbors import SPACING_NEIGHBORS, Neighborhoods, nearest
 from pcretrieve.surface import SurfaceMarks, components
 from pcretrieve.values import FloatArray, PointCloud, Shape, TriangleMesh
@@ -65,6 +66,7 @@ class Findings:
     """The checks of one scan, and the places that they name.
 
     spacing: median distance from a point to its nearest neighbour, unit of the file; 0 without points.
+    layers: where points lie in several layers; None without normals.
     filled: (m,) bool, faces of the surface without a point nearby.
     cuts, bridges: (k, 3) float64, places where parts of the surface that touch were separated, and where a
         loose part was connected.
@@ -72,6 +74,7 @@ class Findings:
 
     checks: tuple[Check, ...] = ()
     spacing: float = 0.0
+    layers: Layers | None = None
     filled: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     cuts: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     bridges: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
@@ -89,6 +92,7 @@ def findings_of(
     """
     checks: list[Check] = []
     spacing = 0.0
+    layers = None
     filled = np.zeros(0 if mesh is None else len(mesh.faces), dtype=np.bool_)
     cuts = bridges = np.zeros((0, 3))
     if cloud is not None:
@@ -101,6 +105,8 @@ def findings_of(
             checks += stages.normal_checks(
                 cloud.normals, cloud.normals[some], near[:, 1:]
             )  # itself first
+            layers = double_layers(cloud)
+            checks.append(stages.layers_check(layers, cloud.diagonal))
         if mesh is not None:
             base = np.zeros((0, 3)) if marks is None else marks.base
             filled, fit = _fit(cloud, mesh, places, spacing, base)
@@ -113,7 +119,7 @@ def findings_of(
         checks += [*stages.surface_checks(mesh), *stages.mesh_check(mesh.provenance)]
     if shape is not None:
         checks += stages.spectrum_checks(shape)
-    return Findings(tuple(checks), spacing, filled, cuts, bridges)
+    return Findings(tuple(checks), spacing, layers, filled, cuts, bridges)
 
 
 def _fit(

@@ -30,6 +30,9 @@ GRAVE = ("Closed surface", "Welds", "Closed base", "One body")
 # Largest share of the surface that closes ends where noise and small holes are, and no limb is missing.
 ENDS_OF_NOISE = 0.0003
 
+# Largest share of the surface where noise looks like layers.
+LAYERS_OF_NOISE = 0.03
+
 # Smallest part in the squared uncertainty of a check that is named as a reason.
 REASON = 0.1
 
@@ -104,6 +107,12 @@ MEASURES = {
         None,
         "No vertex or edge joins parts of the mesh.",
         "Parts of the body may be joined where they only touch: separate these vertices and edges.",
+    ),
+    "Double walls": Measure(
+        (LAYERS_OF_NOISE, 0.12),
+        "The points lie in one layer.",
+        "Views are shifted against each other, or the body moved, so that limbs are too thick: register the "
+        "views again by 'pcretrieve merge', which names the ones that stand off.",
     ),
     "Filled in": Measure(
         (0.01, 0.15),

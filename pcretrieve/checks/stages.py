@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.checks.grading import ENDS_OF_NOISE, Check, graded, percent
+from pcretrieve.checks.grading import ENDS_OF_NOISE, LAYERS_OF_NOISE, Check, graded, percent
+from pcretrieve.points.layers import Layers
 from pcretrieve.surface import defects
 from pcretrieve.values import FloatArray, PointCloud, Shape, Step, TriangleMesh
 
@@ -17,6 +18,7 @@ from pcretrieve.values import FloatArray, PointCloud, Shape, Step, TriangleMesh
 ERROR_OF_FILLED = 2.0
 ERROR_OF_LOST = 5.0
 ERROR_OF_NOISE = 100.0
+ERROR_OF_LAYERS = 40.0
 ERROR_OF_ENDS = 200.0
 ERROR_OF_GAPS = 2900.0
 
@@ -103,6 +105,20 @@ def normal_checks(
         graded("Normals", disagreeing, f"{percent(1 - disagreeing)} of neighbours agree"),
         graded("Sides seen", unbalanced, f"their normals are {percent(unbalanced)} one-sided"),
     ]
+
+
+def layers_check(layers: Layers, diagonal: float) -> Check:
+    """Check how much of the surface has several layers of points, and how far apart they are."""
+    apart = layers.apart[layers.apart > 0] / diagonal
+    share = len(apart) / len(layers.apart)
+    if share <= LAYERS_OF_NOISE:
+        return graded("Double walls", share, "one layer")
+    width = float(apart.mean())
+    shown = (
+        f"layers {width * diagonal:.2g} apart, {percent(width)} of the diagonal, along "
+        f"{percent(share)} of the surface"
+    )
+    return graded("Double walls", share, shown, error=ERROR_OF_LAYERS * width)
 
 
 def _sensor_check(cloud: PointCloud) -> Check:
