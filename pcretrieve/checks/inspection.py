@@ -97,21 +97,26 @@ class Inspection:
 
     @property
     def summary(self) -> str:
-        """The verdict in one or two sentences: the error bar of the signature, and what to look at."""
-        failed, look = (
-            [check.name.lower() for check in self.checks if check.verdict == verdict]
-            for verdict in ("failed", "look")
-        )
+        """The grade in one or two sentences: the error bar of the signature, and what to look at."""
+        look = [check.name.lower() for check in self.checks if check.verdict != "passed"]
         judged = self.shape_verdict
         if judged is None:
             stage = "" if self.failure is None else self.failure.stage
-            causes = [name for name in failed if stage not in name] or look
+            causes = [name for name in look if stage not in name]
             because = f"; look at: {', '.join(causes)}" if causes else ""
             return f"No signature, the {stage} stage failed{because}."
-        before = f"{', '.join(failed)} failed; by the other checks, " if failed else ""
-        after = f" Look at: {', '.join(look)}." if look else ""
-        size = f"the error bar of its signature is ± {judged.uncertainty:.2g}."
-        return f"{'A good' if judged.is_good else 'An incomplete'} scan: {before}{size}{after}"
+        error = f"the error bar of its signature is ± {judged.uncertainty:.2g}."
+        if judged.is_good:
+            after = f" Look at: {', '.join(look)}." if look else ""
+            return f"A good scan: {error}{after}"
+        word = "An incomplete" if judged.judgement == "incomplete" else "A poor"
+        return f"{word} scan, may answer wrongly: {'; '.join(judged.reasons)}; {error}"
+
+    @property
+    def rings(self) -> FloatArray:
+        """(k, 3) places of the checks that make the scan poor or incomplete."""
+        found = [place for check in self.checks if check.grade for place in check.places]
+        return np.array(found, dtype=np.float64).reshape(-1, 3)
 
     @cached_property
     def body(self) -> FloatArray:

@@ -24,6 +24,7 @@ from pcretrieve.pages.inspection_pictures import (
     CUT_AWAY,
     DROPPED,
     FACING,
+    FAULT,
     FILLED,
     KEPT,
     PICTURE_PIXELS,
@@ -101,7 +102,26 @@ def inspect(
 
 def inspection_html(it: Inspection, served: tuple[str, str] | None = None) -> bytes:
     """The page of an inspection; of a server, with its title and the address that the page leads back to."""
-    return page_of("inspection.html", it=it, rows=rows_of(it), scene=_scene(it), served=served)
+    scene, turns = _scene(it), _turns(it)
+    rows = rows_of(it)
+    return page_of("inspection.html", it=it, rows=rows, scene=scene, turns=turns, served=served)
+
+
+def _turns(it: Inspection) -> dict[str, str]:
+    """For each check that has a place: the address at which the 3D viewer shows it from its front."""
+    cameras = inspection_cameras(it)
+    if not cameras or it.mesh is None:
+        return {}
+    found = {}
+    for check in it.checks:
+        if not check.places:
+            continue
+        away = np.array(check.places[0]) - Cube.around(it.body).centre
+        across, above, ahead = cameras[0].axes @ away
+        right = np.degrees(np.arctan2(across, ahead))
+        up = np.degrees(np.arctan2(above, np.hypot(across, ahead)))
+        found[check.name] = f"#surface,filled,faults@{right:.0f},{up:.0f}"
+    return found
 
 
 def _scene(it: Inspection) -> dict[str, Any] | None:
@@ -125,9 +145,14 @@ def _scene(it: Inspection) -> dict[str, Any] | None:
         ):
             corners = encoded(faces.astype("<u4").tobytes())
             layers.append(cube.layer(name, label, it.mesh.vertices, colour, width=0, faces=corners))
-        for name, places, colour in (("cuts", it.cuts, CUT), ("bridges", it.bridges, BRIDGE)):
+        for name, places, colour in (
+            ("cuts", it.cuts, CUT),
+            ("bridges", it.bridges, BRIDGE),
+            ("faults", it.rings, FAULT),
+        ):
             layers.append(cube.layer(name, name, places, colour, width=cube.half / 30, over=True))
-    on = {"surface", "filled", "cuts", "bridges"} if it.mesh is not None else {"points", "dropped"}
+    made = {"surface", "filled", "cuts", "bridges", "faults"}
+    on = made if it.mesh is not None else {"points", "dropped"}
     return {
         "layers": layers,
         "on": sorted(on),

@@ -46,6 +46,7 @@ AWAY = (0.95, 0.52, 0.10)
 FILLED = (0.95, 0.52, 0.10)
 CUT = (0.80, 0.05, 0.15)
 BRIDGE = (0.45, 0.15, 0.75)
+FAULT = (0.10, 0.10, 0.10)
 
 # The outline, in pictures of all points, of what the other pictures show.
 FRAME = (0.50, 0.50, 0.50)
@@ -197,7 +198,7 @@ class _Views:
         it = self.it
         colours, rings = (
             np.where(it.filled[:, None], FILLED, CLAY),
-            [(it.cuts, CUT), (it.bridges, BRIDGE)],
+            [(it.cuts, CUT), (it.bridges, BRIDGE), (it.rings, FAULT)],
         )
         shares = [
             f"{check.name.lower()} {check.shown}"
@@ -210,6 +211,7 @@ class _Views:
                 (FILLED, f"no point nearby: {', '.join(shares)}"),
                 (CUT, f"cuts: {len(it.cuts)}"),
                 (BRIDGE, f"bridges: {len(it.bridges)}"),
+                (FAULT, f"failed checks: {len(it.rings)}"),
             ],
             lambda camera: surface_picture(
                 mesh.vertices, mesh.faces, colours, camera, size=PICTURE_PIXELS, rings=rings

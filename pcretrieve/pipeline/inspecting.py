@@ -53,7 +53,7 @@ def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int 
         if path and seen.scan is None and not is_scan(split_member(Path(path))[0]):
             raise  # a file of another kind, of which there is nothing to show
         failure = Failure(name, error.stage or "worker", type(error).__name__, error.message)
-    found = findings_of(seen.cloud, seen.mesh, seen.marks, shape)
+    found = findings_of(seen.cloud, seen.mesh, seen.marks, shape, scan=seen.cropped)
     checks = [*found.checks]
     if spread is not None:
         checks.append(graded("Signature", spread, f"± {spread:.2g} over rescans"))

@@ -156,7 +156,8 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
         *_, last = stages(scan, options)
         shape = shape_of(last, options)
         started = time.perf_counter()
-        verdict = verdict_of(findings_of(last.cloud, last.mesh, last.marks, shape).checks)
+        found = findings_of(last.cloud, last.mesh, last.marks, shape, scan=last.cropped)
+        verdict = verdict_of(found.checks)
         notes = () if verdict.is_good else (str(verdict),)
         step = Step(
             "checks", time.perf_counter() - started, {"uncertainty": verdict.uncertainty}, notes

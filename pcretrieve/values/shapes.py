@@ -18,7 +18,7 @@ Need = Literal["spectrum", "overlaps", "eigenvectors", "mesh", "points"]
 
 _Part = TypeVar("_Part")
 
-Judgement = Literal["good", "incomplete"]
+Judgement = Literal["good", "poor", "incomplete"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,9 +27,9 @@ class Verdict:
 
     Attributes
     ----------
-    judgement : {"good", "incomplete"}
-        "incomplete": a part of the body is missing or invented, or two bodies are one, so that the signature
-        may be that of another body.
+    judgement : {"good", "poor", "incomplete"}
+        "poor": the expected error is so large that the nearest shape may be the wrong one. "incomplete": a
+        part of the body is missing that a person would see missing.
     uncertainty : float
         The log-signature error that is expected from what was filled in, cut off or thinly sampled, and from
         noise; dimensionless, comparable to the distance ``log`` of `SignatureIndex`. Two poses of a body are
@@ -60,8 +60,9 @@ class Verdict:
         object.__setattr__(self, "reasons", tuple(self.reasons))
 
     def __str__(self) -> str:
-        because = f": {'; '.join(self.reasons)}" if self.reasons else ""
-        return f"{self.judgement}{because}"
+        if not self.reasons:
+            return self.judgement
+        return f"{self.judgement}, may answer wrongly: {'; '.join(self.reasons)}"
 
     @property
     def is_good(self) -> bool:

@@ -63,7 +63,8 @@ def examined(
                 surface = last.mesh
             shape = shape_of(last, options)
             own = point_of(describe(shape, options.signature).values, options)
-            checks = findings_of(last.cloud, last.mesh, last.marks, shape).checks
+            found = findings_of(last.cloud, last.mesh, last.marks, shape, scan=last.cropped)
+            checks = found.checks
             verdict = verdict_of(checks)
             seconds = time.process_time() - started
             judging = options.changed(signature=JUDGED)
@@ -72,7 +73,7 @@ def examined(
         seconds = time.process_time() - started
         words = (f"{failure.stage}: {failure.message}",)
         return Examined(FAILED, float("nan"), words, n_points=n_points, seconds=seconds), surface
-    found = {
+    listed = {
         check.name: {"outcome": check.verdict, "value": check.value, "error": check.error}
         for check in checks
     }
@@ -82,7 +83,7 @@ def examined(
         verdict.reasons,
         tuple(own.tolist()),
         tuple(judged.tolist()),
-        found,
+        listed,
         shape.mesh.area,
         shape.mesh.euler_characteristic,
         n_points,

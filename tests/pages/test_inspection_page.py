@@ -14,7 +14,8 @@ import shapes
 from numpy.typing import NDArray
 
 from pcretrieve.checks import Check, Inspection, graded
-from pcretrieve.checks.stages import fit_checks, surface_checks
+from pcretrieve.checks.grading import MEASURES
+from pcretrieve.checks.stages import surface_checks
 from pcretrieve.draw.pictures import Colour
 from pcretrieve.pages.inspection_page import inspection_html
 from pcretrieve.pages.inspection_pictures import DROPPED, KEPT, inspection_cameras, rows_of
@@ -85,6 +86,7 @@ def test_the_viewer_gets_points_normals_and_faces() -> None:
         "filled",
         "cuts",
         "bridges",
+        "faults",
     ]
 
     def places(name: str) -> NDArray[np.float64]:
@@ -153,25 +155,26 @@ def test_the_summary_says_what_is_wrong() -> None:
     seen = inspection()  # with a spread of .2
     error = "the error bar of its signature is ± 0.2."
     assert (seen.verdict, seen.summary) == ("passed", f"A good scan: {error} Look at: outliers.")
-    noisy = replace(
-        seen, checks=(Check("Noise", "look", 1.0, "much", "Hold still.", 1.5), *seen.checks)
-    )
+    much = Check("Noise", "look", 1.0, "much", "Hold still.", 1.5, says="the points scatter")
+    noisy = replace(seen, checks=(much, *seen.checks))
     assert noisy.verdict == "look"
     assert noisy.summary == (
-        "An incomplete scan: the error bar of its signature is ± 1.5. Look at: noise, outliers."
+        "A poor scan, may answer wrongly: the points scatter; "
+        "the error bar of its signature is ± 1.5."
     )
-    failed = replace(
-        seen, checks=(Check("Noise", "failed", 1.0, "much", "Hold still."), *seen.checks)
+    hole = Check(
+        "Largest hole", "failed", 1.0, "wide", "Scan it.", 0.0, "incomplete", "a hole shows"
     )
+    failed = replace(seen, checks=(hole, *seen.checks))
     assert failed.verdict == "look"
-    assert (
-        failed.summary
-        == f"An incomplete scan: noise failed; by the other checks, {error} Look at: outliers."
-    )
+    assert failed.summary == f"An incomplete scan, may answer wrongly: a hole shows; {error}"
     stopped = replace(
         failed, signature=None, failure=Failure("b.ply", "surface", "ReconstructionError", "no")
     )
-    assert stopped.summary == "No signature, the surface stage failed; look at: noise."
+    assert (
+        stopped.summary
+        == "No signature, the surface stage failed; look at: largest hole, outliers."
+    )
 
 
 def test_two_bodies_are_measured_and_compared() -> None:
@@ -204,18 +207,25 @@ def test_surfaces_are_distinguished() -> None:
         assert [check.verdict for check in surface_checks(mesh)] == verdicts
 
 
-def test_worse_numbers_get_worse_verdicts() -> None:
-    names = ("filled", "ends", "gaps", "hole", "lost", "noise")
-    for index, name in enumerate(names):
-        found = [
-            fit_checks(**dict.fromkeys(names, 0.0) | {name: value})[index]
-            for value in (0, 0.006, 0.012, 0.5)
-        ]
-        if name in {"ends", "hole"}:  # they are there, or not
-            assert [check.verdict for check in found] == ["passed", "failed", "failed", "failed"]
-            continue
-        verdicts, errors = [check.verdict for check in found], [check.error for check in found]
-        assert errors == sorted(set(errors))
-        assert verdicts[0] == "passed" and verdicts[-1] == "failed" and "look" in verdicts
+@pytest.mark.parametrize("name", ["Points", "Filled in", "Gaps", "Left out", "Noise", "Surfaces"])
+def test_worse_numbers_get_worse_verdicts(name: str) -> None:
+    limits = MEASURES[name].limits
+    assert limits is not None
+    values = (0.0, sum(limits) / 2, 2 * limits[1])
+    found = [graded(name, value, "").verdict for value in values]
+    assert found == ["passed", "look", "failed"]
+
+
+def test_a_place_of_a_failed_check_is_ringed_and_turned_to() -> None:
+    place = (0.0, 0.0, 1.0)
+    hole = Check("Largest hole", "failed", 1.0, "wide", "", 0.0, "incomplete", "a hole", (place,))
+    seen = replace(inspection(), mesh=SPHERE, filled=np.zeros(len(SPHERE.faces), dtype=bool))
+    seen = replace(seen, checks=(hole,))
+    assert seen.rings.tolist() == [[0, 0, 1]]
+    text = inspection_html(seen).decode()
+    assert re.search(r'<a href="#surface,filled,faults@-?\d+,-?\d+"[^>]*>Largest hole</a>', text)
+
+
+def test_rescans_that_differ_more_get_worse_verdicts() -> None:
     spreads = [graded("Signature", spread, "").verdict for spread in (0.05, 0.3, 1)]
     assert spreads == ["passed", "look", "failed"]

@@ -1,0 +1,404 @@
+"""How the points of a scan and its surface lie to each other: distances, and the holes between the points.
+
+A `Fit` measures, and the checks judge: each value is computed once, when a check or a picture first asks
+for it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcretrieve.draw.open3d import RayScene
+from pcretrieve.points.density import local_spacings
+from pcretrieve.points.grid import Mask
+from pcretrieve.points.neighbors import SPACING_NEIGHBORS, Neighborhoods, nearest
+from pcretrieve.surface import components
+from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
+
+# Number of points at which normals are compared and distances to the surface measured, at regular steps. The
+# standard error of a fraction of .01 is then .0015.
+MEASURED = 5000
+
+# Number of points of the raw scan by which its density is compared from place to place.
+DENSITY_POINTS = 10_000
+
+# Distance to the nearest point beyond which a face was filled in, in median distances between nearest
+# neighbours, and, where points are sparse, in spacings there. If points are distributed uniformly over a
+# surface, their nearest neighbours are half a spacing apart, and the share of the surface beyond is 1e-6.
+FILLED = 4
+FILLED_OF_SPARSE = 2
+
+# The same beyond which a face may close a cut limb or a hole.
+BARE = 1.75
+BARE_OF_SPARSE = 0.6
+
+# Fraction of the surface that is nearer to a point than what "Gaps" measures.
+COVERED = 0.95
+
+# A hole is a patch of faces that are farther from all points than this, relative to the length of the body.
+# It counts if the radius of the largest ball in it is the second length.
+IN_HOLE = 0.012
+LEAST_HOLE = 0.015
+
+# Number of holes that are looked at, the largest first.
+N_HOLES = 10
+
+# Number of steps along the side of a face between places where a hole is measured. Faces are as long as a
+# hundredth of a body, which a limit on holes must not depend on.
+STEPS = 6
+
+# Number of faces in the middle of a hole whose light is measured.
+N_MIDDLE = 16
+
+# Number of rays for ambient occlusion, and the height above a face from which they are cast, relative to the
+# diagonal: beyond single precision.
+N_RAYS = 64
+ABOVE = 1e-3
+
+# Cosine of the largest angle between directions that one sensor cannot see, and the share of what was not
+# seen from which on it is called most of it.
+ASIDE = 0.6
+MOSTLY = 0.6
+
+# Largest mean cosine between the axis of a cut limb and the normals round it: round a crown without hair it
+# is .35 and more, round a shallow hole 1.
+TILTED = 0.33
+
+# What sensors beside a body do not see is no cut limb if hardly anything of the body lies beyond it; relative
+# to the length.
+AT_END = 0.12
+
+# Soles that nobody saw lie in one plane, beyond which there is nothing: the largest distances from the plane,
+# relative to the length, and the least cosine between their axes.
+ON_GROUND = 0.03
+PARALLEL = 0.85
+
+# A face closes a cut limb only if the cosine between its normal and that of the nearest point is smaller: in
+# a smooth hole these agree.
+TURNED = 0.8
+
+# Its least distance to the nearest point, in median spacings, and the least share of the light that reaches
+# it, unlike the folds of a lap.
+CLOSING = 1.9
+OPEN_END = 0.65
+
+# Largest distance of faces to the middle of what closes one limb, relative to the diagonal.
+NEAR_END = 0.045
+
+# Number of places that may close a limb, the largest first.
+N_ENDS = 10
+
+# Least likeness of a rim to that of a limb: what a thin sheet has.
+SHEET = 0.1
+
+Faces = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hole:
+    """A patch of the surface far from all points.
+
+    faces: (k,) intp.
+    middle: (3,) float64, the place farthest from all points.
+    radius: its distance to the nearest point, relative to the length of the body.
+    light: share of the light from a uniform sky that reaches the middle, from 0 to 1.
+    is_expected: whether the sensors could not see it, because all that they did not see faces one direction
+        or the opposite one: what stood on a turntable is seen neither from above nor from below.
+    """
+
+    faces: Faces
+    middle: FloatArray
+    radius: float
+    light: float
+    is_expected: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class End:
+    """Where the surface was closed across a limb.
+
+    middle: (3,) float64.
+    axis: (3,) float64, unit vector out of the limb.
+    share: of the area of the surface, weighted by how like the rim is to that of a limb.
+    is_lowest: whether nothing of the body lies beyond it.
+    """
+
+    middle: FloatArray
+    axis: FloatArray
+    share: float
+    is_lowest: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """How the points of a scan and its surface lie to each other; lengths are in the unit of the file.
+
+    cloud: the filtered points, with normals if they were oriented.
+    mesh: the surface.
+    scan: the points before they were thinned.
+    base: (p, 3) float64, points of the base on which the body stands, where no points were measured.
+    """
+
+    cloud: PointCloud
+    mesh: TriangleMesh
+    scan: PointCloud
+    base: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+
+    # --- lengths ----------------------------------------------------------------------------------------
+
+    @cached_property
+    def places(self) -> FloatArray:
+        """(k, 3) some of the points, at regular steps."""
+        step = max(1, len(self.cloud.points) // MEASURED)
+        return np.ascontiguousarray(self.cloud.points[::step])
+
+    @cached_property
+    def spacing(self) -> float:
+        """Median distance from a point to its nearest neighbour."""
+        return float(np.median(nearest(self.cloud.points, self.places, 2)[0][:, 1]))
+
+    @cached_property
+    def length(self) -> float:
+        """Distance of two points that are about as far apart as any; the height of a person who stands.
+
+        The diagonal of the box changes with the axes, and would make a hole of one scan larger than the same
+        hole of another.
+        """
+        points = self.places
+        end = points[np.linalg.norm(points - points.mean(axis=0), axis=1).argmax()]
+        longest = 0.0
+        for _ in range(3):  # to the farthest point and on
+            apart = np.linalg.norm(points - end, axis=1)
+            end, longest = points[apart.argmax()], float(apart.max())
+        return longest
+
+    # --- faces ------------------------------------------------------------------------------------------
+
+    @cached_property
+    def middles(self) -> FloatArray:
+        """(m, 3) middles of the faces."""
+        return np.asarray(self.mesh.vertices[self.mesh.faces].mean(axis=1))
+
+    @cached_property
+    def areas(self) -> FloatArray:
+        """(m,) areas of the faces."""
+        return np.asarray(self.mesh.face_areas)
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """(m, 3) unit normals of the faces; 0 where they have no area."""
+        areas = self.areas[:, np.newaxis]
+        return np.asarray(self.mesh.area_vectors / np.where(areas > 0, areas, 1))
+
+    @cached_property
+    def to_points(self) -> tuple[FloatArray, Faces]:
+        """(m,) distance of each face to the nearest point, and (m,) the number of this point."""
+        distance, number = nearest(self.cloud.points, self.middles, 1)
+        return distance[:, 0], number[:, 0]
+
+    @cached_property
+    def local_spacing(self) -> FloatArray:
+        """(m,) spacing of the points beside each face that may be bare; 0 at others."""
+        distance, near = self.to_points
+        found, some = np.zeros(len(distance)), distance > BARE * self.spacing
+        around = nearest(self.cloud.points, self.cloud.points[near[some]], SPACING_NEIGHBORS + 1)
+        found[some] = local_spacings(Neighborhoods(*around))
+        return found
+
+    @cached_property
+    def filled(self) -> Mask:
+        """(m,) faces without a point nearby."""
+        farthest = np.maximum(FILLED * self.spacing, FILLED_OF_SPARSE * self.local_spacing)
+        return np.asarray(self.to_points[0] > farthest)
+
+    @cached_property
+    def bare(self) -> Mask:
+        """(m,) faces that may close a cut limb or a hole."""
+        farthest = np.maximum(BARE * self.spacing, BARE_OF_SPARSE * self.local_spacing)
+        return np.asarray(self.to_points[0] > farthest)
+
+    @cached_property
+    def on_base(self) -> Mask:
+        """(m,) filled faces that are nearer to the base than to a point."""
+        found = self.filled.copy()
+        if not len(self.base):
+            return np.zeros_like(found)
+        to_base = nearest(self.base, self.middles[found], 1)[0][:, 0]
+        found[found] = to_base < self.to_points[0][found]
+        return np.asarray(found)
+
+    def share(self, faces: Mask) -> float:
+        """The area of some faces relative to the whole."""
+        return float(self.areas[faces].sum() / self.areas.sum())
+
+    # --- points and surface -----------------------------------------------------------------------------
+
+    @cached_property
+    def gap(self) -> float:
+        """Distance to the nearest point that `COVERED` of the surface do not exceed; the base is left out."""
+        distance = np.where(self.on_base, 0, self.to_points[0])
+        order = np.argsort(distance)
+        areas = np.where(self.on_base, 0, self.areas)[order]
+        covered = np.searchsorted(np.cumsum(areas), COVERED * areas.sum())
+        return float(distance[order[min(covered, len(order) - 1)]])
+
+    @cached_property
+    def to_surface(self) -> FloatArray:
+        """(k,) distances of `places` to the surface."""
+        # Open3D computes them in single precision, so the points are moved near the origin.
+        scene = RayScene(self.mesh.vertices - self.places.mean(axis=0), self.mesh.faces)
+        return scene.distance(self.places - self.places.mean(axis=0))
+
+    @cached_property
+    def unevenness(self) -> float:
+        """Spacing of the scan that three quarters of the surface do not exceed, relative to one quarter."""
+        step = max(1, len(self.scan.points) // DENSITY_POINTS)
+        points = np.ascontiguousarray(self.scan.points[::step])
+        count = min(SPACING_NEIGHBORS + 1, len(points))
+        spacings = local_spacings(Neighborhoods(*nearest(points, points, count)))
+        beside = spacings[nearest(points, self.middles, 1)[1][:, 0]]  # (m,)
+        order = np.argsort(beside)
+        shares = np.cumsum(self.areas[order]) / self.areas.sum()
+        at = np.searchsorted(shares, [0.25, 0.75]).clip(max=len(order) - 1)
+        low, high = beside[order[at]]
+        return float(high / low) if low > 0 else 1.0
+
+    # --- holes ------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _sky(self) -> RayScene:
+        """The surface with points, which hides folds; dents that close a hole hide nothing."""
+        seen = self.mesh.faces[~self.bare]
+        return RayScene(self.mesh.vertices - self.places.mean(axis=0), seen)
+
+    def light(self, faces: Faces) -> FloatArray:
+        """(k,) shares of the light from a uniform sky that reach faces: 1 − the ambient occlusion."""
+        normals = self.normals[faces]
+        origins = self.middles[faces] - self.places.mean(axis=0)
+        origins = origins + ABOVE * self.cloud.diagonal * normals
+        rays = np.random.default_rng(0).standard_normal((N_RAYS, 3))
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        cosines = normals @ rays.T  # (k, r)
+        directions = np.sign(cosines)[:, :, np.newaxis] * rays
+        reached = self._sky.cast(np.repeat(origins, N_RAYS, axis=0), directions.reshape(-1, 3))[0]
+        weights = np.abs(cosines)
+        is_free = np.isinf(reached).reshape(weights.shape)
+        return np.asarray((weights * is_free).sum(axis=1) / weights.sum(axis=1))
+
+    @cached_property
+    def far(self) -> Faces:
+        """Faces in holes of any size."""
+        far = np.maximum(IN_HOLE * self.length, BARE * self.spacing)
+        return np.flatnonzero((self.to_points[0] > far) & (self.areas > 0))
+
+    @cached_property
+    def holes(self) -> tuple[Hole, ...]:
+        """The large holes of the scan, in order of descending area."""
+        found = []
+        for faces in parts(self.mesh, self.far)[:N_HOLES]:
+            # A face reaches at most its own size beyond its middle.
+            reach = 2 * np.sqrt(self.areas[faces].max()) + self.to_points[0][faces].max()
+            if reach < LEAST_HOLE * self.length:
+                continue
+            corners = self.mesh.vertices[self.mesh.faces[faces]]
+            inner = np.einsum("gk,fkd->fgd", _barycentric(STEPS), corners).reshape(-1, 3)
+            apart = nearest(self.cloud.points, inner, 1)[0][:, 0]
+            radius = float(apart.max() / self.length)
+            if radius < LEAST_HOLE:
+                continue
+            deepest = faces[np.argsort(-self.to_points[0][faces])[:N_MIDDLE]]
+            light = float(np.average(self.light(deepest), weights=self.areas[deepest]))
+            middle = inner[apart.argmax()]
+            found.append(Hole(faces, middle, radius, light, self.is_beyond_sight(faces)))
+        return tuple(found)
+
+    def axis(self, faces: Faces) -> FloatArray:
+        """(3,) the unit vector along the sum of the area vectors of some faces; 0 if that is."""
+        axis = self.areas[faces] @ self.normals[faces]
+        return np.asarray(axis / max(float(np.linalg.norm(axis)), np.finfo(np.float64).tiny))
+
+    def is_beyond_sight(self, faces: Faces) -> bool:
+        """Whether what else was not seen faces the same direction as some faces, or the opposite one."""
+        rest = np.setdiff1d(self.far, faces)
+        is_aligned = np.abs(self.normals[rest] @ self.axis(faces)) > ASIDE
+        areas = self.areas[rest]
+        return bool(len(rest) and (areas * is_aligned).sum() > MOSTLY * areas.sum())
+
+    def beyond(self, faces: Faces, axis: FloatArray) -> float:
+        """How far the body extends beyond some faces along a unit vector, relative to its length."""
+        farthest = (self.places @ axis).max() - (self.middles[faces] @ axis).max()
+        return float(farthest / self.length)
+
+    @cached_property
+    def ends(self) -> tuple[End, ...]:
+        """Where the surface may have been closed across limbs; none of points without normals."""
+        if self.cloud.normals is None:
+            return ()
+        distance, near = self.to_points
+        far = np.flatnonzero(self.bare & (self.areas > 0) & ~self.on_base)
+        is_turned = np.einsum("ij,ij->i", self.normals[far], self.cloud.normals[near[far]]) < TURNED
+        may_close = is_turned & (distance[far] > CLOSING * self.spacing)
+        is_closing = may_close.copy()
+        is_closing[may_close] = self.light(far[may_close]) > OPEN_END
+        found = []
+        for part in parts(self.mesh, far[is_closing])[:N_ENDS]:
+            middle = np.average(self.middles[part], axis=0, weights=self.areas[part])
+            is_near = np.linalg.norm(self.middles[far] - middle, axis=1)
+            is_near = is_near < NEAR_END * self.cloud.diagonal
+            end = far[is_near & is_turned]
+            if not len(end):
+                continue
+            axis = self.axis(end)
+            rim = np.unique(near[far[is_near]])
+            tilt = float((self.cloud.normals[rim] @ axis).mean())
+            beyond = self.beyond(end, axis)
+            if tilt > TILTED or (beyond < AT_END and self.is_beyond_sight(end)):
+                continue
+            middle = np.average(self.middles[end], axis=0, weights=self.areas[end])
+            offsets = self.cloud.points[rim] - middle
+            likeness = rim_of_limb(self.cloud.normals[rim], offsets, axis)
+            cap = far[is_near & is_closing]
+            area = float(np.linalg.norm(self.areas[cap] @ self.normals[cap]) / self.areas.sum())
+            share = max(likeness, SHEET) * area
+            found.append(End(middle, axis, share, beyond < ON_GROUND))
+        cut = [end for end in found if not self._is_sole(end, found)]
+        return tuple(sorted(cut, key=lambda one: -one.share))
+
+    def _is_sole(self, end: End, ends: list[End]) -> bool:
+        """Whether the body stands on an end and on another one."""
+        return end.is_lowest and any(
+            other.is_lowest
+            and end.axis @ other.axis > PARALLEL
+            and abs((other.middle - end.middle) @ end.axis) < ON_GROUND * self.length
+            and float(np.linalg.norm(other.middle - end.middle)) > NEAR_END * self.cloud.diagonal
+            for other in ends
+        )
+
+
+def parts(mesh: TriangleMesh, faces: Faces) -> list[Faces]:
+    """The connected components of some faces, in order of descending area."""
+    label = components(TriangleMesh(mesh.vertices, mesh.faces[faces]))
+    return [faces[label == number] for number in range(label.max(initial=-1) + 1)]
+
+
+def rim_of_limb(normals: FloatArray, offsets: FloatArray, axis: FloatArray) -> float:
+    """How like points, by normals and offsets (r, 3) from their middle, are to those round a limb cut off.
+
+    They lie on all sides of its axis, and so do their normals, which are perpendicular to it: twice the
+    second eigenvalue of the covariance of such directions is 1, and 0 for those of folds and thin sheets.
+    Of the normals its root counts, because it is small if the limb is not round.
+    """
+    both = [directions - np.outer(directions @ axis, axis) for directions in (normals, offsets)]
+    both[1] /= np.maximum(np.linalg.norm(both[1], axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    spread = np.linalg.eigvalsh([2 * np.cov(across.T, bias=True) for across in both])[:, 1].clip(0)
+    return float(np.sqrt(spread[0]) * spread[1] * (1 - np.abs(normals @ axis).mean()))
+
+
+def _barycentric(steps: int) -> FloatArray:
+    """(g, 3) barycentric coordinates of a regular grid of a triangle."""
+    i, j = np.nonzero(np.add.outer(np.arange(steps + 1), np.arange(steps + 1)) <= steps)
+    return np.column_stack([i, j, steps - i - j]) / steps

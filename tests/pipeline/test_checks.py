@@ -1,0 +1,134 @@
+"""Each check of points and surface has a drawn case that trips it, and one that does not.
+
+A ball, a ball with a hole, a ball whose one side is thin, a tube that was cut off, two layers of points, and
+two balls that touch.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from benchmarks.uniform import BODIES, points_of
+from shapes import icosphere
+
+from pcretrieve import PointCloud, TriangleMesh
+from pcretrieve.checks import Check, findings_of
+from pcretrieve.checks.fit import Fit
+from pcretrieve.checks.stages import body_check, hole_check, neck
+from pcretrieve.points.layers import double_layers
+from pcretrieve.values import FloatArray
+
+BALL = icosphere(4)
+
+
+def on_ball(n: int = 20_000) -> FloatArray:
+    """(n, 3) random points of the unit sphere."""
+    points = np.random.default_rng(0).standard_normal((n, 3))
+    return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
+
+
+def cloud_of(points: FloatArray, normals: FloatArray | None = None) -> PointCloud:
+    """Points of a ball, whose normals are radial, or points with normals."""
+    return PointCloud(points, normals=points if normals is None else normals)
+
+
+def checks_of(
+    cloud: PointCloud, mesh: TriangleMesh, scan: PointCloud | None = None
+) -> dict[str, Check]:
+    """The checks by their names."""
+    return {check.name: check for check in findings_of(cloud, mesh, None, None, scan=scan).checks}
+
+
+def test_a_ball_passes() -> None:
+    found = checks_of(cloud_of(on_ball()), BALL)
+    assert {check.name for check in found.values() if check.verdict != "passed"} == set()
+
+
+def test_a_hole_in_a_ball_shows_at_its_place() -> None:
+    points = on_ball()
+    pierced = points[np.linalg.norm(points - [0, 0, 1], axis=1) > 0.2]
+    found = checks_of(cloud_of(pierced), BALL)["Largest hole"]
+    assert (found.verdict, found.grade) == ("failed", "incomplete")
+    assert np.linalg.norm(np.array(found.places) - [0, 0, 1]) < 0.05
+
+
+def test_the_radius_of_a_hole_is_measured_between_the_vertices() -> None:
+    points = on_ball(60_000)
+    pierced = points[np.linalg.norm(points - [0.3, 0.5, 0.81], axis=1) > 0.2]
+    (hole,) = Fit(cloud_of(pierced), icosphere(3), cloud_of(pierced)).holes
+    assert hole.radius == pytest.approx(0.1, rel=0.08)  # of the diameter
+
+
+def test_holes_above_and_below_are_expected_of_a_turntable() -> None:
+    points = on_ball(80_000)
+    seen = points[np.abs(points[:, 2]) < 0.97]
+    fit = Fit(cloud_of(seen), BALL, cloud_of(seen))
+    assert [hole.is_expected for hole in fit.holes if hole.radius > 0.05] == [True, True]
+    assert hole_check(fit).verdict == "passed"
+    and_one_beside = seen[np.linalg.norm(seen - [1, 0, 0], axis=1) > 0.2]
+    fit = Fit(cloud_of(and_one_beside), BALL, cloud_of(and_one_beside))
+    assert hole_check(fit).verdict == "failed"
+
+
+def test_a_thin_side_is_uneven_however_dense_the_other_is() -> None:
+    points = on_ball(200_000)
+    thin = points[(points[:, 0] > 0) | (np.random.default_rng(1).random(len(points)) < 0.1)]
+    found = checks_of(cloud_of(on_ball()), BALL, PointCloud(thin))["Evenness"]
+    assert (found.verdict, found.grade) == ("failed", "incomplete")
+    assert found.value == pytest.approx(10**0.5, rel=0.1)
+
+
+def capsule(n: int = 20_000) -> tuple[FloatArray, FloatArray]:
+    """Points of a capsule along x, and their normals."""
+    points = points_of(BODIES["capsule"], n, np.random.default_rng(0))
+    axis = np.clip(points, [-0.8, 0, 0], [0.8, 0, 0])
+    normals = points - axis
+    return points, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def tube(end: float) -> TriangleMesh:
+    """A capsule along x whose right end is flat, at x = end."""
+    vertices = BALL.vertices * 0.35
+    vertices = (
+        vertices + [0.8, 0, 0] * np.sign(vertices[:, :1]) * np.abs(BALL.vertices[:, :1]) ** 0.2
+    )
+    return TriangleMesh(np.minimum(vertices, [end, 9, 9]), BALL.faces)
+
+
+def test_a_tube_that_was_cut_off_has_an_end() -> None:
+    points, normals = capsule()
+    kept = points[:, 0] < 0.5
+    fit = Fit(
+        cloud_of(points[kept], normals[kept]), tube(0.5), cloud_of(points[kept], normals[kept])
+    )
+    assert fit.ends[0].share > 0.004
+    assert fit.ends[0].middle == pytest.approx([0.5, 0, 0], abs=0.1)
+
+
+def test_a_tube_with_its_end_has_none() -> None:
+    points, normals = capsule()
+    fit = Fit(cloud_of(points, normals), tube(9.0), cloud_of(points, normals))
+    assert sum(end.share for end in fit.ends) < 4e-4
+
+
+def test_two_layers_of_points_are_double_walls() -> None:
+    rng = np.random.default_rng(2)
+    points = on_ball(30_000)
+    layers = points * (1 + 0.02 * (rng.random(len(points)) < 0.5))[:, np.newaxis]
+    layers += rng.normal(0, 0.001, layers.shape)
+    assert (double_layers(cloud_of(layers, points)).apart > 0).mean() > 0.5
+    assert (double_layers(cloud_of(points)).apart > 0).mean() < 0.03
+
+
+def test_two_balls_that_touch_are_two_bodies_and_a_rod_is_one() -> None:
+    for name, is_two in (("dumbbell", True), ("capsule", False)):
+        radii = BALL.vertices
+        if is_two:
+            # An oval of Cassini, whose neck is short beside its halves.
+            cosine = radii[:, 0] ** 2 - (radii[:, 1] ** 2 + radii[:, 2] ** 2)
+            size = np.sqrt(cosine + np.sqrt(cosine**2 + 1.02**4 - 1))
+            mesh = TriangleMesh(size[:, np.newaxis] * radii, BALL.faces)
+        else:
+            mesh = tube(9.0)
+        found = body_check(neck(mesh, mesh.vertices[:, 0]))
+        assert (found.verdict != "passed") == is_two, name
