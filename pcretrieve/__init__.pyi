@@ -61,11 +61,6 @@ from .ingestion.recomputing import Check as Check, check as check
 from .ingestion.run import Summary as Summary, ingest as ingest, retry as retry, watch as watch
 from .ingestion.scans import map_scans as map_scans
 from .ingestion.views import merge_views as merge_views
-from .matching import (
-    DistanceMatrix as DistanceMatrix,
-    read_matrix as read_matrix,
-    write_matrix as write_matrix,
-)
 from .options import MergeOptions as MergeOptions, PipelineOptions as PipelineOptions
 from .pages.inspection_page import inspect as inspect
 from .pages.map_page import draw_map as draw_map
@@ -79,7 +74,13 @@ from .query import (
     search as search,
     search_many as search_many,
 )
-from .retrieval import SignatureIndex as SignatureIndex, Whitening as Whitening
+from .retrieval import (
+    DistanceMatrix as DistanceMatrix,
+    SignatureIndex as SignatureIndex,
+    Whitening as Whitening,
+    read_matrix as read_matrix,
+    write_matrix as write_matrix,
+)
 from .spectral import eigenpairs as eigenpairs, laplace_beltrami as laplace_beltrami
 from .values import (
     Eigenpairs as Eigenpairs,

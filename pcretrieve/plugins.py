@@ -14,7 +14,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Generic, TypeVar
@@ -28,11 +28,16 @@ ADVICE = "upgrade or uninstall that package"
 
 @dataclass(frozen=True)
 class Names:
-    """The names of the records of one kind, which options and help need without an import of the records."""
+    """The names of the records of one kind, which options and help need without an import of the records.
+
+    own: the names of pcretrieve's records, which no other package can take.
+    addresses: those of own names whose records are imported when they are asked for.
+    """
 
     kind: str
     group: str
     own: tuple[str, ...]
+    addresses: Mapping[str, str] = field(default_factory=dict)
 
     def all(self) -> tuple[str, ...]:
         """The names of pcretrieve's records in their order, then the added names in alphabetical order."""
@@ -48,41 +53,61 @@ class Names:
         )
 
 
-# Those whose values have a size, without which the scale "absolute" is not defined.
+# Descriptors that scale with the body; only these accept the scale "absolute".
 SIZED = ("r-bihdm", "bihdm", "bihdm-sampled", "shape-dna", "sd-gdm", "sd-gdm-sampled")
 #: The descriptors of pcretrieve by name, and whether their values have a size. The records in
 #: `pcretrieve.descriptors` say more, but take long to import.
 METHODS: dict[str, bool] = {
     name: name in SIZED
     for name in (
-        *(
-            "r-bihdm",
-            "bihdm",
-            "bihdm-sampled",
-            "shape-dna",
-            "shape-dna-norm1",
-            "shape-dna-norm1-values",
-        ),
-        *(
-            "sd-gdm",
-            "sd-gdm-sampled",
-            "hks-bow",
-            "hks-bow-spatial",
-            "si-hks-bow",
-            "si-hks-bow-spatial",
-        ),
-        *("dl", "dl-supervised", "wks", "csd", "ispm", "hapt", "moments"),
+        "r-bihdm",
+        "bihdm",
+        "bihdm-sampled",
+        "shape-dna",
+        "shape-dna-norm1",
+        "shape-dna-norm1-values",
+        "sd-gdm",
+        "sd-gdm-sampled",
+        "hks-bow",
+        "hks-bow-spatial",
+        "si-hks-bow",
+        "si-hks-bow-spatial",
+        "dl",
+        "dl-supervised",
+        "wks",
+        "csd",
+        "ispm",
+        "hapt",
+        "moments",
     )
 }
 
+#: The descriptors of `pcretrieve.shrec`. They are found as those of other packages are: by an address that is
+#: written as in the entry points of a package.
+COMPARED = {
+    "bihdm-sampled": "pcretrieve.shrec.spectra:BIHDM_SAMPLED",
+    "shape-dna-norm1": "pcretrieve.shrec.spectra:SHAPE_DNA_NORM1",
+    "shape-dna-norm1-values": "pcretrieve.shrec.spectra:SHAPE_DNA_VALUES",
+    "sd-gdm": "pcretrieve.shrec.spectra:SD_GDM",
+    "sd-gdm-sampled": "pcretrieve.shrec.spectra:SD_GDM_SAMPLED",
+    "hks-bow": "pcretrieve.shrec.heat:HKS_BOW",
+    "hks-bow-spatial": "pcretrieve.shrec.heat:HKS_BOW_SPATIAL",
+    "si-hks-bow": "pcretrieve.shrec.heat:SI_HKS_BOW",
+    "si-hks-bow-spatial": "pcretrieve.shrec.heat:SI_HKS_BOW_SPATIAL",
+    "dl": "pcretrieve.shrec.dl:DL",
+    "dl-supervised": "pcretrieve.shrec.dl:DL_SUPERVISED",
+    "ispm": "pcretrieve.shrec.ispm:ISPM",
+}
+
 #: The names of the descriptors, of pcretrieve and of other packages.
-DESCRIPTOR_NAMES = Names("descriptor", "pcretrieve.descriptors", tuple(METHODS))
+DESCRIPTOR_NAMES = Names("descriptor", "pcretrieve.descriptors", tuple(METHODS), COMPARED)
 
 
 @dataclass(frozen=True)
 class Registry(Generic[Record]):
     """The records of one kind by name: those of pcretrieve, and those that other packages add.
 
+    `own` holds the records of pcretrieve that no address leads to.
     `checked` makes a record of the name of an entry point and the object that it leads to, or raises
     TypeError with a message that begins with what the object must be.
     """
@@ -109,7 +134,7 @@ class Registry(Generic[Record]):
 
     def called(self, name: str) -> str:
         """The record in a message: ``the descriptor 'diameter' of the package other-package``."""
-        if name in self.own:
+        if name in self.names.own:
             return f"the {self.names.kind} {name!r}"
         point = self._point(name)
         package = point.dist.name if point.dist else point.module
@@ -117,7 +142,7 @@ class Registry(Generic[Record]):
 
     def version(self, name: str) -> str:
         """The package and the version of a record that another package adds; empty for pcretrieve's own."""
-        if name in self.own:
+        if name in self.names.own:
             return ""
         point = self._point(name)
         return f" {point.dist.name} {point.dist.version}" if point.dist else f" {point.module}"
@@ -133,10 +158,10 @@ class Registry(Generic[Record]):
         try:
             yield
         except (Exception, SystemExit) as error:
-            if isinstance(error, ShapeError) and stage and name not in self.own:
+            if isinstance(error, ShapeError) and stage and name not in self.names.own:
                 error.stage = stage
             if isinstance(error, (ShapeError, OptionError, MemoryError)) or (
-                name in self.own and not isinstance(error, InputError)
+                name in self.names.own and not isinstance(error, InputError)
             ):
                 raise
             message = f"{self.called(name)} failed, {type(error).__name__}: {error}"
@@ -145,6 +170,8 @@ class Registry(Generic[Record]):
             raise OptionError(f"{message}; {ADVICE}") from error
 
     def _point(self, name: str) -> EntryPoint:
+        if name in self.names.addresses:
+            return EntryPoint(name, self.names.addresses[name], self.names.group)
         point = _points(self.names.group, tuple(sys.path)).get(name)
         if point is None:
             raise OptionError(

@@ -29,7 +29,7 @@ from pcretrieve.values.base import Value
 
 if TYPE_CHECKING:
     from pcretrieve.formats import ScanLike
-    from pcretrieve.matching import DistanceMatrix
+    from pcretrieve.retrieval import DistanceMatrix
     from pcretrieve.retrieval.scores import MatchScores
 
 # Least certainty of an answer that is called sure, and below which nobody in the collection is meant:

@@ -45,7 +45,7 @@ from pcretrieve.formats import missing_extra, read_scan, write_cloud, write_mesh
 from pcretrieve.formats.registry import FORMATS
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import read_labels
-from pcretrieve.matching import DistanceMatrix, read_matrix, write_matrix
+from pcretrieve.retrieval import DistanceMatrix, read_matrix, write_matrix
 from pcretrieve.retrieval.whitening import read_whitening
 
 # Seeds of each format of scans, and of each other kind of file.

@@ -12,10 +12,10 @@ from packages import install
 from pcretrieve.cli.search import matrix_command
 from pcretrieve.descriptors import DESCRIPTORS
 from pcretrieve.errors import InputError, OptionError, ShapeError, Stage
-from pcretrieve.matching import MATCHERS
 from pcretrieve.options import RetrievalOptions, SpectralOptions
-from pcretrieve.plugins import METHODS, Names, Registry
+from pcretrieve.plugins import COMPARED, METHODS, Names, Registry
 from pcretrieve.retrieval import DISTANCES
+from pcretrieve.shrec.matcher import MATCHERS
 from pcretrieve.spectral import ELEMENTS
 
 GROUP = "pcretrieve.tests"
@@ -50,8 +50,9 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_names_are_those_of_the_records() -> None:
     """Options know the names by tables of their own, since records take long to import."""
-    assert [record.name for record in DESCRIPTORS.own.values()] == [*DESCRIPTORS.own] == [*METHODS]
-    assert {name: record.has_size for name, record in DESCRIPTORS.own.items()} == METHODS
+    records = [DESCRIPTORS[name] for name in METHODS]
+    assert {record.name: record.has_size for record in records} == METHODS
+    assert METHODS.keys() - DESCRIPTORS.own.keys() == COMPARED.keys()
     assert get_args(SpectralOptions.model_fields["element"].annotation) == tuple(ELEMENTS)
     assert get_args(RetrievalOptions.model_fields["distance"].annotation) == tuple(DISTANCES)
     matcher = next(each for each in matrix_command.params if each.name == "matcher")

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcretrieve.descriptors.bags import scale_invariant_heat
 from pcretrieve.descriptors.descriptor import Descriptor, check_modes
 from pcretrieve.errors import OptionError
 from pcretrieve.values import Eigenpairs, FloatArray, ModalSpectrum, Signature
 
 # One value in three is of the heat kernel: Chiotellis et al. take 50 and 100.
 HEAT_SHARE = 3
+
+# Logarithms of the diffusion times of the heat kernel, about a tenth of an octave apart.
+LOG_TIMES = np.linspace(np.log(0.001), np.log(1), 97)
 
 # The heat kernel is sampled at 97 times, whose differences have 49 frequencies.
 MOST_VALUES = 3 * 49
@@ -48,6 +50,19 @@ def csd(pairs: Eigenpairs, n_values: int = 23, n_modes: int = 60) -> Signature:
     areas = pairs.mass @ np.ones(pairs.mass.shape[0])  # (n,), the areas of the vertices, of sum 1
     values = np.concatenate([_mean_direction(wave, areas), _mean_direction(heat, areas)])
     return Signature(values, kind="csd", digest=f"L={n_values} m={n_modes}")
+
+
+def scale_invariant_heat(pairs: Eigenpairs, n_frequencies: int) -> FloatArray:
+    """Scale-invariant heat kernel signatures of all vertices.
+
+    The heat kernel signature is h_t(x) = Σ_k exp(−λ_k t) φ_k(x)². A scaling of the surface shifts the
+    derivative ∂ log h / ∂ log t along log t, and so changes the phases of its Fourier transform alone.
+
+    Returns (n, f) float64: magnitudes of the lowest frequencies of that transform, the zero frequency first.
+    """
+    decay = np.exp(-np.outer(pairs.eigenvalues, np.exp(LOG_TIMES)))  # (k, t)
+    slopes = np.diff(np.log(pairs.eigenvectors**2 @ decay), axis=1)  # (n, t - 1)
+    return np.abs(np.fft.rfft(slopes, axis=1)[:, :n_frequencies])
 
 
 def _mean_direction(features: FloatArray, areas: FloatArray) -> FloatArray:

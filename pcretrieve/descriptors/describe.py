@@ -14,15 +14,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from pcretrieve.descriptors.bags import HEAT_KERNEL_BAGS
-from pcretrieve.descriptors.bihdm import BIHDM, BIHDM_SAMPLED, SD_GDM, SD_GDM_SAMPLED
+from pcretrieve.descriptors.bihdm import BIHDM
 from pcretrieve.descriptors.csd import CSD, WKS
 from pcretrieve.descriptors.descriptor import Descriptor, fused
-from pcretrieve.descriptors.dl import DL, DL_SUPERVISED
 from pcretrieve.descriptors.hapt import HAPT, MOMENTS
-from pcretrieve.descriptors.ispm import ISPM
 from pcretrieve.descriptors.r_bihdm import R_BIHDM
-from pcretrieve.descriptors.shape_dna import SHAPE_DNA, SHAPE_DNA_NORM1, SHAPE_DNA_VALUES
+from pcretrieve.descriptors.shape_dna import SHAPE_DNA
 from pcretrieve.errors import OptionError, ShapeError, Stage
 from pcretrieve.options import SignatureOptions, fused_names
 from pcretrieve.plugins import DESCRIPTOR_NAMES, Registry
@@ -62,24 +59,7 @@ class _Descriptors(Registry[Descriptor]):
 
 DESCRIPTORS: Registry[Descriptor] = _Descriptors(
     DESCRIPTOR_NAMES,
-    {
-        record.name: record
-        for record in (
-            *(R_BIHDM, BIHDM, BIHDM_SAMPLED, SHAPE_DNA, SHAPE_DNA_NORM1, SHAPE_DNA_VALUES),
-            *(
-                SD_GDM,
-                SD_GDM_SAMPLED,
-                *HEAT_KERNEL_BAGS,
-                DL,
-                DL_SUPERVISED,
-                WKS,
-                CSD,
-                ISPM,
-                HAPT,
-                MOMENTS,
-            ),
-        )
-    },
+    {record.name: record for record in (R_BIHDM, BIHDM, SHAPE_DNA, WKS, CSD, HAPT, MOMENTS)},
     _checked,
 )
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib import resources
 from operator import attrgetter
 from typing import get_args
 
@@ -13,7 +11,7 @@ import numpy as np
 
 from pcretrieve.errors import OptionError
 from pcretrieve.options import SignatureOptions
-from pcretrieve.values import FloatArray, Metric, ModalSpectrum, Need, Shape, Signature
+from pcretrieve.values import Metric, ModalSpectrum, Need, Shape, Signature
 from pcretrieve.values.signatures import COORDINATES
 
 
@@ -78,12 +76,6 @@ def check_modes(n_modes: int, n_pairs: int, *, least: int = 1) -> None:
         raise OptionError(
             f"n_modes must be between {least} and {n_pairs - 1} for {n_pairs} eigenpairs, got {n_modes}"
         )
-
-
-@cache
-def shipped(name: str) -> FloatArray:
-    """An array that is stored beside this file, in double precision."""
-    return np.asarray(np.load(str(resources.files(__package__).joinpath(name))), dtype=np.float64)
 
 
 def spectrum_of(shape: Shape, options: SignatureOptions) -> ModalSpectrum:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Literal
 
-import numpy as np
-
 from pcretrieve.descriptors.descriptor import Descriptor, spectrum_of
 from pcretrieve.errors import OptionError
 from pcretrieve.values import Eigenpairs, ModalSpectrum, Signature
@@ -61,23 +59,6 @@ def shape_dna(
     return Signature(values, kind=kind, digest=f"L={n_values} {normalized_by}")
 
 
-def shape_dna_values(pairs: Eigenpairs | ModalSpectrum, n_values: int = 23) -> Signature:
-    """Shape-DNA as it was entered for SHREC'11, to be compared by the Euclidean distance of its values.
-
-    With 11 values it is the run OrigM-n12-norm1 [1]_, the best of Shape-DNA: 12 eigenvalues of the original
-    meshes, divided by the first of them. The factors 1/j, by Weyl's law, are what reproduces its published
-    measures.
-
-    References
-    ----------
-    .. [1] Z. Lian et al., "SHREC'11 track: shape retrieval on non-rigid 3D watertight meshes", Eurographics
-       Workshop on 3D Object Retrieval 2011.
-    """
-    made = shape_dna(pairs, n_values, normalized_by="first")
-    values = 1 / (made.values * np.arange(2, n_values + 2))
-    return Signature(values, kind="shape-dna-norm1-values", digest=made.digest, metric="values")
-
-
 SHAPE_DNA = Descriptor(
     name="shape-dna",
     make=lambda shape, o: shape_dna(
@@ -87,21 +68,4 @@ SHAPE_DNA = Descriptor(
     ),
     needs=("spectrum",),
     spread=0.52,
-)
-
-SHAPE_DNA_NORM1 = Descriptor(
-    name="shape-dna-norm1",
-    make=lambda shape, o: shape_dna(shape.spectrum, o.n_values, normalized_by="first"),
-    needs=("spectrum",),
-    has_size=False,
-    spread=0.76,
-)
-
-SHAPE_DNA_VALUES = Descriptor(
-    name="shape-dna-norm1-values",
-    make=lambda shape, o: shape_dna_values(shape.spectrum, o.n_values),
-    needs=("spectrum",),
-    has_size=False,
-    metric="values",
-    spread=2.5,
 )

@@ -14,9 +14,8 @@ from pcretrieve.catalogue import Catalogue, CatalogueLike
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation.rankings import Rankings, Subset, rank_subsets, rank_table
 from pcretrieve.ingestion.labels import labels_of, match_labels
-from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import OptionsLike, PipelineOptions, RerankKind
-from pcretrieve.retrieval import DistanceBlock, people, table_whitening
+from pcretrieve.retrieval import DistanceBlock, DistanceMatrix, people, table_whitening
 from pcretrieve.values import SignatureTable
 
 logger = logging.getLogger(__name__)

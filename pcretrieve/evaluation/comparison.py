@@ -20,8 +20,8 @@ from pcretrieve.errors import InputError
 from pcretrieve.evaluation import measures
 from pcretrieve.evaluation.catalogue import rank_shapes
 from pcretrieve.evaluation.rankings import Rankings
-from pcretrieve.matching import DistanceMatrix, ids_path, read_matrix
 from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.retrieval import DistanceMatrix, ids_path, read_matrix
 from pcretrieve.values import FloatArray
 from pcretrieve.values.base import Value
 from pcretrieve.values.files import check_no_links, csv_text, write_file

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from pcretrieve.catalogue import Catalogue, CatalogueLike
-from pcretrieve.descriptors.dl import learned_atoms
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation import measures
 from pcretrieve.evaluation.catalogue import RankedShapes, rank_shapes
@@ -19,12 +18,14 @@ from pcretrieve.evaluation.comparison import (
     write_evaluation,
 )
 from pcretrieve.ingestion.labels import LAYOUTS
-from pcretrieve.matching import DistanceMatrix, Matcher, known_matcher, match_all
 from pcretrieve.options import OptionsLike, PipelineOptions, describe_options
-from pcretrieve.retrieval import Whitening, people
+from pcretrieve.retrieval import DistanceMatrix, Whitening, people
 from pcretrieve.retrieval.whitening import calibrated_whitening, write_whitening
 from pcretrieve.values import Failure, FloatArray, SignatureTable
 from pcretrieve.values.files import write_file
+
+if TYPE_CHECKING:
+    from pcretrieve.shrec.matcher import Matcher
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -219,6 +220,8 @@ def calibrate(
     with Catalogue.opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
         if chosen.signature.method == "dl-supervised" and chosen.signature.atoms is None:
+            from pcretrieve.shrec.dl import learned_atoms
+
             labels = {
                 one.id: one.label for one in store.records(status="done") if one.label is not None
             }
@@ -278,6 +281,8 @@ def matrix(
             index = store.index(PipelineOptions.of(options, store.options))
             made = DistanceMatrix(tuple(index.ids), index.between(index.ids))
         else:
+            from pcretrieve.shrec.matcher import known_matcher, match_all
+
             method = known_matcher(matcher)
             made = match_all(
                 method, labels, lambda name: store.shape(name, method.needs), on_failure

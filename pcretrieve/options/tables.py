@@ -214,7 +214,7 @@ class SpectralOptions(Options):
 
 
 Scale = Literal["relative", "area", "absolute"]
-# A dictionary has as many atoms, of as many frequencies, as those of `pcretrieve.descriptors.dl`.
+# A dictionary has as many atoms, of as many frequencies, as those of `pcretrieve.shrec.dl`.
 Atom = Annotated[
     tuple[Annotated[float, Field(ge=-1, le=1)], ...], Field(min_length=19, max_length=19)
 ]

@@ -1,4 +1,7 @@
-"""Signatures → ranked shapes: distances, whitening, and an exact nearest-neighbour index."""
+"""Signatures → ranked shapes: distances, whitening, and an exact nearest-neighbour index.
+
+A distance matrix ranks a gallery as an index of signatures does; its files are those of SHREC tracks.
+"""
 
 from pcretrieve.retrieval.distances import (
     DISTANCES,
@@ -8,19 +11,24 @@ from pcretrieve.retrieval.distances import (
     pairwise,
 )
 from pcretrieve.retrieval.index import SignatureIndex
+from pcretrieve.retrieval.matrix import DistanceMatrix, ids_path, read_matrix, write_matrix
 from pcretrieve.retrieval.people import People, people
 from pcretrieve.retrieval.whitening import Whitening, fit_whitening, table_whitening
 
 __all__ = [
     "DISTANCES",
     "DistanceBlock",
+    "DistanceMatrix",
     "People",
     "Positions",
     "SignatureIndex",
     "Whitening",
     "coordinates",
     "fit_whitening",
+    "ids_path",
     "pairwise",
     "people",
+    "read_matrix",
     "table_whitening",
+    "write_matrix",
 ]

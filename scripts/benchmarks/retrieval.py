@@ -48,7 +48,6 @@ from benchmarks.measuring import (
 )
 from benchmarks.sets import SETS, ingested, left_out, pooled_vectors, written_set
 from pcretrieve.catalogue import Catalogue
-from pcretrieve.descriptors.dl import learned_atoms
 from pcretrieve.errors import BenchmarkError, OptionError
 from pcretrieve.evaluation import rank_table
 from pcretrieve.evaluation.measures import evaluate_rankings
@@ -59,6 +58,7 @@ from pcretrieve.retrieval import People, pairwise, people, table_whitening
 from pcretrieve.retrieval.distances import table_coordinates
 from pcretrieve.retrieval.scores import fit_scores
 from pcretrieve.retrieval.whitening import CALIBRATED, calibrated_whitening
+from pcretrieve.shrec.dl import learned_atoms
 from pcretrieve.values import FloatArray, Metric, SignatureTable
 
 MESHES = {"shrec11": "shrec11", "tosca": "tosca", "people": "humans"}

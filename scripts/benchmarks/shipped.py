@@ -24,8 +24,7 @@ import numpy as np
 
 from benchmarks.measuring import argument_parser
 from benchmarks.poses import POSES
-from pcretrieve.descriptors.bags import SAMPLE as HEAT_SAMPLE, heat_features
-from pcretrieve.descriptors.dl import (
+from pcretrieve.shrec.dl import (
     ATOMS,
     N_ATOMS,
     PENALTY,
@@ -33,7 +32,8 @@ from pcretrieve.descriptors.dl import (
     supervised_dictionary,
     surface_points,
 )
-from pcretrieve.descriptors.ispm import SAMPLE as WAVELET_SAMPLE, wavelet_signatures
+from pcretrieve.shrec.heat import SAMPLE as HEAT_SAMPLE, heat_features
+from pcretrieve.shrec.ispm import SAMPLE as WAVELET_SAMPLE, wavelet_signatures
 from pcretrieve.simulation.bodies import body, make_subject
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.values import FloatArray
@@ -56,8 +56,8 @@ class PointFeatures(NamedTuple):
 def heat() -> None:
     """Compute the point descriptors, and write them into the package."""
     made = list(features())
-    _write("descriptors", HEAT_SAMPLE, np.concatenate([subject.heat for subject in made], axis=1))
-    _write("descriptors", WAVELET_SAMPLE, np.concatenate([subject.wavelets for subject in made]))
+    _write("shrec", HEAT_SAMPLE, np.concatenate([subject.heat for subject in made], axis=1))
+    _write("shrec", WAVELET_SAMPLE, np.concatenate([subject.wavelets for subject in made]))
 
 
 def _write(room: str, name: str, sample: FloatArray) -> None:
@@ -98,7 +98,7 @@ DICTIONARY_SEED = 2014
 
 def dictionary() -> None:
     """Learn the dictionaries, and write them into the package."""
-    _write("descriptors", ATOMS, dictionaries(list(surfaces(N_SUBJECTS, N_POSES))))
+    _write("shrec", ATOMS, dictionaries(list(surfaces(N_SUBJECTS, N_POSES))))
 
 
 def surfaces(n_subjects: int, n_poses: int) -> Iterator[tuple[SurfacePoints, str]]:

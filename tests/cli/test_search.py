@@ -18,8 +18,8 @@ import pcretrieve as pr
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.cli.search import _told
 from pcretrieve.formats import write_mesh
-from pcretrieve.matching import MATCHERS, match_all
 from pcretrieve.query import Described
+from pcretrieve.shrec.matcher import MATCHERS, match_all
 
 N_KINDS, N_EACH = 4, 4
 PCA = ("--whitening", "pca", "--distance", "d1", "--n-values", 9)

@@ -7,8 +7,9 @@ import pytest
 import shapes
 
 from pcretrieve import eigenpairs, laplace_beltrami, r_bihdm
-from pcretrieve.descriptors import bihdm, bihdm_sampled, full_matrix, reduced_matrix
+from pcretrieve.descriptors import bihdm, full_matrix, reduced_matrix
 from pcretrieve.errors import OptionError
+from pcretrieve.shrec.spectra import bihdm_sampled
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.values import Eigenpairs, FloatArray, TriangleMesh
 

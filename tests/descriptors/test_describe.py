@@ -21,12 +21,12 @@ from pcretrieve.descriptors import (
     signature_length,
     wks,
 )
-from pcretrieve.descriptors.bihdm import geodesic_matrix
 from pcretrieve.errors import OptionError
 from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.plugins import METHODS
 from pcretrieve.retrieval import coordinates
+from pcretrieve.shrec.spectra import geodesic_matrix
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.values import FloatArray, Shape, Signature, TriangleMesh
 

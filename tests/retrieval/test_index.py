@@ -13,10 +13,10 @@ import pytest
 from tables import table_of
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.matching import DistanceMatrix
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval import (
     DISTANCES,
+    DistanceMatrix,
     SignatureIndex,
     bounds,
     compiled,

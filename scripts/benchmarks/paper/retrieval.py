@@ -34,10 +34,11 @@ from pcretrieve.evaluation.rankings import Rankings, Subset, rank_subsets
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import discover_labelled, read_labels
-from pcretrieve.matching import MATCHERS, match_all
 from pcretrieve.options import PipelineOptions, RetrievalOptions, Scale, SignatureOptions
 from pcretrieve.pipeline.process import process
+from pcretrieve.plugins import METHODS
 from pcretrieve.retrieval import DistanceBlock, table_whitening
+from pcretrieve.shrec.matcher import MATCHERS, match_all
 from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.surface.simplify import simplified
 from pcretrieve.values import Metric, Shape, TriangleMesh
@@ -299,7 +300,7 @@ def table_2(*, full: bool) -> Iterator[str]:
         Column("ms a pair", 9, ".2f"),
     )
     methods: list[tuple[Kind, str]] = [("process", "spectrum and checks")]
-    methods += [("descriptor", name) for name in DESCRIPTORS.own]
+    methods += [("descriptor", name) for name in METHODS]
     methods += [("matcher", name) for name in MATCHERS]
     tasks = [Task(*method, size) for method in methods for size in sizes]
     costs = in_workers(_cost, tasks, "table2", workers=1, timeout=TIMEOUTS[full], memory=MEMORY)

@@ -9,7 +9,7 @@ import pytest
 
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation import evaluate
-from pcretrieve.matching import DistanceMatrix, read_matrix, write_matrix
+from pcretrieve.retrieval import DistanceMatrix, read_matrix, write_matrix
 
 # Not symmetric: from d all others are equally far.
 VALUES = np.array([[0, 1, 2, 9], [1.5, 0, 1, 9], [2, 1, 0, 9], [4, 4, 4, 0]])

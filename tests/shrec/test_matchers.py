@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist, pdist
 
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.matching import MATCHERS, DistanceMatrix, Matcher, match_all
-from pcretrieve.matching.cm_bof import (
+from pcretrieve.retrieval import DistanceMatrix
+from pcretrieve.shrec.cm_bof import (
     N_FACES,
     N_PIXELS,
     ViewWords,
@@ -27,8 +27,9 @@ from pcretrieve.matching.cm_bof import (
     geodesic_distances,
     scaled_coordinates,
 )
-from pcretrieve.matching.heat import HeatPoints, heat_distance, heat_points, word_frequencies
-from pcretrieve.matching.meshsift import (
+from pcretrieve.shrec.heat import HeatPoints, heat_distance, heat_points, word_frequencies
+from pcretrieve.shrec.matcher import MATCHERS, Matcher, match_all
+from pcretrieve.shrec.meshsift import (
     _warn_once,
     keypoints,
     levels,

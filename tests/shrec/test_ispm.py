@@ -8,8 +8,7 @@ from functools import cache
 import numpy as np
 import shapes
 
-from pcretrieve.descriptors import ispm
-from pcretrieve.descriptors.ispm import wavelet_signatures
+from pcretrieve.shrec.ispm import ispm, wavelet_signatures
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.values import Eigenpairs, FloatArray
 

@@ -18,8 +18,8 @@ from functools import cache
 
 import numpy as np
 
-from pcretrieve.descriptors.bags import Vocabulary, clustered
-from pcretrieve.descriptors.descriptor import Descriptor, check_modes, shipped
+from pcretrieve.descriptors.descriptor import Descriptor, check_modes
+from pcretrieve.shrec.heat import Vocabulary, clustered, shipped
 from pcretrieve.values import Eigenpairs, FloatArray, Signature
 
 # Number of levels of the pyramid: 1, 2, 4 and 8 parts, which have one weight.

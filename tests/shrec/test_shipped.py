@@ -7,15 +7,14 @@ import pytest
 from benchmarks.shipped import sparse_dictionary
 from scipy.spatial import cKDTree
 
-from pcretrieve.descriptors.bags import heat_features
-from pcretrieve.descriptors.descriptor import shipped
-from pcretrieve.descriptors.dl import (
+from pcretrieve.shrec.dl import (
     PENALTY,
     SurfacePoints,
     sparse_codes,
     supervised_dictionary,
     triplet_loss,
 )
+from pcretrieve.shrec.heat import heat_features, shipped
 from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.values import FloatArray

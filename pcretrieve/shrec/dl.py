@@ -16,10 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.descriptors.bags import scale_invariant_heat
-from pcretrieve.descriptors.descriptor import Descriptor, shipped
+from pcretrieve.descriptors.csd import scale_invariant_heat
+from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.errors import InputError
 from pcretrieve.options.tables import Atoms
+from pcretrieve.shrec.heat import shipped
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.values import Eigenpairs, FloatArray, Signature, TriangleMesh
 

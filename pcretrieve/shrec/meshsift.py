@@ -16,7 +16,7 @@ from scipy.sparse import csr_array, diags_array
 from scipy.sparse.csgraph import dijkstra
 
 from pcretrieve.errors import DegenerateMeshError, Stage
-from pcretrieve.matching.cm_bof import coarser
+from pcretrieve.shrec.cm_bof import coarser
 from pcretrieve.values import FloatArray, IntArray, Shape, TriangleMesh
 from pcretrieve.values.geometry import adjacency, edge_graph
 
