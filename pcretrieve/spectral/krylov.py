@@ -12,28 +12,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
+from typing import NamedTuple
 
 import numpy as np
-from numba import config, njit
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, eigh
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
 from pcretrieve.errors import SpectrumError
+from pcretrieve.spectral import blocks
+from pcretrieve.spectral.blocks import BLOCK, CHUNK
 from pcretrieve.spectral.elements import Index
 from pcretrieve.values import FloatArray, LaplaceBeltrami
-
-# Number of vectors in a block. An iteration finds at most as many copies of a multiple eigenvalue as the
-# block has vectors. The symmetry groups of bodies in space have irreducible representations of dimension 5 at
-# most, and thus eigenvalues of multiplicity 5 at most, except for accidental ones. For blocks of other sizes
-# and other solvers see docs/decisions.md, BLOCK.
-BLOCK = 8
-
-# Rows of eight numbers are vectors of the processor, if numba lets LLVM combine equal operations. The setting
-# is one of the process; operations are combined, not reordered, so that no result changes.
-config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]
 
 # An untouched block, freed at once: glibc then keeps up to 64 MiB of free memory at the end of the heap,
 # twice the largest block that it has mapped and freed (mallopt(3), M_MMAP_THRESHOLD). Else each surface takes
@@ -66,13 +56,7 @@ MOST_ROUNDS = 6
 # reorthogonalisation). √ε would suffice for the eigenvalues, but would not save reorthogonalisations.
 LARGEST_LOST = 3e-11
 
-# Number of columns of the basis with which a product is computed at once: so many rows of a block remain in
-# the cache, and a copy of the basis would double the memory.
-CHUNK = 512
-
-# A row of a block of zeros, and a linear map of blocks.
-NOTHING: tuple[float, ...] = (0.0,) * BLOCK
-BlockMap = Callable[[FloatArray], FloatArray]
+BlockMap = Callable[[FloatArray], FloatArray]  # a linear map of blocks
 
 
 def basis_size(n_pairs: int) -> int:
@@ -100,106 +84,149 @@ def block_krylov(
     .. [3] Wu and Simon, "Thick-restart Lanczos method for large symmetric eigenvalue problems", SIAM J.
        Matrix Anal. Appl. 22 (2000).
     """
-    n, size = operator.mass.shape[0], basis_size(n_pairs)
     factor = _factor(operator, n_pairs, shift)
-    # In the order of the factor, as the iteration is, and in CSR format, since M is symmetric.
-    ordered = operator.mass[factor.order][:, factor.order].T
-    mass = partial(_product, ordered.indptr, ordered.indices, ordered.data)
-    basis = np.empty((size + BLOCK, n))
-    projected, lost = np.zeros((2, size, size))  # QᵀMTQ, and an estimate of QᵀMQ − I
+    space = KrylovSpace(basis_size(n_pairs), len(factor.pivots))
     # A fixed start block, for reproducible results. It is random, because it must have a component in every
     # eigenspace, which vectors with the symmetry of a surface have not.
     random = np.random.default_rng(0)
-    start = factor.solve(mass(random.uniform(-1, 1, (n, BLOCK))))
+    start = factor.solve(factor.mass(random.uniform(-1, 1, (len(factor.pivots), BLOCK))))
     # The last rows of QᵀMT block. The rows before them contain rounding errors and the effect of `lost` only.
     # They are set to zero, as they are for T projected onto an orthonormal basis of the same space [2]_.
     known = np.empty((0, BLOCK))
-    block, mapped, left, drift = _orthonormal(start, basis[:0], mass, known, known)
-    norm, width, look_at = (
-        0.0,
-        0,
-        int(VECTORS_PER_PAIR_AT_FIRST_LOOK * n_pairs) + SPARE_VECTORS_AT_FIRST_LOOK,
-    )
-    for n_blocks in range(1, LONGEST_RUN * size // BLOCK + 1):
-        new = slice(width, width + BLOCK)
-        width += BLOCK
-        basis[new] = block.T
-        lost[: new.start, new] = drift
-        lost[new, : new.start] = drift.T
+    block, mapped, left, drift = _orthonormal(start, space.vectors, factor.mass, known, known)
+    norm = 0.0  # of T, about
+    look_at = int(VECTORS_PER_PAIR_AT_FIRST_LOOK * n_pairs) + SPARE_VECTORS_AT_FIRST_LOOK
+    for n_blocks in range(1, LONGEST_RUN * space.size // BLOCK + 1):
+        space.append(block, drift)
         image = factor.solve(mapped)
         known = np.concatenate([known, mapped.T @ image])
-        rows = slice(width - len(known), width)
-        projected[rows, new] = known
-        projected[new, rows] = known.T
-        # Estimate of QᵀM of the remainder of the image: the recurrence (4.19) of [2]_, from the symmetry of
-        # QᵀMTQ.
-        drift = projected[:width, :width] @ lost[:width, new] - lost[:width, rows] @ known
-        norm = max(norm, float(np.linalg.norm(known)))  # of T, about
+        drift = space.project(known)
+        norm = max(norm, float(np.linalg.norm(known)))
         drift += np.finfo(float).eps * norm * random.standard_normal(drift.shape)
         # T Q_new = Q_rows known + block left
-        block, mapped, left, drift = _orthonormal(image, basis[:width], mass, known, drift)
+        block, mapped, left, drift = _orthonormal(image, space.vectors, factor.mass, known, drift)
         known = left.T
-        full = width + BLOCK > size
-        if width < look_at and not full:
+        if space.width < look_at and not space.is_full:
             continue
 
-        theta, mixing = _ritz(projected[:width, :width])
-        outside = (
-            left @ mixing[new] / theta
-        )  # (BLOCK, width): the component of T φ / θ outside the basis
-        unit = _unit(theta[:n_pairs], shift, operator.area)
-        worst = float((np.linalg.norm(outside[:, :n_pairs], axis=0) / unit).max())
-        if worst <= tolerance and (theta < 0).sum() == factor.n_negative:
-            # T φ / θ instead of φ: it is available, and more accurate by one iteration.
-            basis[width : width + BLOCK] = block.T
-            vectors = _combined(basis, mixing[:, :n_pairs], outside[:, :n_pairs], factor.order)
-            return 1 / theta[:n_pairs] + shift, vectors, n_blocks
-        if full:
-            width = (n_pairs + size) // 8 * 4  # about half of the sum, and a multiple of 4
-            turn = mixing[:, :width]
-            _turn(basis, lost, turn)
-            projected[:] = 0
-            projected[:width, :width] = np.diag(theta[:width])
-            known = (outside * theta)[:, :width].T
-            drift = turn.T @ drift
-        look_at = width + BLOCK * math.ceil(np.log(worst / tolerance) / np.log(FALL_PER_BLOCK))
+        ritz = space.ritz(left)
+        worst = ritz.largest_residual(n_pairs, shift, operator.area)
+        if worst <= tolerance and (ritz.theta < 0).sum() == factor.n_negative:
+            vectors = space.combined(ritz, n_pairs, block, factor.order)
+            return 1 / ritz.theta[:n_pairs] + shift, vectors, n_blocks
+        if space.is_full:
+            space.restart(ritz, n_pairs)
+            known = (ritz.outside * ritz.theta)[:, : space.width].T
+            drift = ritz.mixing[:, : space.width].T @ drift
+        look_at = space.width + BLOCK * math.ceil(
+            np.log(worst / tolerance) / np.log(FALL_PER_BLOCK)
+        )
     raise SpectrumError(
         f"residuals must fall below {tolerance:g}, got {worst:.1e} after {n_blocks} blocks: allow more"
     )
 
 
-def _ritz(projected: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Eigenvalues θ in the order of ascending λ, and eigenvectors."""
-    theta, mixing = eigh(projected, driver="evd", check_finite=False)
-    order = np.argsort(1 / theta)
-    return theta[order], mixing[:, order]
+class Ritz(NamedTuple):
+    """Approximate eigenpairs of T from a basis of `width` vectors, in the order of ascending λ.
+
+    theta: (width,) eigenvalues θ of QᵀMTQ.
+    mixing: (width, width) its eigenvectors, the components of φ along the basis.
+    outside: (BLOCK, width) the components of T φ / θ along the block after the basis.
+    """
+
+    theta: FloatArray
+    mixing: FloatArray
+    outside: FloatArray
+
+    def largest_residual(self, n_pairs: int, shift: float, area: float) -> float:
+        """The largest residual of the first pairs, in units of λ + 1/area."""
+        # λ + 1/area in units of |λ − σ|, at most 1.
+        unit = np.minimum(1.0, np.abs(1 + self.theta[:n_pairs] * (shift + 1 / area)))
+        return float((np.linalg.norm(self.outside[:, :n_pairs], axis=0) / unit).max())
 
 
-def _unit(theta: FloatArray, shift: float, area: float) -> FloatArray:
-    """λ + 1/area in units of |λ − σ|, at most 1: what residuals are measured in."""
-    return np.minimum(1.0, np.abs(1 + theta * (shift + 1 / area)))
+class KrylovSpace:
+    """An M-orthonormal basis Q of the space, the matrix QᵀMTQ, and an estimate of QᵀMQ − I.
 
+    The first `width` of at most `size` vectors are in use. `basis` has one of n numbers in each row, and room
+    for another block.
+    """
 
-def _turn(basis: FloatArray, lost: FloatArray, turn: FloatArray) -> None:
-    """Replace the first vectors of the basis by their combinations, the columns of `turn`, in place."""
-    old, new = turn.shape
-    for first in range(0, basis.shape[1], CHUNK):
-        part = slice(first, first + CHUNK)
-        basis[:new, part] = turn.T @ basis[:old, part]
-    lost[:new, :new] = turn.T @ lost[:old, :old] @ turn
+    def __init__(self, size: int, n: int) -> None:
+        self.size = size
+        self.width = 0
+        self.basis = np.empty((size + BLOCK, n))
+        self.projected, self.lost = np.zeros((2, size, size))
 
+    @property
+    def vectors(self) -> FloatArray:
+        """(width, n)."""
+        return self.basis[: self.width]
 
-def _combined(
-    basis: FloatArray, mixing: FloatArray, outside: FloatArray, order: Index
-) -> FloatArray:
-    """The (n, n_pairs) eigenvectors: combinations of the basis, and of the block after it, at their rows."""
-    parts = np.concatenate([mixing, outside])  # (width + BLOCK, n_pairs)
-    parts -= parts @ (outside.T @ outside) / 2  # M-orthonormal again, to first order
-    vectors = np.empty((basis.shape[1], parts.shape[1]))
-    for first in range(0, len(vectors), CHUNK):
-        part = slice(first, first + CHUNK)
-        vectors[order[part]] = basis[: len(parts), part].T @ parts
-    return vectors
+    @property
+    def is_full(self) -> bool:
+        """Whether there is no room for another block and its projection."""
+        return self.width + BLOCK > self.size
+
+    def append(self, block: FloatArray, drift: FloatArray) -> None:
+        """Add an M-orthonormal block; `drift` estimates its components (width, BLOCK) along the basis."""
+        new = slice(self.width, self.width + BLOCK)
+        self.basis[new] = block.T
+        self.lost[: new.start, new] = drift
+        self.lost[new, : new.start] = drift.T
+        self.width = new.stop
+
+    def project(self, known: FloatArray) -> FloatArray:
+        """Enter the last rows of QᵀMT Q_new, those that are known, for the newest block.
+
+        Returns an estimate (width, BLOCK) of QᵀM of what the basis leaves of T Q_new: the recurrence (4.19)
+        of Bai et al., which follows from the symmetry of QᵀMTQ.
+        """
+        used = slice(0, self.width)
+        new = slice(self.width - BLOCK, self.width)
+        rows = slice(self.width - len(known), self.width)
+        self.projected[rows, new] = known
+        self.projected[new, rows] = known.T
+        return np.asarray(
+            self.projected[used, used] @ self.lost[used, new] - self.lost[used, rows] @ known
+        )
+
+    def ritz(self, left: FloatArray) -> Ritz:
+        """The eigenpairs of QᵀMTQ; `left` are the components of T Q_new along the block after the basis."""
+        used = slice(0, self.width)
+        theta, mixing = eigh(self.projected[used, used], driver="evd", check_finite=False)
+        order = np.argsort(1 / theta)
+        theta, mixing = theta[order], mixing[:, order]
+        return Ritz(theta, mixing, left @ mixing[self.width - BLOCK :] / theta)
+
+    def restart(self, ritz: Ritz, n_pairs: int) -> None:
+        """Replace the basis, in place, by its combinations that approximate the first eigenvectors."""
+        # About half of the sum, and a multiple of 4.
+        kept = (n_pairs + self.size) // 8 * 4
+        turn = ritz.mixing[:, :kept]
+        for first in range(0, self.basis.shape[1], CHUNK):
+            part = slice(first, first + CHUNK)
+            self.basis[:kept, part] = turn.T @ self.basis[: self.width, part]
+        self.lost[:kept, :kept] = turn.T @ self.lost[: self.width, : self.width] @ turn
+        self.projected[:] = 0
+        self.projected[:kept, :kept] = np.diag(ritz.theta[:kept])
+        self.width = kept
+
+    def combined(self, ritz: Ritz, n_pairs: int, block: FloatArray, order: Index) -> FloatArray:
+        """(n, n_pairs) eigenvectors, each row at its place in the operator.
+
+        T φ / θ instead of φ: it is available, and more accurate by one iteration. It has components along the
+        basis and along the block after it.
+        """
+        self.basis[self.width : self.width + BLOCK] = block.T
+        outside = ritz.outside[:, :n_pairs]
+        parts = np.concatenate([ritz.mixing[:, :n_pairs], outside])  # (width + BLOCK, n_pairs)
+        parts -= parts @ (outside.T @ outside) / 2  # M-orthonormal again, to first order
+        vectors = np.empty((self.basis.shape[1], n_pairs))
+        for first in range(0, len(vectors), CHUNK):
+            part = slice(first, first + CHUNK)
+            vectors[order[part]] = self.basis[: len(parts), part].T @ parts
+        return vectors
 
 
 def _orthonormal(
@@ -215,13 +242,13 @@ def _orthonormal(
         the basis, at most `LARGEST_LOST`.
     """
     # Subtracted first: a later projection would multiply it by the loss of orthogonality of the basis.
-    _subtract(basis[len(basis) - len(known) :], known, block)
+    blocks.subtract(basis[len(basis) - len(known) :], known, block)
     mapped = mass(block)
     left = np.eye(BLOCK)
     for n_rounds in range(MOST_ROUNDS):
         if n_rounds:
-            error = _components(basis, mapped)  # (width, BLOCK)
-            _subtract(basis, error, block)
+            error = blocks.components(basis, mapped)  # (width, BLOCK)
+            blocks.subtract(basis, error, block)
             mapped = mass(block)
             drift = np.zeros_like(drift)
         gram = block.T @ mapped  # (BLOCK, BLOCK)
@@ -234,8 +261,8 @@ def _orthonormal(
         lost = drift @ inverse  # (width, BLOCK)
         if np.abs(lost).max(initial=0) > LARGEST_LOST:
             continue
-        _times(block, inverse)
-        _times(mapped, inverse)
+        blocks.times(block, inverse)
+        blocks.times(mapped, inverse)
         left = lower.T @ left
         condition = np.linalg.norm(lower) * np.linalg.norm(inverse) / BLOCK
         loss = np.sqrt(((error**2).sum(axis=0) / gram.diagonal()).max()) if n_rounds else 0.0
@@ -244,145 +271,13 @@ def _orthonormal(
     raise LinAlgError("the space has no room for another block")
 
 
-@njit(cache=True, fastmath={"contract"})
-def _row(x: FloatArray, i: int) -> tuple[float, ...]:
-    return x[i, 0], x[i, 1], x[i, 2], x[i, 3], x[i, 4], x[i, 5], x[i, 6], x[i, 7]
-
-
-@njit(cache=True, fastmath={"contract"})
-def _put(x: FloatArray, i: int, row: tuple[float, ...]) -> None:
-    x[i, 0], x[i, 1], x[i, 2], x[i, 3], x[i, 4], x[i, 5], x[i, 6], x[i, 7] = row
-
-
-@njit(cache=True, fastmath={"contract"})
-def _plus(x: tuple[float, ...], a: float, y: tuple[float, ...]) -> tuple[float, ...]:
-    (p, q, r, s, t, u, v, w), (e, f, g, h, i, j, k, m) = x, y
-    return p + a * e, q + a * f, r + a * g, s + a * h, t + a * i, u + a * j, v + a * k, w + a * m
-
-
-@njit(cache=True, fastmath={"contract"})
-def _product(indptr: Index, columns: Index, entries: FloatArray, block: FloatArray) -> FloatArray:
-    """The product of a CSR matrix and an (n, BLOCK) block."""
-    product = np.empty_like(block)
-    for i in range(len(block)):
-        row = NOTHING
-        for at in range(np.uint64(indptr[i]), np.uint64(indptr[i + 1])):
-            row = _plus(row, entries[at], _row(block, np.uint64(columns[at])))
-        _put(product, i, row)
-    return product
-
-
-@njit(cache=True, fastmath={"contract"})
-def _times(block: FloatArray, matrix: FloatArray) -> None:
-    """Multiply an (n, BLOCK) block by a (BLOCK, BLOCK) matrix, in place."""
-    for i in range(len(block)):
-        row = NOTHING
-        for k in range(BLOCK):
-            row = _plus(row, block[i, k], _row(matrix, k))
-        _put(block, i, row)
-
-
-@njit(cache=True, fastmath={"contract"})
-def _components(basis: FloatArray, block: FloatArray) -> FloatArray:
-    """The product of a (width, n) basis, with a width that is a multiple of 4, and an (n, BLOCK) block."""
-    components = np.zeros((len(basis), BLOCK))
-    for first in range(0, len(block), CHUNK):
-        for k in range(0, len(basis), 4):
-            p, q = _row(components, k), _row(components, k + 1)
-            r, s = _row(components, k + 2), _row(components, k + 3)
-            for i in range(first, min(first + CHUNK, len(block))):
-                row = _row(block, i)
-                p, q = _plus(p, basis[k, i], row), _plus(q, basis[k + 1, i], row)
-                r, s = _plus(r, basis[k + 2, i], row), _plus(s, basis[k + 3, i], row)
-            _put(components, k, p)
-            _put(components, k + 1, q)
-            _put(components, k + 2, r)
-            _put(components, k + 3, s)
-    return components
-
-
-@njit(cache=True, fastmath={"contract"})
-def _subtract(basis: FloatArray, components: FloatArray, block: FloatArray) -> None:
-    """Subtract what (width, BLOCK) components stand for from an (n, BLOCK) block, in place."""
-    for first in range(0, len(block), CHUNK):
-        for k in range(0, len(basis), 4):
-            p, q = _row(components, k), _row(components, k + 1)
-            r, s = _row(components, k + 2), _row(components, k + 3)
-            for i in range(first, min(first + CHUNK, len(block))):
-                row = _plus(_plus(_row(block, i), -basis[k, i], p), -basis[k + 1, i], q)
-                _put(block, i, _plus(_plus(row, -basis[k + 2, i], r), -basis[k + 3, i], s))
-
-
-@njit(cache=True)
-def _paired(indptr: Index, rows: Index) -> NDArray[np.bool_]:
-    """(n + 1,) whether a column of L and the next have the same rows, and are a pair: no column is in two."""
-    paired = np.zeros(
-        len(indptr), dtype=np.bool_
-    )  # the last one stays false, and is what index −1 reads
-    for j in range(len(indptr) - 2):
-        first, last = indptr[j] + 1, indptr[j + 1]
-        if not paired[j - 1] and indptr[j + 2] - last == last - first:
-            paired[j] = (rows[first:last] == rows[last : indptr[j + 2]]).all()
-    return paired
-
-
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _substitute(
-    x: FloatArray,
-    indptr: Index,
-    rows: Index,
-    lower: FloatArray,
-    pivots: FloatArray,
-    paired: NDArray[np.bool_],
-) -> None:
-    """Solve L D Lᵀ X = B in place, B of BLOCK columns; columns of L begin with its diagonal.
-
-    A pair of columns reads each row of X once. Indices without a sign need no test for negative ones.
-    """
-    j = 0
-    while j < len(pivots):
-        at, end = np.uint64(indptr[j] + 1), np.uint64(indptr[j + 1])
-        y = _row(x, j)
-        if paired[j]:
-            z = _plus(_row(x, j + 1), -lower[at], y)
-            _put(x, j + 1, z)
-            ahead = end - at
-            for k in range(at + np.uint64(1), end):
-                i = np.uint64(rows[k])
-                _put(x, i, _plus(_plus(_row(x, i), -lower[k], y), -lower[k + ahead], z))
-            j += 2
-        else:
-            for k in range(at, end):
-                i = np.uint64(rows[k])
-                _put(x, i, _plus(_row(x, i), -lower[k], y))
-            j += 1
-    while j > 0:
-        if paired[j - 2]:
-            j -= 2
-            at, end = np.uint64(indptr[j] + 1), np.uint64(indptr[j + 1])
-            y = _plus(NOTHING, 1 / pivots[j], _row(x, j))
-            z = _plus(NOTHING, 1 / pivots[j + 1], _row(x, j + 1))
-            ahead = end - at
-            for k in range(at + np.uint64(1), end):
-                row = _row(x, np.uint64(rows[k]))
-                y, z = _plus(y, -lower[k], row), _plus(z, -lower[k + ahead], row)
-            _put(x, j + 1, z)
-            _put(x, j, _plus(y, -lower[at], z))
-        else:
-            j -= 1
-            y = _plus(NOTHING, 1 / pivots[j], _row(x, j))
-            for k in range(np.uint64(indptr[j] + 1), np.uint64(indptr[j + 1])):
-                y = _plus(y, -lower[k], _row(x, np.uint64(rows[k])))
-            _put(x, j, y)
-
-
 class Factor:
-    """LDLᵀ of a symmetric matrix without pivoting, by SuperLU, in an order of little fill-in.
+    """T, as M and LDLᵀ of S − σM without pivoting, by SuperLU, in an order of little fill-in.
 
-    By Sylvester's law, D has as many negative entries as the matrix has negative eigenvalues.
+    By Sylvester's law, D has as many negative entries as S − σM has negative eigenvalues.
     """
 
-    def __init__(self, matrix: csc_array) -> None:
+    def __init__(self, matrix: csc_array, mass: csc_array) -> None:
         # Minimum degree ordering of the symmetric pattern causes less fill-in than the default ordering. With
         # relaxed supernodes, regularly refined meshes may take ten times as long; narrow panels gain a tenth.
         factor = splu(
@@ -390,30 +285,31 @@ class Factor:
         )
         if not np.array_equal(factor.perm_r, factor.perm_c):
             raise LinAlgError("a pivot is zero")
-        self.order, self.pivots, self.lower = (
-            np.argsort(factor.perm_r),
-            factor.U.diagonal(),
-            factor.L,
-        )
-        self.paired = _paired(self.lower.indptr, self.lower.indices)
+        self.order: Index = np.argsort(factor.perm_r)
+        self.pivots = factor.U.diagonal()
+        self.lower = factor.L
+        self.paired = blocks.paired(self.lower.indptr, self.lower.indices)
         self.n_negative = int((self.pivots < 0).sum())
+        # In CSR format, since M is symmetric.
+        self.ordered_mass = mass[self.order][:, self.order].T
+
+    def mass(self, block: FloatArray) -> FloatArray:
+        """(n, BLOCK) the product of M and a block (n, BLOCK), both with their rows in `order`."""
+        mass = self.ordered_mass
+        return blocks.product(mass.indptr, mass.indices, mass.data, block)
 
     def solve(self, right: FloatArray) -> FloatArray:
         """(n, BLOCK) the solution for right-hand sides (n, BLOCK), both with their rows in `order`."""
         solution = np.array(right, order="C")
-        _substitute(
-            solution,
-            self.lower.indptr,
-            self.lower.indices,
-            self.lower.data,
-            self.pivots,
-            self.paired,
+        lower = self.lower
+        blocks.substitute(
+            solution, lower.indptr, lower.indices, lower.data, self.pivots, self.paired
         )
         return solution
 
 
 def _factor(operator: LaplaceBeltrami, n_pairs: int, shift: float) -> Factor:
-    factor = Factor(operator.stiffness - shift * operator.mass)
+    factor = Factor(operator.stiffness - shift * operator.mass, operator.mass)
     if shift < 0 < factor.n_negative:
         raise SpectrumError("S − σM must be positive definite for a σ below 0, got one that is not")
     if factor.n_negative > n_pairs:
