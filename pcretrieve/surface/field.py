@@ -104,19 +104,28 @@ def hidden_below(diagonal: float, cell: float) -> float:
     return max(HIDDEN_CELLS, HIDDEN * diagonal / cell)
 
 
+# --- the compiled fit ------------------------------------------------------------------------------------
+#
+# A voxel looks at the points within `REACH`, and fits to them the sphere whose gradient at the points is
+# nearest to their normals, in weighted least squares. Such a sphere has a closed form in nine sums over the
+# points. So one pass over the points collects the sums of all voxels, and one over the voxels solves for the
+# spheres.
+
+# The factor in the exponent of the Gaussian weight.
+NARROWNESS = 1 / (2 * SPREAD * SPREAD)
+
+Vector = tuple[float, float, float]
+
+
 @njit(cache=True, error_model="numpy")
-def _fitted(at: FloatArray, normals: FloatArray, to_points: Voxels) -> Voxels:
-    """Distances to the sphere u₀ + u·p + q p·p = 0 that is fitted near each voxel."""
+def _fitted(points: FloatArray, normals: FloatArray, to_points: Voxels) -> Voxels:
+    """Distances from each voxel to the sphere that is fitted near it; NaN where there are too few points.
+
+    points: (n, 3) in voxels. to_points: the distance from each voxel to the nearest voxel with a point.
+    """
     distance = np.full(to_points.shape, np.nan, dtype=np.float32)
-    # The number, in order, of each voxel that may have a point within `REACH`: a point is at most half a
-    # diagonal of a voxel away from the centre of its own voxel.
-    numbers, n = np.full(to_points.size, -1, dtype=np.int32), 0
-    for i, away in enumerate(to_points.ravel()):
-        if away <= REACH + np.sqrt(3) / 2:
-            numbers[i] = n
-            n += 1
-    number = numbers.reshape(to_points.shape)
-    sums = _summed(at, normals, number, n)
+    number, n = _numbered(to_points)
+    sums = _summed(points, normals, number, n)
     n_x, n_y, n_z = to_points.shape
     for x in range(n_x):
         for y in range(n_y):
@@ -124,64 +133,128 @@ def _fitted(at: FloatArray, normals: FloatArray, to_points: Voxels) -> Voxels:
                 k = number[x, y, z]
                 if k < 0 or np.float32(sums[k, 0]) <= np.float32(LEAST_WEIGHT):
                     continue
-                w, p, r, s = sums[k, 0], sums[k, 1], sums[k, 2], sums[k, 3]
-                d, e, f = sums[k, 4], sums[k, 5], sums[k, 6]
-                # The sums relative to the centre of the voxel.
-                a, b, c = p - x * w, r - y * w, s - z * w
-                squares = sums[k, 7] - x * (p + a) - y * (r + b) - z * (s + c)
-                along = sums[k, 8] - x * d - y * e - z * f
-                extent = squares - (a * a + b * b + c * c) / w
-                q = 0.0
-                if extent > LEAST_EXTENT * w:
-                    q = CURVATURE * (along - (a * d + b * e + c * f) / w) / (2 * extent)
-                u, v, t = (d - 2 * q * a) / w, (e - 2 * q * b) / w, (f - 2 * q * c) / w
-                u_0 = -(u * a + v * b + t * c + q * squares) / w
-                # Minus the root d of u₀ + |u| d + q d² that stays finite as q → 0; if it is not real, the
-                # distance to the centre of the sphere.
-                steepness = np.sqrt(u * u + v * v + t * t)
-                root = np.sqrt(max(steepness * steepness - 4 * u_0 * q, 0))
-                distance[x, y, z] = 2 * u_0 / (steepness + root + 1e-9)
+                distance[x, y, z] = _to_sphere(sums[k], x, y, z)
     return distance
 
 
+@njit(cache=True)
+def _numbered(to_points: Voxels) -> tuple[IntArray, int]:
+    """The number, in order, of each voxel that may have a point within `REACH`, else −1; and how many."""
+    number, n = np.full(to_points.size, -1, dtype=np.int32), 0
+    for i, away in enumerate(to_points.ravel()):
+        # A point is at most half a diagonal of a voxel away from the centre of its own voxel.
+        if away <= REACH + np.sqrt(3) / 2:
+            number[i] = n
+            n += 1
+    return number.reshape(to_points.shape), n
+
+
 @njit(cache=True, error_model="numpy")
-def _summed(at: FloatArray, normals: FloatArray, number: IntArray, n: int) -> FloatArray:
-    """(n, 9) sums of the weights w, and of w p, w n, w p·p, w p·n over the points p near each voxel."""
-    n_x, n_y, n_z = number.shape
+def _to_sphere(sums: FloatArray, x: int, y: int, z: int) -> float:
+    """The distance from a voxel to the sphere u₀ + u·p + q p·p = 0 of the sums (9,) over its points."""
+    weight = sums[0]
+    normal = sums[4], sums[5], sums[6]  # Σ w n
+    # Relative to the centre of the voxel: Σ w p, Σ w p·p and Σ w p·n.
+    offset = sums[1] - x * weight, sums[2] - y * weight, sums[3] - z * weight
+    squares = (
+        sums[7] - x * (sums[1] + offset[0]) - y * (sums[2] + offset[1]) - z * (sums[3] + offset[2])
+    )
+    along = sums[8] - x * normal[0] - y * normal[1] - z * normal[2]
+    extent = squares - _dot(offset, offset) / weight
+    q = 0.0
+    if extent > LEAST_EXTENT * weight:
+        q = CURVATURE * (along - _dot(offset, normal) / weight) / (2 * extent)
+    u = (
+        (normal[0] - 2 * q * offset[0]) / weight,
+        (normal[1] - 2 * q * offset[1]) / weight,
+        (normal[2] - 2 * q * offset[2]) / weight,
+    )
+    u_0 = -(_dot(u, offset) + q * squares) / weight
+    # Minus the root d of u₀ + |u| d + q d² that stays finite as q → 0; if it is not real, the distance to the
+    # centre of the sphere.
+    steepness = np.sqrt(_dot(u, u))
+    root = np.sqrt(max(steepness * steepness - 4 * u_0 * q, 0))
+    return float(2 * u_0 / (steepness + root + 1e-9))
+
+
+@njit(cache=True)
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True, error_model="numpy")
+def _summed(points: FloatArray, normals: FloatArray, number: IntArray, n: int) -> FloatArray:
+    """(n, 9) sums of the weights w, and of w p, w n, w p·p, w p·n over the points p near each voxel.
+
+    The Gaussian weight is a product of factors for the axes. The terms that a point adds to one line of
+    voxels along z, but for the factors of x and y, are therefore the same on all lines. They are contiguous,
+    as the sums are, so that several are added at once.
+    """
     sums = np.zeros(9 * n)
-    # The Gaussian weight is a product of factors for the axes. The terms of one line of voxels, up to the
-    # factors of the two other axes, are contiguous, as the sums are, so that several are added at once.
     side = int(2 * REACH) + 2
-    of_y, terms = np.empty(side), np.empty(9 * side)
-    narrow = 1 / (2 * SPREAD * SPREAD)
-    for i in range(len(at)):
-        x, y, z = at[i, 0], at[i, 1], at[i, 2]
-        a, b, c = normals[i, 0], normals[i, 1], normals[i, 2]
-        square, along = x * x + y * y + z * z, x * a + y * b + z * c
-        v_low, v_high = max(0, int(np.ceil(y - REACH))), min(n_y, int(y + REACH) + 1)
-        w_low, w_high = max(0, int(np.ceil(z - REACH))), min(n_z, int(z + REACH) + 1)
-        for v in range(v_low, v_high):
-            of_y[v - v_low] = np.exp(-narrow * (y - v) ** 2)
-        for w in range(w_low, w_high):
-            of_z, t = np.exp(-narrow * (z - w) ** 2), 9 * (w - w_low)
-            terms[t], terms[t + 1], terms[t + 2], terms[t + 3] = of_z, of_z * x, of_z * y, of_z * z
-            terms[t + 4], terms[t + 5], terms[t + 6] = of_z * a, of_z * b, of_z * c
-            terms[t + 7], terms[t + 8] = of_z * square, of_z * along
-        for u in range(max(0, int(np.ceil(x - REACH))), min(n_x, int(x + REACH) + 1)):
-            of_x = np.exp(-narrow * (x - u) ** 2)
-            for v in range(v_low, v_high):
-                rest = REACH * REACH - (x - u) ** 2 - (y - v) ** 2
-                if rest < 0:
-                    continue
-                first, last = w_low, w_high
-                while first < last and (first - z) ** 2 > rest:
-                    first += 1
-                while first < last and (last - 1 - z) ** 2 > rest:
-                    last -= 1
-                of_line = of_x * of_y[v - v_low]
-                if first < last:  # the numbers of the voxels on this line are consecutive
-                    here, begin = np.uint64(9 * number[u, v, first]), np.uint64(9 * (first - w_low))
-                    # Numba need not test whether an index without a sign counts from the end of an array.
-                    for j in range(np.uint64(9 * (last - first))):
-                        sums[here + j] += of_line * terms[begin + j]
+    terms, of_y = np.empty(9 * side), np.empty(side)
+    for i in range(len(points)):
+        _set_terms(terms, points[i], normals[i], number.shape[2])
+        _add_terms(sums, terms, of_y, points[i], number)
     return sums.reshape(n, 9)
+
+
+@njit(cache=True)
+def _reached(place: float, n: int) -> tuple[int, int]:
+    """The first of n voxels on a line within `REACH` of a place, and the one after the last."""
+    return max(0, int(np.ceil(place - REACH))), min(n, int(place + REACH) + 1)
+
+
+@njit(cache=True)
+def _set_terms(terms: FloatArray, point: FloatArray, normal: FloatArray, n_z: int) -> None:
+    """Set the nine terms of a point for each voxel that it reaches on a line along z."""
+    x, y, z = point
+    square = x * x + y * y + z * z
+    along = x * normal[0] + y * normal[1] + z * normal[2]
+    first, last = _reached(z, n_z)
+    for voxel in range(first, last):
+        factor = np.exp(-NARROWNESS * (z - voxel) ** 2)
+        t = 9 * (voxel - first)
+        terms[t] = factor
+        terms[t + 1] = factor * x
+        terms[t + 2] = factor * y
+        terms[t + 3] = factor * z
+        terms[t + 4] = factor * normal[0]
+        terms[t + 5] = factor * normal[1]
+        terms[t + 6] = factor * normal[2]
+        terms[t + 7] = factor * square
+        terms[t + 8] = factor * along
+
+
+@njit(cache=True)
+def _add_terms(
+    sums: FloatArray, terms: FloatArray, of_y: FloatArray, point: FloatArray, number: IntArray
+) -> None:
+    """Add the terms of a point, by the weights of the lines of voxels, to the sums of voxels in its reach."""
+    x, y, z = point
+    low, high = _reached(z, number.shape[2])
+    reached_y = _reached(y, number.shape[1])
+    for v in range(reached_y[0], reached_y[1]):
+        of_y[v - reached_y[0]] = np.exp(-NARROWNESS * (y - v) ** 2)
+    reached_x = _reached(x, number.shape[0])
+    for u in range(reached_x[0], reached_x[1]):
+        of_x = np.exp(-NARROWNESS * (x - u) ** 2)
+        for v in range(reached_y[0], reached_y[1]):
+            rest = REACH * REACH - (x - u) ** 2 - (y - v) ** 2
+            first, last = low, high
+            while first < last and (first - z) ** 2 > rest:
+                first += 1
+            while first < last and (last - 1 - z) ** 2 > rest:
+                last -= 1
+            if first < last:
+                # The numbers of the voxels on this line are consecutive.
+                here, weight = 9 * number[u, v, first], of_x * of_y[v - reached_y[0]]
+                _add_line(sums, here, weight, terms[9 * (first - low) : 9 * (last - low)])
+
+
+@njit(cache=True)
+def _add_line(sums: FloatArray, here: int, weight: float, terms: FloatArray) -> None:
+    # Numba need not test whether an index without a sign counts from the end of an array.
+    start = np.uint64(here)
+    for j in range(np.uint64(len(terms))):
+        sums[start + j] += weight * terms[j]
