@@ -95,6 +95,18 @@ def _sorted(points: FloatArray, low: FloatArray, edge: float, shape: Shape) -> t
     return order, starts
 
 
+# --- the compiled search ---------------------------------------------------------------------------------
+#
+# The points are grouped by the cells of a grid. Around the cell of a place, a block of 3³ cells is searched,
+# of 5³, and so on, until it has k points that are nearer than its border, so that no point outside can be
+# nearer. All lengths are in cells, so that their squares do not underflow.
+#
+# Points are sorted by keys: the squares of distances, whose last bits are the number of the point. Keys wait
+# in a list and are exchanged without branches, of which many would be mispredicted.
+
+Place = tuple[float, float, float]
+
+
 @njit(cache=True, error_model="numpy")
 def _nearest(
     points: FloatArray,
@@ -106,56 +118,109 @@ def _nearest(
     places: FloatArray,
     k: int,
 ) -> tuple[FloatArray, Index]:
-    """The nearest points in a block of cells around each place, which grows until none can be nearer."""
+    """Distances and numbers (m, k) of the points that are nearest to each place, the nearest first."""
     distance, near = np.empty((len(places), k)), np.empty((len(places), k), dtype=np.intp)
-    # In cells, whose squares do not underflow.
     grouped, scaled = (points[order] - low) / edge, (places - low) / edge
-    # Points are sorted by keys: the squares of distances, whose last bits are the number of the point. Keys
-    # wait and are exchanged without branches, of which many would be mispredicted.
     low_bits = (1 << int(np.ceil(np.log2(len(points) + 1)))) - 1
     keys, waiting = np.empty(k), np.empty(len(points) + 1)
     numbers = keys.view(np.int64)
     for q in range(len(places)):
-        x, y, z = scaled[q, 0], scaled[q, 1], scaled[q, 2]
-        a, b, c = _cell(x, shape[0]), _cell(y, shape[1]), _cell(z, shape[2])
-        n, ring = 0, 0
-        while n < k:
-            ring += 1
-            # Points outside the block are at least this far away. Nearer ones suffice if there are k.
-            gap = np.inf
-            for at, cell, size in ((x, a, shape[0]), (y, b, shape[1]), (z, c, shape[2])):
-                if cell - ring > 0:
-                    gap = min(gap, at - (cell - ring))
-                if cell + ring + 1 < size:
-                    gap = min(gap, cell + ring + 1 - at)
-            limit, n, m = (1 - ROUNDING) * gap * gap, 0, 0
-            bottom, top = max(0, c - ring), min(shape[2] - 1, c + ring)
-            for u in range(max(0, a - ring), min(shape[0], a + ring + 1)):
-                for v in range(max(0, b - ring), min(shape[1], b + ring + 1)):
-                    line = (u * shape[1] + v) * shape[2]
-                    # The points in the cells of one line follow each other.
-                    for i in range(starts[line + bottom], starts[line + top + 1]):
-                        d, e, f = grouped[i, 0] - x, grouped[i, 1] - y, grouped[i, 2] - z
-                        square = max(d * d + e * e + f * f, np.finfo(np.float64).tiny)
-                        bits = np.float64(square).view(np.int64) & ~low_bits | i
-                        waiting[m] = np.int64(bits).view(np.float64)
-                        m += square <= limit
-            for i in range(m):
-                key = waiting[i]
-                for j in range(n):
-                    keys[j], key = min(keys[j], key), max(keys[j], key)
-                if n < k:
-                    keys[n] = key
-                    n += 1
+        place = scaled[q, 0], scaled[q, 1], scaled[q, 2]
+        _search(grouped, starts, shape, place, low_bits, waiting, keys)
+        exact = places[q, 0], places[q, 1], places[q, 2]
         for j in range(k):
-            i = order[numbers[j] & low_bits]
-            d, e, f = (
-                points[i, 0] - places[q, 0],
-                points[i, 1] - places[q, 1],
-                points[i, 2] - places[q, 2],
-            )
-            distance[q, j], near[q, j] = np.sqrt(d * d + e * e + f * f), i
+            near[q, j] = order[numbers[j] & low_bits]
+            distance[q, j] = np.sqrt(_square(points, near[q, j], exact))
     return distance, near
+
+
+@njit(cache=True, error_model="numpy")
+def _search(
+    grouped: FloatArray,
+    starts: Index,
+    shape: Shape,
+    place: Place,
+    low_bits: int,
+    waiting: FloatArray,
+    keys: FloatArray,
+) -> None:
+    """Fill the keys of the points nearest to a place, ascending."""
+    n, ring = 0, 0
+    while n < len(keys):
+        ring += 1
+        gap = _to_border(place, shape, ring)
+        limit = (1 - ROUNDING) * gap * gap
+        n_waiting = _collect(grouped, starts, shape, place, ring, limit, low_bits, waiting)
+        n = _insert(keys, waiting, n_waiting)
+
+
+@njit(cache=True, error_model="numpy")
+def _to_border(place: Place, shape: Shape, ring: int) -> float:
+    """The distance from a place to the border of its block, beyond which there are more cells."""
+    gap = np.inf
+    for axis in range(3):
+        cell = _cell(place[axis], shape[axis])
+        if cell - ring > 0:
+            gap = min(gap, place[axis] - (cell - ring))
+        if cell + ring + 1 < shape[axis]:
+            gap = min(gap, cell + ring + 1 - place[axis])
+    return gap
+
+
+@njit(cache=True, error_model="numpy")
+def _block(place: float, n: int, ring: int) -> tuple[int, int]:
+    """The first cell of a block along one axis, and the one after the last."""
+    cell = _cell(place, n)
+    return max(0, cell - ring), min(n, cell + ring + 1)
+
+
+@njit(cache=True, error_model="numpy")
+def _collect(
+    grouped: FloatArray,
+    starts: Index,
+    shape: Shape,
+    place: Place,
+    ring: int,
+    limit: float,
+    low_bits: int,
+    waiting: FloatArray,
+) -> int:
+    """Write the keys of the points of a block within a squared distance; returns their number."""
+    n = 0
+    x = _block(place[0], shape[0], ring)
+    y = _block(place[1], shape[1], ring)
+    z = _block(place[2], shape[2], ring)
+    for u in range(x[0], x[1]):
+        for v in range(y[0], y[1]):
+            line = (u * shape[1] + v) * shape[2]
+            # The points in the cells of one line follow each other.
+            for i in range(starts[line + z[0]], starts[line + z[1]]):
+                square = max(_square(grouped, i, place), np.finfo(np.float64).tiny)
+                bits = np.float64(square).view(np.int64) & ~low_bits | i
+                waiting[n] = np.int64(bits).view(np.float64)
+                n += square <= limit
+    return n
+
+
+@njit(cache=True, error_model="numpy")
+def _insert(keys: FloatArray, waiting: FloatArray, n_waiting: int) -> int:
+    """Sort the smallest of the waiting keys into an empty list; returns how many there are."""
+    n = 0
+    for i in range(n_waiting):
+        key = waiting[i]
+        for j in range(n):
+            keys[j], key = min(keys[j], key), max(keys[j], key)
+        if n < len(keys):
+            keys[n] = key
+            n += 1
+    return n
+
+
+@njit(cache=True, error_model="numpy")
+def _square(points: FloatArray, i: int, place: Place) -> float:
+    """The square of the distance of a point from a place."""
+    x, y, z = points[i, 0] - place[0], points[i, 1] - place[1], points[i, 2] - place[2]
+    return x * x + y * y + z * z
 
 
 # Smallest length of the cross product of two rows of A − λI, relative to the squared size of A, by which the
@@ -207,24 +272,36 @@ def guided_planes(
     guide: (n, 3) float64, approximate unit direction to the outside at each point; zero if unknown.
     near, distance: (n, k), the neighbours of each point, the nearest first.
     """
-    n, k = near.shape
-    weight = np.empty(k)
-    normals = np.empty((n, 3))
-    for i in range(n):
-        a, b, c = guide[i, 0], guide[i, 1], guide[i, 2]
-        is_known = a != 0 or b != 0 or c != 0
-        width = spread * distance[i, k - 1] + np.finfo(np.float64).tiny
-        for j in range(k):
-            other = near[i, j]
-            cosine = a * guide[other, 0] + b * guide[other, 1] + c * guide[other, 2]
-            weight[j] = (
-                min(max((cosine - same_side) / (1 - same_side), 0.0), 1.0) if is_known else 1.0
-            )
-            weight[j] *= np.exp(-((distance[i, j] / width) ** 2))
+    weight = np.empty(near.shape[1])
+    normals = np.empty((len(near), 3))
+    for i in range(len(near)):
+        _weigh(weight, guide, i, near[i], distance[i], same_side, spread)
         x, y, z = _smallest_eigenvector(_covariance(points, near[i], weight))
-        sign = -1.0 if x * a + y * b + z * c < 0 else 1.0
+        sign = -1.0 if x * guide[i, 0] + y * guide[i, 1] + z * guide[i, 2] < 0 else 1.0
         normals[i, 0], normals[i, 1], normals[i, 2] = sign * x, sign * y, sign * z
     return normals
+
+
+@njit(cache=True, error_model="numpy")
+def _weigh(
+    weight: FloatArray,
+    guide: FloatArray,
+    i: int,
+    near: NDArray[np.intp],
+    distance: FloatArray,
+    same_side: float,
+    spread: float,
+) -> None:
+    """Set the weights (k,) of the neighbours of point i, as for `guided_planes`."""
+    x, y, z = guide[i, 0], guide[i, 1], guide[i, 2]
+    is_known = x != 0 or y != 0 or z != 0
+    width = spread * distance[-1] + np.finfo(np.float64).tiny
+    for j in range(len(near)):
+        other = near[j]
+        cosine = x * guide[other, 0] + y * guide[other, 1] + z * guide[other, 2]
+        excess = (cosine - same_side) / (1 - same_side)
+        weight[j] = min(max(excess, 0.0), 1.0) if is_known else 1.0
+        weight[j] *= np.exp(-((distance[j] / width) ** 2))
 
 
 @njit(cache=True, error_model="numpy")
@@ -267,17 +344,39 @@ def _smallest_eigenvalue(matrix: Symmetric) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _smallest_eigenvector(matrix: Symmetric) -> tuple[float, float, float]:
+def _smallest_eigenvector(matrix: Symmetric) -> Place:
     """A unit eigenvector of the smallest eigenvalue λ of A."""
-    # A power of two, so that the scaled matrix has the same digits; squares of the entries do not underflow
-    # then, as they would for points that nearly coincide.
+    scaled = _scaled(matrix)
+    axis, length = _perpendicular(scaled, _smallest_eigenvalue(scaled))
+    xx, yy, zz, xy, xz, yz = scaled
+    trace = xx + yy + zz
+    if length > LEAST_RANK * trace * trace:
+        return axis[0] / length, axis[1] / length, axis[2] / length
+    full = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    first = np.linalg.eigh(full)[1][:, 0]
+    return first[0], first[1], first[2]
+
+
+@njit(cache=True, error_model="numpy")
+def _scaled(matrix: Symmetric) -> Symmetric:
+    """A times a power of two, so that its digits stay, and squares of entries do not underflow.
+
+    They would for points that nearly coincide.
+    """
     _, exponent = math.frexp(matrix[0] + matrix[1] + matrix[2])
     unit = math.ldexp(1.0, -max(exponent, -1000))
-    xx, yy, zz = unit * matrix[0], unit * matrix[1], unit * matrix[2]
-    xy, xz, yz = unit * matrix[3], unit * matrix[4], unit * matrix[5]
-    value = _smallest_eigenvalue((xx, yy, zz, xy, xz, yz))
+    xx, yy, zz, xy, xz, yz = matrix
+    return unit * xx, unit * yy, unit * zz, unit * xy, unit * xz, unit * yz
+
+
+@njit(cache=True, error_model="numpy")
+def _perpendicular(matrix: Symmetric, value: float) -> tuple[Place, float]:
+    """A vector that is perpendicular to all rows of A − λI, and its length.
+
+    It is the longest of the cross products of two rows.
+    """
+    xx, yy, zz, xy, xz, yz = matrix
     a, b, c = xx - value, yy - value, zz - value
-    # It is perpendicular to all rows of A − λI: of the cross products of two rows, the longest is taken.
     first = (xy * yz - xz * b, xz * xy - a * yz, a * b - xy * xy)
     second = (xy * c - xz * yz, xz * xz - a * c, a * yz - xy * xz)
     third = (b * c - yz * yz, yz * xz - xy * c, xy * yz - b * xz)
@@ -286,13 +385,7 @@ def _smallest_eigenvector(matrix: Symmetric) -> tuple[float, float, float]:
         square = vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2
         if square > longest:
             best, longest = vector, square
-    length = np.sqrt(longest)
-    trace = xx + yy + zz
-    if length > LEAST_RANK * trace * trace:
-        return best[0] / length, best[1] / length, best[2] / length
-    full = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    axis = np.linalg.eigh(full)[1][:, 0]
-    return axis[0], axis[1], axis[2]
+    return best, np.sqrt(longest)
 
 
 # Number of neighbours for the spacing and for a plane, and number of points at which both are measured.

@@ -61,10 +61,14 @@ def indicator(points: FloatArray, normals: FloatArray, spacings: FloatArray, gri
 
 @njit(cache=True)
 def _splatted(at: FloatArray, vectors: FloatArray, shape: tuple[int, int, int]) -> Voxels:
-    """(3, a, b, c) sums of vectors at positions in voxels, by trilinear weights."""
+    """(3, a, b, c) sums of vectors at positions in voxels.
+
+    The eight voxels around a position share its vector by trilinear weights: 1 − distance along each axis.
+    """
     field = np.zeros((3, shape[0], shape[1], shape[2]), dtype=np.float32)
     for i in range(len(at)):
         x, y, z = int(at[i, 0]), int(at[i, 1]), int(at[i, 2])
+        # The position relative to the voxel (x, y, z), from 0 to 1.
         u, v, w = at[i, 0] - x, at[i, 1] - y, at[i, 2] - z
         for a in range(2):
             for b in range(2):
@@ -74,6 +78,11 @@ def _splatted(at: FloatArray, vectors: FloatArray, shape: tuple[int, int, int]) 
                         field[axis, x + a, y + b, z + c] += share * vectors[i, axis]
     return field
 
+
+# --- inside a mesh ---------------------------------------------------------------------------------------
+#
+# Along each line of voxels we note where it crosses a face of the mesh. A voxel is inside if its line crosses
+# the mesh an odd number of times before it.
 
 # Offset of the lines from the centres of the voxels, at which vertices may lie; in voxels.
 BESIDE = (1e-4, 1.7e-4)
@@ -113,36 +122,22 @@ def _accumulate(odd: Mask) -> None:
 def _crossed(
     at: FloatArray, faces: NDArray[np.int32], shape: tuple[int, int, int], axis: int
 ) -> tuple[Mask, Voxels]:
-    """The voxels after an odd number of crossings with their line along an axis, and `crossings`."""
-    odd, crossings = (
-        np.zeros(shape, dtype=np.bool_),
-        np.full(shape, np.float32(np.nan), dtype=np.float32),
-    )
-    place = np.zeros(3, dtype=np.int64)
+    """The voxels after an odd number of crossings with their line along an axis, and `crossings`.
+
+    The lines that may meet a face are those in the bounding box of its projection along the axis.
+    """
+    odd = np.zeros(shape, dtype=np.bool_)
+    crossings = np.full(shape, np.float32(np.nan), dtype=np.float32)
     i, j = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
-    for f in range(len(faces)):
-        a, b, c = at[faces[f, 0]], at[faces[f, 1]], at[faces[f, 2]]
-        first = max(0, int(np.ceil(min(a[i], b[i], c[i]) - BESIDE[0])))
-        last = min(shape[i] - 1, int(np.floor(max(a[i], b[i], c[i]) - BESIDE[0])))
-        lowest = max(0, int(np.ceil(min(a[j], b[j], c[j]) - BESIDE[1])))
-        highest = min(shape[j] - 1, int(np.floor(max(a[j], b[j], c[j]) - BESIDE[1])))
-        for u in range(first, last + 1):
-            for v in range(lowest, highest + 1):
-                x, y = u + BESIDE[0], v + BESIDE[1]
-                left = _left(at, faces[f, 0], faces[f, 1], i, j, x, y)
-                if left != _left(at, faces[f, 1], faces[f, 2], i, j, x, y):
+    place = np.zeros(3, dtype=np.int64)
+    for face in faces:
+        first, last = _lines(at, face, i, shape[i], BESIDE[0])
+        lowest, highest = _lines(at, face, j, shape[j], BESIDE[1])
+        for u in range(first, last):
+            for v in range(lowest, highest):
+                along = _meeting(at, face, (i, j, axis), u + BESIDE[0], v + BESIDE[1])
+                if np.isnan(along):
                     continue
-                if left != _left(at, faces[f, 2], faces[f, 0], i, j, x, y):
-                    continue
-                # The intersection of the line with the plane a + s (b - a) + t (c - a).
-                e, g = b[i] - a[i], c[i] - a[i]
-                h, k = b[j] - a[j], c[j] - a[j]
-                area = e * k - g * h
-                if area == 0:
-                    continue
-                s = ((x - a[i]) * k - g * (y - a[j])) / area
-                t = (e * (y - a[j]) - (x - a[i]) * h) / area
-                along = a[axis] + s * (b[axis] - a[axis]) + t * (c[axis] - a[axis])
                 below = int(np.floor(along))
                 if below >= shape[axis] - 1:
                     continue
@@ -157,15 +152,50 @@ def _crossed(
 
 
 @njit(cache=True)
+def _lines(
+    at: FloatArray, face: NDArray[np.int32], axis: int, n: int, beside: float
+) -> tuple[int, int]:
+    """The first of n lines, `beside` the voxels of an axis, between the ends of a face; and the one after."""
+    a, b, c = at[face[0], axis], at[face[1], axis], at[face[2], axis]
+    first = max(0, int(np.ceil(min(a, b, c) - beside)))
+    last = min(n - 1, int(np.floor(max(a, b, c) - beside)))
+    return first, last + 1
+
+
+@njit(cache=True)
+def _meeting(
+    at: FloatArray, face: NDArray[np.int32], axes: tuple[int, int, int], x: float, y: float
+) -> float:
+    """Where a line meets a face, along the last of the axes; NaN if it does not.
+
+    (x, y): the place of the line along the two other axes.
+    """
+    i, j, axis = axes
+    p, q, r = face
+    left = _left(at, p, q, i, j, x, y)
+    if left != _left(at, q, r, i, j, x, y) or left != _left(at, r, p, i, j, x, y):
+        return np.nan
+    # The place a + s (b − a) + t (c − a) in the plane of the corners a, b and c.
+    first_x, second_x = at[q, i] - at[p, i], at[r, i] - at[p, i]
+    first_y, second_y = at[q, j] - at[p, j], at[r, j] - at[p, j]
+    area = first_x * second_y - second_x * first_y
+    if area == 0:
+        return np.nan
+    s = ((x - at[p, i]) * second_y - second_x * (y - at[p, j])) / area
+    t = (first_x * (y - at[p, j]) - (x - at[p, i]) * first_y) / area
+    along = at[p, axis] + s * (at[q, axis] - at[p, axis]) + t * (at[r, axis] - at[p, axis])
+    return float(along)
+
+
+@njit(cache=True)
 def _left(at: FloatArray, p: int, q: int, i: int, j: int, x: float, y: float) -> bool:
     """Whether (x, y) is left of the directed line from p to q in the projection along an axis."""
     # Evaluated from the lower to the higher vertex number, so that the two directions never agree.
     low, high = min(p, q), max(p, q)
     across, up = at[high, i] - at[low, i], at[high, j] - at[low, j]
     turn = across * (y - at[low, j]) - up * (x - at[low, i])
-    if (
-        turn == 0
-    ):  # symbolic perturbation: (x, y) moves by ε along the first axis, by ε² along the second
+    # Symbolic perturbation: (x, y) moves by ε along the first axis, by ε² along the second.
+    if turn == 0:
         turn = across if up == 0 else -up
     return bool((turn > 0) == (p < q))
 

@@ -21,7 +21,14 @@ from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.surface import SurfaceMarks, body_surfaces, defects
 from pcretrieve.surface.body import _invented
 from pcretrieve.surface.caps import NO_CAP, _stands, capped
-from pcretrieve.surface.coarse import BESIDE, coarse_surface, crossings, filled, indicator
+from pcretrieve.surface.coarse import (
+    BESIDE,
+    _splatted,
+    coarse_surface,
+    crossings,
+    filled,
+    indicator,
+)
 from pcretrieve.surface.reconstruct import uniform_points
 from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
 
@@ -193,6 +200,18 @@ def test_the_indicator_function_is_one_inside_and_zero_outside(unit: float) -> N
     for reach, expected, error in ((0.8, 1, 0.2), (1.2, 0, 0.1)):
         at = grid.coordinates(unit * reach * EGG.vertices)
         assert sampled(values, at) == pytest.approx(expected, abs=error)
+
+
+def test_vectors_are_shared_among_the_voxels_around_them_without_a_loss() -> None:
+    """Trilinear weights keep the sum of the vectors, and the mean of their places."""
+    random = np.random.default_rng(0)
+    at, vectors = random.uniform(0, 4, size=(9, 3)), random.normal(size=(9, 3))
+    field = _splatted(at, vectors, (5, 6, 7)).astype(float)
+    np.testing.assert_allclose(field.sum(axis=(1, 2, 3)), vectors.sum(axis=0), atol=1e-5)
+    moments = np.einsum("vabc,wabc->vw", field, np.indices((5, 6, 7)).astype(float))
+    np.testing.assert_allclose(moments, vectors.T @ at, atol=1e-4)
+    alone = _splatted(np.array([[1.25, 2.0, 3.5]]), np.array([[1.0, 0, 0]]), (5, 6, 7))
+    assert np.argwhere(alone)[:, 1:].tolist() == [[1, 2, 3], [1, 2, 4], [2, 2, 3], [2, 2, 4]]
 
 
 def test_holes_of_a_round_body_are_closed_round() -> None:
