@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.house import (
+    PACKAGE,
     arrows,
     imported,
     option_names,
@@ -53,6 +54,83 @@ MOST_OPTIONS = 45
 
 # Rooms that faces use beside the front door, and no more than these: `demo` writes simulated scans.
 BEHIND = {"cli": {"simulation"}, "pages": {"pipeline"}, "web": {"ingestion", "query"}}
+
+# Where each compiled loop is compared with a few lines of NumPy or SciPy, or with a known answer.
+REFERENCES = {
+    "descriptors.hapt._arrived": "descriptors/test_hapt.py::the_area_of_a_sphere_arrives_at_its_centre",
+    "descriptors.hapt._gathered": "descriptors/test_hapt.py::half_of_a_sphere_arrives_on_the_axis_of_a_tube",
+    "descriptors.hapt._centres": "descriptors/test_hapt.py::the_area_of_a_sphere_arrives_at_its_centre",
+    "descriptors.hapt._vertex_normals": (
+        "descriptors/test_hapt.py::normals_at_vertices_do_not_depend_on_how_sides_are_divided"
+    ),
+    "points.grid.components": (
+        "points/test_voxels.py::components_are_those_of_scipy_with_the_same_numbers"
+    ),
+    "points.grid._distances": "points/test_voxels.py::distances_are_exact_up_to_the_limit",
+    "points.grid._vote": "points/test_voxels.py::lines_through_vertices_and_edges_are_counted_once",
+    "points.neighbors._sorted": "points/test_normals.py::the_nearest_points_are_those_of_a_tree",
+    "points.neighbors._nearest": "points/test_normals.py::the_nearest_points_are_those_of_a_tree",
+    "points.neighbors.plane_deviations": (
+        "points/test_normals.py::deviations_are_the_smallest_singular_values"
+    ),
+    "points.neighbors.guided_planes": (
+        "points/test_normals.py::normals_are_the_last_eigenvectors_with_the_orientation_of_the_guide"
+    ),
+    "points.normals._disagreeing": "points/test_leaks.py::a_patch_of_normals_that_disagree_is_a_leak",
+    "points.outside._regrown": "points/test_voxels.py::the_second_pass_is_a_dilation_within_a_mask",
+    "points.outside.sampled": "points/test_voxels.py::values_between_voxels_are_those_of_scipy",
+    "retrieval.compiled.scan": (
+        "retrieval/test_index.py::no_signature_lies_within_a_distance_and_beyond_its_limit"
+    ),
+    "shrec.cm_bof._drawn": "shrec/test_matchers.py::pictures_show_the_depth_of_a_ball",
+    "shrec.cm_bof._smallest_mean": "shrec/test_matchers.py::the_best_position_counts",
+    "spectral.blocks.product": "spectral/test_blocks.py::products_of_blocks_are_those_of_numpy",
+    "spectral.blocks.times": "spectral/test_blocks.py::products_of_blocks_are_those_of_numpy",
+    "spectral.blocks.components": "spectral/test_blocks.py::products_of_blocks_are_those_of_numpy",
+    "spectral.blocks.subtract": "spectral/test_blocks.py::products_of_blocks_are_those_of_numpy",
+    "spectral.blocks.paired": (
+        "spectral/test_blocks.py::substitution_solves_and_pairs_are_columns_with_the_same_rows"
+    ),
+    "spectral.blocks.substitute": (
+        "spectral/test_blocks.py::substitution_solves_and_pairs_are_columns_with_the_same_rows"
+    ),
+    "surface.coarse._splatted": (
+        "surface/test_body.py::vectors_are_shared_among_the_voxels_around_them_without_a_loss"
+    ),
+    "surface.coarse._crossed": "surface/test_body.py::crossings_lie_on_the_surface",
+    "surface.coarse._accumulate": (
+        "surface/test_body.py::voxels_inside_are_those_of_the_solid_but_for_the_border_of_the_grid"
+    ),
+    "surface.field._fitted": "surface/test_field.py::the_fit_is_that_of_the_equations",
+    "surface.growth._steps": (
+        "surface/test_growth.py::walls_keep_apart_what_is_thickest_where_it_touches"
+    ),
+    "surface.growth._grown": "surface/test_growth.py::a_region_is_one_ball_and_a_ring_loses_one_slice",
+    "surface.marching._triangulated": (
+        "surface/test_growth.py::any_set_of_cells_has_a_closed_manifold_surface_that_crosses_where_it_must"
+    ),
+    "surface.marching._smooth": (
+        "surface/test_growth.py::a_round_of_smoothing_moves_to_the_mean_of_the_neighbours_and_back"
+    ),
+    "surface.parts.walls": (
+        "surface/test_growth.py::a_link_crosses_a_surfel_where_a_line_meets_a_disk"
+    ),
+    "surface.parts._away": (
+        "surface/test_growth.py::a_fold_is_parted_in_one_layer_as_deep_as_it_goes"
+    ),
+    "surface.parts._contacts": (
+        "surface/test_growth.py::a_fold_is_parted_in_one_layer_as_deep_as_it_goes"
+    ),
+    "surface.parts._counted": (
+        "surface/test_growth.py::points_count_for_the_piece_that_they_are_in_or_beside"
+    ),
+    "surface.simplify._quadrics": "surface/test_simplify.py::the_shape_stays",
+    "surface.simplify._collapsed": (
+        "surface/test_simplify.py::topology_stays_however_few_faces_are_wanted"
+    ),
+    "surface.topology.twins": "surface/test_topology.py::defects",
+    "surface.topology._is_connected": "surface/test_topology.py::defects",
+}
 
 # Slow to import: each is imported in functions.
 HEAVY = {
@@ -119,6 +197,28 @@ def test_compiled_functions_call_none_of_another_module() -> None:
         elsewhere = {other for other, (place, _) in compiled.items() if place != path}
         taken = {found.split(".")[-1] for found, _ in imported(path)} & elsewhere
         assert not taken & {node.id for node in ast.walk(each) if isinstance(node, ast.Name)}, name
+
+
+def test_compiled_loops_have_a_reference() -> None:
+    """What is compiled is hard to read: NumPy, SciPy or a known answer says what it computes.
+
+    A loop that another compiled function of its module calls is tested with that one.
+    """
+    for path in sources():
+        compiled = {
+            each.name: {node.id for node in ast.walk(each) if isinstance(node, ast.Name)}
+            for each in functions(path)
+            if any("njit" in ast.unparse(by) for by in each.decorator_list)
+        }
+        module = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
+        tested = [name for name in compiled if f"{module}.{name}" in REFERENCES]
+        for name in tested:
+            tested += [other for other in compiled if other in compiled[name] - {*tested}]
+        assert not compiled.keys() - {*tested}, module
+    tests = Path(__file__).parent
+    for place in REFERENCES.values():
+        file, _, test = place.partition("::")
+        assert any(each.name == f"test_{test}" for each in functions(tests / file)), place
 
 
 def test_the_library_never_prints_and_writes_files_in_one_step() -> None:

@@ -10,7 +10,7 @@ import shapes
 from scipy import ndimage
 
 from pcretrieve.points.grid import Grid, components, distances, interior
-from pcretrieve.points.outside import flood
+from pcretrieve.points.outside import _regrown, flood, sampled
 from pcretrieve.values import FloatArray, TriangleMesh
 
 CELL = 0.05
@@ -105,6 +105,24 @@ def test_the_flood_passes_holes_wider_than_the_gap_only() -> None:
         assert not outside.reached[outside.distance <= 1.5].any()
     outside = flood(shell(1.6 * GAP), cell=EDGE, gap=GAP)
     assert outside.reached[outside.grid.index(np.zeros((1, 3)))].all()
+
+
+def test_values_between_voxels_are_those_of_scipy() -> None:
+    random = np.random.default_rng(0)
+    values = random.normal(size=(4, 5, 6)).astype(np.float32)
+    at = random.uniform(-2, 8, size=(200, 3))
+    expected = ndimage.map_coordinates(values.astype(float), at.T, order=1, mode="nearest")
+    np.testing.assert_allclose(sampled(values, at), expected, atol=1e-6)
+
+
+def test_the_second_pass_is_a_dilation_within_a_mask() -> None:
+    noise = ndimage.gaussian_filter(np.random.default_rng(0).normal(size=(20, 22, 24)), 2)
+    to_points = np.pad(noise / noise.std() + 2, 1, constant_values=9).astype(np.float32)
+    outside = to_points > 3
+    expected = ndimage.binary_dilation(outside, iterations=4, mask=to_points > 1.5)
+    found = _regrown(outside, to_points, 4, 1.5)
+    assert outside.sum() < found.sum()
+    np.testing.assert_array_equal(found, expected)
 
 
 def test_depth_grows_and_direction_points_to_the_outside() -> None:

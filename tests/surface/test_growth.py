@@ -14,10 +14,17 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, label
 from pcretrieve.points.grid import distances
 from pcretrieve.surface import defects
 from pcretrieve.surface.growth import grown
-from pcretrieve.surface.marching import Crossings, crossed, marched, smoothed
-from pcretrieve.surface.parts import DETOUR, contact_layer, walls as links_across
+from pcretrieve.surface.marching import SHRINK, SWELL, Crossings, crossed, marched, smoothed
+from pcretrieve.surface.parts import (
+    DETOUR,
+    LEAST_LEAN,
+    _counted,
+    contact_layer,
+    walls as links_across,
+)
 from pcretrieve.surface.topology import SOUND
 from pcretrieve.values import FloatArray, TriangleMesh
+from pcretrieve.values.geometry import adjacency
 
 Mask = NDArray[np.bool_]
 
@@ -77,6 +84,28 @@ def test_walls_keep_apart_what_is_thickest_where_it_touches() -> None:
     assert not cut.any()
     unguided = lost(inside, no_walls(inside))
     assert not unguided[place : place + 6].any()
+
+
+def test_a_link_crosses_a_surfel_where_a_line_meets_a_disk() -> None:
+    random = np.random.default_rng(0)
+    at, normals = random.uniform(0, 8, size=(30, 3)), random.normal(size=(30, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    shape, radius = (8, 9, 10), 1.7
+    expected = np.zeros((3, *shape), dtype=bool)
+    for axis, start in ((axis, start) for axis in range(3) for start in np.ndindex(shape)):
+        steep = np.abs(normals[:, axis]) >= LEAST_LEAN
+        share = np.einsum("ij,ij->i", at - start, normals) / normals[:, axis]
+        place = np.array(start) + share[:, np.newaxis] * np.eye(3)[axis]
+        near = np.linalg.norm(place - at, axis=1) <= radius
+        expected[(axis, *start)] = (steep & near & (share >= 0) & (share < 1)).any()
+    np.testing.assert_array_equal(links_across(at, normals, shape, radius), expected)
+
+
+def test_points_count_for_the_piece_that_they_are_in_or_beside() -> None:
+    pieces = np.zeros((8, 4, 4), dtype=np.int32)
+    pieces[1:3, 1:3, 1:3], pieces[5:7, 1:3, 1:3] = 1, 2
+    at = np.array([[1.4, 1, 1], [2.6, 2, 2], [6.4, 1, 2], [4.4, 1, 1], [5.6, 2.4, 2]])
+    assert _counted(pieces, at, 3).tolist() == [0, 2, 3]
 
 
 @pytest.mark.parametrize("reach", [10, 14, 18])
@@ -174,6 +203,15 @@ BALL = shapes.icosphere(4)
 ROUGH: FloatArray = BALL.vertices * (
     1 + 0.01 * np.random.default_rng(0).standard_normal((len(BALL.vertices), 1))
 )
+
+
+def test_a_round_of_smoothing_moves_to_the_mean_of_the_neighbours_and_back() -> None:
+    average = adjacency(BALL) / adjacency(BALL).sum(axis=1)[:, np.newaxis]
+    expected = ROUGH
+    for factor in (SHRINK, SWELL):
+        expected = expected + factor * (average @ expected - expected)
+    found = smoothed(ROUGH, BALL.faces, np.arange(len(ROUGH)), 1)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_noise_goes_the_volume_stays_and_only_what_may_move_moves() -> None:
