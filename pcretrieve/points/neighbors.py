@@ -220,7 +220,7 @@ def _insert(keys: FloatArray, waiting: FloatArray, n_waiting: int) -> int:
 def _square(points: FloatArray, i: int, place: Place) -> float:
     """The square of the distance of a point from a place."""
     x, y, z = points[i, 0] - place[0], points[i, 1] - place[1], points[i, 2] - place[2]
-    return x * x + y * y + z * z
+    return float(x * x + y * y + z * z)
 
 
 # Smallest length of the cross product of two rows of A − λI, relative to the squared size of A, by which the

@@ -132,11 +132,23 @@ def k_reciprocal(
         distance.
     Returns (Q, K) float64: the distances of the shapes in the lists of the queries; dimensionless.
     """
-    from scipy.sparse import (
-        csr_array,
-    )  # imported here, because an index without whitening does not need it
+    # Imported here, because an index without whitening does not need it.
+    from scipy.sparse import csr_array
 
     k1, k2, weight = parameters
+    features = _reciprocal_features(lists, k1)
+    n_averaged = min(k2, lists.order.shape[1])
+    features = csr_array(nearest_matrix(lists.order, k2 - 1) @ features / n_averaged)
+    jaccard = _jaccard_distances(features, lists.order[rows], rows)
+    plain = lists.distances[rows]
+    mean = np.maximum(plain[:, 1:].mean(axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    return np.asarray((1 - weight) * jaccard + weight * plain / mean)
+
+
+def _reciprocal_features(lists: NeighbourLists, k1: int) -> csr_array:
+    """(N, N) the weight of each shape in the k-reciprocal neighbourhood of each shape; rows of sum 1."""
+    from scipy.sparse import csr_array
+
     n, length = lists.order.shape
     graphs = (nearest_matrix(lists.order, k) for k in (k1, max(1, k1 // 2)))
     mutual, half = (csr_array(graph.multiply(graph.T)) for graph in graphs)
@@ -156,21 +168,22 @@ def k_reciprocal(
     features = csr_array(
         members.multiply(csr_array((near.ravel(), lists.order.ravel(), indptr), shape=(n, n)))
     )
-    features = csr_array(features.multiply(1 / np.asarray(features.sum(axis=1))[:, None]))
-    features = csr_array(nearest_matrix(lists.order, k2 - 1) @ features / min(k2, length))
+    return csr_array(features.multiply(1 / np.asarray(features.sum(axis=1))[:, None]))
+
+
+def _jaccard_distances(features: csr_array, near: Positions, rows: Positions) -> FloatArray:
+    """(Q, K) Jaccard distances of the features of the queries and of their near shapes (Q, K)."""
     by_column = features.tocsc()
-    jaccard = np.empty((len(rows), length))
+    jaccard = np.empty(near.shape)
     for number, row in enumerate(rows):
-        overlap = np.zeros(n)  # Σ min of the weights, with every shape
+        overlap = np.zeros(features.shape[0])  # Σ min of the weights, with every shape
         own = slice(features.indptr[row], features.indptr[row + 1])
         for column, value in zip(features.indices[own], features.data[own], strict=True):
             others = slice(by_column.indptr[column], by_column.indptr[column + 1])
             overlap[by_column.indices[others]] += np.minimum(by_column.data[others], value)
-        common = overlap[lists.order[row]]
+        common = overlap[near[number]]
         jaccard[number] = 1 - common / (2 - common)
-    plain = lists.distances[rows]
-    mean = np.maximum(plain[:, 1:].mean(axis=1, keepdims=True), np.finfo(np.float64).tiny)
-    return np.asarray((1 - weight) * jaccard + weight * plain / mean)
+    return jaccard
 
 
 def nearest_matrix(order: Positions, k: int) -> csr_array:

@@ -100,18 +100,27 @@ def _links(mesh: TriangleMesh) -> tuple[NDArray[np.int64], FloatArray]:
     length = np.linalg.norm(along, axis=1)  # (t,)
     twice, start, along, length = (kept[length > 0] for kept in (twice, start, along, length))
     across = np.column_stack([opposite[twice], opposite[twice + 1]])  # (t, 2)
-    offsets = vertices[across] - start[:, np.newaxis]  # (t, 2, 3)
+    inside, diagonals = _diagonals(vertices[across] - start[:, np.newaxis], along, length)
+    inside &= across[:, 0] != across[:, 1]
+    sides = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    # A link of length 0 would be none: scipy leaves zeros of sparse matrices out of a graph.
+    smallest = np.finfo(np.float64).eps * mesh.diagonal
+    lengths = np.maximum(np.concatenate([sides, diagonals[inside]]), smallest)
+    return np.concatenate([edges, across[inside]]), lengths
+
+
+def _diagonals(
+    offsets: FloatArray, along: FloatArray, length: FloatArray
+) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Whether the diagonal of two faces, unfolded into a plane, crosses their common edge; and its length.
+
+    offsets: (t, 2, 3), from the start of the edge to the other vertices. along, length: of the edge.
+    """
     x = np.einsum("tkd,td->tk", offsets, along) / length[:, np.newaxis]
     y = np.sqrt(np.maximum((offsets**2).sum(axis=2) - x**2, 0))
     height = y.sum(axis=1)
     crossing = x[:, 0] + (x[:, 1] - x[:, 0]) * y[:, 0] / np.where(height > 0, height, 1)
-    inside = (crossing > 0) & (crossing < length) & (across[:, 0] != across[:, 1])
-    diagonals = np.hypot(x[:, 0] - x[:, 1], height)[inside]
-    sides = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-    # A link of length 0 would be none: scipy leaves zeros of sparse matrices out of a graph.
-    smallest = np.finfo(np.float64).eps * mesh.diagonal
-    lengths = np.maximum(np.concatenate([sides, diagonals]), smallest)
-    return np.concatenate([edges, across[inside]]), lengths
+    return (crossing > 0) & (crossing < length), np.hypot(x[:, 0] - x[:, 1], height)
 
 
 def scaled_coordinates(distances: FloatArray) -> FloatArray:
@@ -335,22 +344,32 @@ def _smallest_mean(
         for view in range(n_views):
             turned = exchanges[rotation, view]
             if known[turned, view] < 0:
-                i, end = starts[turned], starts[turned + 1]
-                j, other_end = other_starts[view], other_starts[view + 1]
-                size = counts[i:end].sum()
-                other_size = other_counts[j:other_end].sum()
-                common = 0
-                while i < end and j < other_end:
-                    if words[i] == other_words[j]:
-                        common += min(counts[i], other_counts[j])
-                        i += 1
-                        j += 1
-                    elif words[i] < other_words[j]:
-                        i += 1
-                    else:
-                        j += 1
-                larger = max(size, other_size)
-                known[turned, view] = 1 - common / larger if larger > 0 else 0.0
+                here = slice(starts[turned], starts[turned + 1])
+                there = slice(other_starts[view], other_starts[view + 1])
+                known[turned, view] = _distance(
+                    words[here], counts[here], other_words[there], other_counts[there]
+                )
             total += known[turned, view]
         smallest = min(smallest, total)
     return smallest / n_views
+
+
+@njit(cache=True)
+def _distance(
+    words: IntArray, counts: IntArray, other_words: IntArray, other_counts: IntArray
+) -> float:
+    """1 − Σ min(a, b) / max(Σ a, Σ b) of the frequencies a and b of two views; words ascend."""
+    larger = max(counts.sum(), other_counts.sum())
+    if larger == 0:
+        return 0.0
+    common, i, j = 0, 0, 0
+    while i < len(words) and j < len(other_words):
+        if words[i] == other_words[j]:
+            common += min(counts[i], other_counts[j])
+            i += 1
+            j += 1
+        elif words[i] < other_words[j]:
+            i += 1
+        else:
+            j += 1
+    return float(1 - common / larger)

@@ -215,39 +215,53 @@ def triplet_loss(
     n_surfaces, n_points, length = points.shape
     features = points.reshape(-1, length)  # (n, d)
     codes = sparse_codes(features, atoms, n_iterations)  # (n, L)
-    pooled = (
-        (np.abs(codes) * (1 / n_points)).reshape(n_surfaces, n_points, -1).sum(axis=1)
-    )  # (S, L)
+    shares = np.abs(codes) * (1 / n_points)
+    pooled = shares.reshape(n_surfaces, n_points, -1).sum(axis=1)  # (S, L)
+    loss, by_pooled = _loss_of_shares(pooled, labels, margin)
+    by_codes = np.sign(codes) / n_points * np.repeat(by_pooled, n_points, axis=0)  # (n, L)
+    solved = _active_solutions(codes, atoms, by_codes)
+    gradient = solved.T @ (features - codes @ atoms) - codes.T @ (solved @ atoms)
+    return loss, gradient
+
+
+def _loss_of_shares(
+    pooled: FloatArray, labels: NDArray[np.str_], margin: float
+) -> tuple[float, FloatArray]:
+    """The loss of mean absolute codes (S, L), and its derivative (S, L) by them."""
     totals = np.maximum(pooled.sum(axis=1, keepdims=True), np.finfo(float).tiny)
     roots = np.sqrt(pooled / totals + SMALLEST)  # (S, L): h
 
-    apart, alike = _squares_apart(roots), labels[:, np.newaxis] == labels  # (S, S)
-    hinges = margin + apart[:, :, np.newaxis] - apart[:, np.newaxis]  # (q, p, n)
-    counted = (alike & ~np.eye(n_surfaces, dtype=bool))[:, :, np.newaxis] & ~alike[:, np.newaxis]
-    active = (hinges > 0) & counted
-    weights = active.sum(axis=2) - active.sum(
-        axis=1
-    )  # (S, S): the derivative by the squared distances
-    weights = (weights + weights.T) / counted.sum()
-
+    loss, weights = _hinges(_squares_apart(roots), labels, margin)
     by_roots = 2 * (weights.sum(axis=1, keepdims=True) * roots - weights @ roots)
     by_shares = by_roots / (2 * roots)
     by_pooled = (by_shares - (by_shares * pooled / totals).sum(axis=1, keepdims=True)) / totals
-    by_codes = np.sign(codes) / n_points * np.repeat(by_pooled, n_points, axis=0)  # (n, L)
+    return loss, by_pooled
+
+
+def _hinges(apart: FloatArray, labels: NDArray[np.str_], margin: float) -> tuple[float, FloatArray]:
+    """The loss of squared distances (S, S), and its derivative (S, S) by them."""
+    alike = labels[:, np.newaxis] == labels  # (S, S)
+    hinges = margin + apart[:, :, np.newaxis] - apart[:, np.newaxis]  # (q, p, n)
+    counted = (alike & ~np.eye(len(labels), dtype=bool))[:, :, np.newaxis] & ~alike[:, np.newaxis]
+    active = (hinges > 0) & counted
+    weights = active.sum(axis=2) - active.sum(axis=1)
+    loss = float((hinges * active).sum() / counted.sum())
+    return loss, (weights + weights.T) / counted.sum()
+
+
+def _active_solutions(codes: FloatArray, atoms: FloatArray, right: FloatArray) -> FloatArray:
+    """(n, L) β: solutions of (D Dᵀ)_ΛΛ β_Λ = right_Λ for the active atoms Λ of each code, else zero."""
     # The k active atoms of each code come first, and those behind them are left out of the equations.
-    first = np.argsort(codes == 0, axis=1, kind="stable")[
-        :, : (codes != 0).sum(axis=1).max()
-    ]  # (n, k)
+    most = (codes != 0).sum(axis=1).max()
+    first = np.argsort(codes == 0, axis=1, kind="stable")[:, :most]  # (n, k)
     used = np.take_along_axis(codes != 0, first, axis=1)
     gram = (atoms @ atoms.T)[first[:, :, np.newaxis], first[:, np.newaxis]]  # (n, k, k)
     gram *= used[:, :, np.newaxis] & used[:, np.newaxis]
     gram += np.eye(first.shape[1]) * np.where(used, RIDGE, 1.0)[:, np.newaxis]
-    right, solved = np.take_along_axis(by_codes, first, axis=1), np.zeros_like(codes)
-    np.put_along_axis(
-        solved, first, np.linalg.solve(gram, right[:, :, np.newaxis])[:, :, 0], axis=1
-    )  # β
-    gradient = solved.T @ (features - codes @ atoms) - codes.T @ (solved @ atoms)
-    return float((hinges * active).sum() / counted.sum()), gradient
+    given = np.take_along_axis(right, first, axis=1)[:, :, np.newaxis]
+    solved = np.zeros_like(codes)
+    np.put_along_axis(solved, first, np.linalg.solve(gram, given)[:, :, 0], axis=1)
+    return solved
 
 
 def _squares_apart(rows: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,11 +155,7 @@ def _described(
     unit = 3 * level.scale
     disc = distances <= DISC * unit
     weights = areas * np.exp(-((distances / (DISC_WEIGHT * unit)) ** 2) / 2)
-    normal = (weights * disc) @ level.normals[near]
-    normal /= np.linalg.norm(normal) or 1.0
-    right = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    right /= np.linalg.norm(right) or 1.0
-    plane = np.stack([right, np.cross(normal, right)])  # (2, 3)
+    plane = _tangent_axes((weights * disc) @ level.normals[near])
     tilts = level.normals[near] @ plane.T  # (v, 2): normals in the tangent plane
     tilt = np.linalg.norm(tilts, axis=1)
     slants = np.arctan2(tilts[:, 1], tilts[:, 0])
@@ -167,25 +163,46 @@ def _described(
     offsets *= (distances / np.maximum(np.linalg.norm(offsets, axis=1), 1e-12))[:, np.newaxis] / (
         CIRCLE * unit
     )
-    large, small = level.curvatures[near].T
-    index = (
-        np.arctan2(large + small, np.maximum(large - small, 0)) / np.pi + 0.5
-    )  # from 0, a cup, to 1
+    bins = _shape_bins(level.curvatures[near])
     made = []
     for angle in _directions(slants[disc], (weights * tilt)[disc]):
-        cos, sin = np.cos(angle), np.sin(angle)
-        turned = offsets @ np.array([[cos, -sin], [sin, cos]])
-        gaps = np.linalg.norm(turned[:, np.newaxis] - CENTRES, axis=2) * CIRCLE / PATCH  # (v, 9)
-        share = np.where(gaps <= 1, np.exp(-(gaps**2) / 2), 0) * areas[:, np.newaxis]
-        bins = np.minimum((index * N_BINS).astype(int), N_BINS - 1)
         by_slant = np.floor((slants - angle) / (2 * np.pi) * N_BINS).astype(int) % N_BINS
+        share = _in_patches(offsets, angle) * areas[:, np.newaxis]  # (v, 9)
         shapes = np.array([np.bincount(bins, column, N_BINS) for column in share.T])  # (9, 8)
         turns = np.array([np.bincount(by_slant, column * tilt, N_BINS) for column in share.T])
-        parts = [part / (np.linalg.norm(part) or 1.0) for part in (shapes, turns)]
-        values = np.concatenate(parts, axis=1).ravel()
-        values = np.minimum(values / (np.linalg.norm(values) or 1.0), LARGEST)
-        made.append(values / (np.linalg.norm(values) or 1.0))
+        made.append(_joined(shapes, turns))
     return made
+
+
+def _tangent_axes(normal: FloatArray) -> FloatArray:
+    """(2, 3) two orthogonal directions that are perpendicular to a normal of any length."""
+    normal /= np.linalg.norm(normal) or 1.0
+    right = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    right /= np.linalg.norm(right) or 1.0
+    return np.stack([right, np.cross(normal, right)])
+
+
+def _shape_bins(curvatures: FloatArray) -> IntArray:
+    """(v,) the bins of the shape index, which goes from 0, a cup, to 1, of principal curvatures (v, 2)."""
+    large, small = curvatures.T
+    index = np.arctan2(large + small, np.maximum(large - small, 0)) / np.pi + 0.5
+    return np.asarray(np.minimum((index * N_BINS).astype(np.int32), N_BINS - 1))
+
+
+def _in_patches(offsets: FloatArray, angle: float) -> FloatArray:
+    """(v, 9) weights of neighbours in the nine patches, of which the second lies in a direction."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    turned = offsets @ np.array([[cos, -sin], [sin, cos]])
+    gaps = np.linalg.norm(turned[:, np.newaxis] - CENTRES, axis=2) * CIRCLE / PATCH
+    return np.where(gaps <= 1, np.exp(-(gaps**2) / 2), 0)
+
+
+def _joined(shapes: FloatArray, turns: FloatArray) -> FloatArray:
+    """(144,) the histograms (9, 8) of both kinds, each scaled to unit length, and cut off at `LARGEST`."""
+    parts = [part / (np.linalg.norm(part) or 1.0) for part in (shapes, turns)]
+    values = np.concatenate(parts, axis=1).ravel()
+    values = np.minimum(values / (np.linalg.norm(values) or 1.0), LARGEST)
+    return np.asarray(values / (np.linalg.norm(values) or 1.0))
 
 
 def _directions(angles: FloatArray, weights: FloatArray) -> FloatArray:
@@ -273,10 +290,7 @@ def keypoints(scale_space: list[Level], mesh: TriangleMesh, most: int) -> tuple[
 def _curvatures(mesh: TriangleMesh, links: csr_array) -> tuple[FloatArray, FloatArray]:
     """Unit normals (n, 3), and principal curvatures (n, 2) fitted to differences of normals."""
     n = len(mesh.vertices)
-    corners = np.repeat(mesh.area_vectors, 3, axis=0)  # (3m, 3)
-    sums_of_vectors = [np.bincount(mesh.faces.ravel(), corners[:, k], n) for k in range(3)]
-    normals = np.column_stack(sums_of_vectors).astype(np.float64)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    normals = _unit_normals(mesh)
     # Two directions in the tangent plane: the axis that is the farthest from the normal, made orthogonal.
     axis = np.eye(3)[np.abs(normals).argmin(axis=1)]
     first = np.cross(normals, axis)
@@ -289,14 +303,29 @@ def _curvatures(mesh: TriangleMesh, links: csr_array) -> tuple[FloatArray, Float
     turn = (normals[ends] - normals[starts]) / length[:, np.newaxis]
     u, v = (np.einsum("ij,ij->i", along, plane[starts]) for plane in (first, second))
     du, dv = (np.einsum("ij,ij->i", turn, plane[starts]) for plane in (first, second))
-    # Unknowns a, b, c of (du, dv) = [[a, b], [b, c]] (u, v), by the normal equations.
     products = (u * u, u * v, v * v, u * du, v * du + u * dv, v * dv)
-    uu, uv, vv, *right = (np.bincount(starts, product, n) for product in products)
-    zero = np.zeros(n)
-    matrix = np.array([[uu, uv, zero], [uv, uu + vv, uv], [zero, uv, vv]]).transpose(
-        2, 0, 1
-    )  # (n, 3, 3)
+    return normals, _fitted_curvatures([np.bincount(starts, each, n) for each in products])
+
+
+def _unit_normals(mesh: TriangleMesh) -> FloatArray:
+    """(n, 3) unit normals of the vertices: the directions of the sums of the area vectors of their faces."""
+    corners = np.repeat(mesh.area_vectors, 3, axis=0)  # (3m, 3)
+    sums = [np.bincount(mesh.faces.ravel(), corners[:, k], len(mesh.vertices)) for k in range(3)]
+    normals = np.column_stack(sums).astype(np.float64)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    return normals
+
+
+def _fitted_curvatures(sums: list[NDArray[Any]]) -> FloatArray:
+    """(n, 2) eigenvalues of [[a, b], [b, c]], which maps edges (u, v) to turns (du, dv) of the normal.
+
+    sums: (n,) those over the edges of a vertex that the normal equations for a, b, c have: u u, u v, v v, and
+        the three right sides.
+    """
+    uu, uv, vv, *right = sums
+    zero = np.zeros(len(uu))
+    matrix = np.array([[uu, uv, zero], [uv, uu + vv, uv], [zero, uv, vv]]).transpose(2, 0, 1)
     matrix = matrix + 1e-9 * np.eye(3)  # regular for a vertex with one edge, too
     a, b, c = np.linalg.solve(matrix, np.column_stack(right)[:, :, np.newaxis])[:, :, 0].T
     middle, spread = (a + c) / 2, np.hypot((a - c) / 2, b)
-    return normals, np.column_stack([middle + spread, middle - spread])
+    return np.column_stack([middle + spread, middle - spread])

@@ -6,7 +6,8 @@ import numpy as np
 from scipy.linalg import LinAlgError, eigh
 
 from pcretrieve.errors import OptionError, SpectrumError
-from pcretrieve.spectral.krylov import BLOCK, basis_size, block_krylov
+from pcretrieve.spectral.blocks import BLOCK
+from pcretrieve.spectral.krylov import basis_size, block_krylov
 from pcretrieve.values import Eigenpairs, FloatArray, LaplaceBeltrami
 from pcretrieve.values.base import check_type
 

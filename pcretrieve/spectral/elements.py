@@ -122,29 +122,41 @@ def assembled(mesh: TriangleMesh, nodes: Index, element: ReferenceElement) -> As
     opposite = (np.roll(edges, -1, axis=1) * np.roll(edges, -2, axis=1)).sum(axis=0)  # (3, m)
     half_cotangents = np.ascontiguousarray((-opposite / (4 * area)).T)  # (m, 3)
 
-    n = int(nodes.max()) + 1
-    boundary, lone = np.zeros(n, dtype=bool), lone_sides(mesh)
+    boundary, lone = np.zeros(int(nodes.max()) + 1, dtype=bool), lone_sides(mesh)
     along, side, back = [element.along], element.side, np.argsort(element.turn)
     for k in range(3):
         boundary[nodes[lone[:, k]][:, side]] = True
         along.append(along[k][np.ix_(back, back)])
         side = element.turn[side]
+    stiffness, mass = _summed(nodes, half_cotangents, np.array(along[:3]), area, element.mass)
+    return Assembled(stiffness, mass, boundary)
+
+
+def _summed(
+    nodes: Index,
+    half_cotangents: FloatArray,
+    along: FloatArray,
+    area: FloatArray,
+    mass: FloatArray,
+) -> tuple[csc_array, csc_array]:
+    """The sums of the element matrices of all faces: Σ_k (m, 3) · (3, q, q), and (m,) · (q, q)."""
     # Assembled as the real and the imaginary part of one matrix, so that its pattern is sorted once, and as
     # half of each symmetric element matrix: the sum with the transpose is symmetric in spite of rounding.
     one, two = np.triu_indices(nodes.shape[1])
     half = np.where(one == two, 0.5, 1.0)
     local = np.empty((len(nodes), len(half)), dtype=np.complex128)
-    local.real = half_cotangents @ (np.array(along[:3])[:, one, two] * half)
-    local.imag = area[:, None] * (element.mass[one, two] * half)
+    local.real = half_cotangents @ (along[:, one, two] * half)
+    local.imag = area[:, None] * (mass[one, two] * half)
+    n = int(nodes.max()) + 1
     total = coo_array(
         (local.ravel(), (nodes[:, one].ravel(), nodes[:, two].ravel())), shape=(n, n)
     ).tocsc()
     total = csc_array(total + total.T)
-    stiffness, mass = (
+    real, imaginary = (
         csc_array((part.copy(), total.indices, total.indptr), shape=(n, n))
         for part in (total.data.real, total.data.imag)
     )
-    return Assembled(stiffness, mass, boundary)
+    return real, imaginary
 
 
 def check_faces(mesh: TriangleMesh) -> None:

@@ -97,7 +97,6 @@ def stars(positions: FloatArray, normals: FloatArray | None = None) -> IntArray:
     """
     from scipy.spatial import KDTree
 
-    n = len(positions)
     # (n, 1 + k); the first column is the point itself
     distance, neighbors = map(np.asarray, KDTree(positions).query(positions, NEIGHBORS + 1))
     double = int((distance[:, 1] == 0).sum())
@@ -105,22 +104,26 @@ def stars(positions: FloatArray, normals: FloatArray | None = None) -> IntArray:
         raise DegenerateMeshError(
             f"points must be distinct, got {double} that are there more than once"
         )
-    shaken = positions + JITTER * distance[:, 1:2] * np.random.default_rng(0).standard_normal(
-        (n, 3)
-    )
+    shifts = np.random.default_rng(0).standard_normal(positions.shape)
+    shaken = positions + JITTER * distance[:, 1:2] * shifts
     offset = shaken[neighbors] - shaken[:, None]  # (n, 1 + k, 3)
     plane, reaches = _tangent_planes(offset, neighbors, normals)
     planar = offset @ plane  # (n, 1 + k, 2)
     # The projection keeps the distance in space. Neighbours that are not used are at infinity.
     direction = np.exp(1j * np.arctan2(planar[..., 1], planar[..., 0]))
     length = np.where(reaches, np.linalg.norm(offset, axis=2), np.inf)
-    inverted = (
-        direction / length
-    )  # (n, 1 + k); the point itself, and neighbours not used, are at the origin
+    # The point itself, and neighbours that are not used, are at the origin.
+    return _wrapped(direction / length, neighbors)
 
+
+def _wrapped(inverted: NDArray[np.complex128], neighbors: NDArray[np.intp]) -> IntArray:
+    """The triangles of each point and two neighbours that are the ends of a side of the hull of `inverted`.
+
+    inverted: (n, 1 + k) complex, the inverted neighbours of each point in its plane.
+    """
     # Gift wrapping starts at the nearest neighbour, the inverted point of largest magnitude, which is on the
     # hull, in the direction perpendicular to it.
-    centre = np.arange(n)
+    centre = np.arange(len(inverted))
     first = here = np.abs(inverted).argmax(axis=1)
     heading = 1j * inverted[centre, here]
     triangles = []
