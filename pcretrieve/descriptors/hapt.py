@@ -181,16 +181,26 @@ def _vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     normals = np.zeros_like(vertices)
     for f in range(len(faces)):
         for k in range(3):
-            here, after, before = faces[f, k], faces[f, k - 2], faces[f, k - 1]
-            a, b, c = vertices[here, 0], vertices[here, 1], vertices[here, 2]
-            u, v, w = vertices[after, 0] - a, vertices[after, 1] - b, vertices[after, 2] - c
-            x, y, z = vertices[before, 0] - a, vertices[before, 1] - b, vertices[before, 2] - c
-            across = (v * z - w * y, w * x - u * z, u * y - v * x)
-            double = np.sqrt(across[0] ** 2 + across[1] ** 2 + across[2] ** 2)  # twice the area
-            angle = np.arctan2(double, u * x + v * y + w * z)
+            here = faces[f, k]
+            part = _weighted_normal(vertices, here, faces[f, k - 2], faces[f, k - 1])
             for axis in range(3):
-                normals[here, axis] += angle * across[axis] / max(double, np.finfo(np.float64).tiny)
+                normals[here, axis] += part[axis]
     return normals
+
+
+@njit(cache=True)
+def _weighted_normal(
+    vertices: FloatArray, here: int, after: int, before: int
+) -> tuple[float, float, float]:
+    """The unit normal of a triangle times its angle at the corner `here`."""
+    a, b, c = vertices[here, 0], vertices[here, 1], vertices[here, 2]
+    u, v, w = vertices[after, 0] - a, vertices[after, 1] - b, vertices[after, 2] - c
+    x, y, z = vertices[before, 0] - a, vertices[before, 1] - b, vertices[before, 2] - c
+    across = (v * z - w * y, w * x - u * z, u * y - v * x)
+    double = np.sqrt(across[0] ** 2 + across[1] ** 2 + across[2] ** 2)  # twice the area
+    angle = np.arctan2(double, u * x + v * y + w * z)
+    length = max(double, np.finfo(np.float64).tiny)
+    return angle * across[0] / length, angle * across[1] / length, angle * across[2] / length
 
 
 def _ball(radius: float) -> tuple[NDArray[np.intp], FloatArray]:

@@ -7,6 +7,7 @@ space too: where the range jumps, neighbours on the grid belong to different sur
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -92,35 +93,8 @@ def _normals(
     grid: FloatArray, measured: NDArray[np.bool_], spacing: FloatArray, band: slice
 ) -> FloatArray:
     """(b, w, 3) unit normals of a band of rows, by the covariance of neighbours; zero where there are few."""
-    start, stop, _ = band.indices(len(grid))
-    height, width = measured.shape
-    here = measured[start:stop]  # (b, w)
-    planes = grid.transpose(2, 0, 1)
-    count = np.zeros(here.shape)
-    totals = np.zeros((3, *here.shape))
-    products = np.zeros((len(PAIRS), *here.shape))
-    reach = range(-REACH, REACH + 1)
-    for down, right in itertools.product(reach, reach):
-        if not (down or right):
-            continue
-        top, bottom = max(start, -down), min(stop, height - down)
-        left, end = max(0, -right), min(width, width - right)
-        if top >= bottom or left >= end:
-            continue
-        own = slice(top, bottom), slice(left, end)
-        inner = slice(top - start, bottom - start), slice(left, end)
-        outer = slice(top + down, bottom + down), slice(left + right, end + right)
-        apart = [plane[outer] - plane[own] for plane in planes]  # three (b', w')
-        squares = apart[0] * apart[0] + apart[1] * apart[1] + apart[2] * apart[2]
-        near = (squares <= (MOST_APART * np.hypot(down, right) * spacing[own]) ** 2) & measured[
-            outer
-        ]
-        count[inner] += near
-        for k in range(3):
-            apart[k] = np.where(near, apart[k], 0)
-            totals[k][inner] += apart[k]
-        for product, (i, j) in zip(products, PAIRS, strict=True):
-            product[inner] += apart[i] * apart[j]
+    here = measured[band]  # (b, w)
+    count, totals, products = _sums_of_neighbors(grid, measured, spacing, band)
     # Coordinates of damaged files have no squares.
     enough = here & (count >= FEWEST_NEIGHBORS) & np.isfinite(products).all(axis=0)
     n = count[enough] + 1  # with the reading itself, which is at zero
@@ -131,3 +105,49 @@ def _normals(
     normals = np.zeros((*here.shape, 3))
     normals[enough] = np.linalg.eigh(covariance)[1][:, :, 0]
     return normals
+
+
+def _sums_of_neighbors(
+    grid: FloatArray, measured: NDArray[np.bool_], spacing: FloatArray, band: slice
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The number (b, w) of neighbours on the same surface, and sums of their places relative to a reading.
+
+    The sums are those of the places (3, b, w), and of their products (6, b, w) in the order of `PAIRS`.
+    """
+    shape = measured[band].shape
+    count, totals = np.zeros(shape), np.zeros((3, *shape))
+    products = np.zeros((len(PAIRS), *shape))
+    for distance, own, inner, outer in _windows(measured.shape, band):
+        apart = [plane[outer] - plane[own] for plane in grid.transpose(2, 0, 1)]  # three (b', w')
+        squares = apart[0] * apart[0] + apart[1] * apart[1] + apart[2] * apart[2]
+        farthest = MOST_APART * distance * spacing[own]
+        near = (squares <= farthest**2) & measured[outer]
+        count[inner] += near
+        for k in range(3):
+            apart[k] = np.where(near, apart[k], 0)
+            totals[k][inner] += apart[k]
+        for product, (i, j) in zip(products, PAIRS, strict=True):
+            product[inner] += apart[i] * apart[j]
+    return count, totals, products
+
+
+Window = tuple[slice, slice]
+
+
+def _windows(shape: tuple[int, ...], band: slice) -> Iterator[tuple[float, Window, Window, Window]]:
+    """For each place of a neighbour, its distance on the grid, and the readings that have such a neighbour.
+
+    These readings as a window of the grid and of the band, and their neighbours as a window of the grid.
+    """
+    height, width = shape
+    start, stop, _ = band.indices(height)
+    reach = range(-REACH, REACH + 1)
+    for down, right in itertools.product(reach, reach):
+        top, bottom = max(start, -down), min(stop, height - down)
+        left, end = max(0, -right), min(width, width - right)
+        if not (down or right) or top >= bottom or left >= end:
+            continue
+        own = slice(top, bottom), slice(left, end)
+        inner = slice(top - start, bottom - start), slice(left, end)
+        outer = slice(top + down, bottom + down), slice(left + right, end + right)
+        yield float(np.hypot(down, right)), own, inner, outer

@@ -15,7 +15,7 @@ from pcretrieve.formats.format import RawScan, url_of
 from pcretrieve.formats.meshes import welded
 from pcretrieve.formats.registry import read_raw
 from pcretrieve.formats.remote import local_copy
-from pcretrieve.values import METRES, UNIT, PointCloud, Step, TriangleMesh
+from pcretrieve.values import METRES, UNIT, FloatArray, PointCloud, Step, TriangleMesh
 from pcretrieve.values.base import check_type
 from pcretrieve.values.conversion import GeometryLike, as_geometry
 
@@ -87,10 +87,13 @@ def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:
     raw, unit = _in_metres(raw)
     n = len(raw.points)
     notes = list(raw.notes)
-    points, kept = raw.points, np.isfinite(raw.points)
-    if not kept.all():
-        kept = kept.all(axis=1)  # (n,)
-        points = points[kept]
+    kept = np.isfinite(raw.points).all(axis=1)  # (n,)
+
+    def of_points(rows: NDArray[Any]) -> NDArray[Any]:
+        return rows if kept.all() else rows[kept]
+
+    points = of_points(raw.points)
+    if len(points) < n:
         notes.append(f"dropped {n - len(points)} of {n} points that were NaN or infinite")
     if not len(points):
         held = f"all {n} of this one are NaN or infinite" if n else "this one has none at all"
@@ -102,48 +105,59 @@ def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:
             f"and volumes are numbers too, got {largest:g}: give the scan in another unit"
         )
 
-    def of_points(rows: NDArray[Any]) -> NDArray[Any]:
-        return rows if len(points) == n else rows[kept]
-
     if raw.faces is not None:
-        faces = raw.faces
-        if faces.size and (faces.min() < 0 or faces.max() >= n):
-            raise ScanReadError(
-                f"faces must name vertices 0 to {n - 1}, got {faces.min()} to {faces.max()}"
-            )
-        if len(points) < n:
-            numbers = np.cumsum(kept) - 1  # (n,), of the vertices that are left
-            faces = numbers[faces[kept[faces].all(axis=1)]]
+        points, faces = _valid_faces(points, kept, raw.faces)
         if len(faces):
-            points, faces = welded(points, faces.astype(np.int64))
             sizes = {"vertices": n, "faces": len(raw.faces), **unit}
             step = Step("read", time.perf_counter() - started, sizes, tuple(notes))
-            return TriangleMesh(points, faces.astype(np.int32), (step,))
+            return TriangleMesh(points, faces, (step,))
         notes.append("took the vertices as points: no face has three of them")
 
-    normals = raw.normals
-    if normals is not None:
-        normals = of_points(normals)
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        usable = np.isfinite(length) & (length > 0)
-        if usable.all():
-            normals = normals / length
-        else:
-            notes.append(
-                f"ignored the file's normals: {int((~usable).sum())} of them have no direction"
-            )
-            normals = None
-    viewpoints = raw.viewpoints
-    if viewpoints is not None:
-        viewpoints = of_points(np.broadcast_to(viewpoints, (n, 3)))
-        if not (np.abs(viewpoints) <= LARGEST_COORDINATE).all():
-            notes.append(
-                "ignored the file's sensor positions: some are NaN, infinite or beyond "
-                f"{LARGEST_COORDINATE:g}"
-            )
-            viewpoints = None
+    normals = None if raw.normals is None else _unit_normals(of_points(raw.normals), notes)
+    viewpoints = None
+    if raw.viewpoints is not None:
+        viewpoints = _finite_viewpoints(of_points(np.broadcast_to(raw.viewpoints, (n, 3))), notes)
     step = Step("read", time.perf_counter() - started, {"points": n} | unit, tuple(notes))
     return PointCloud(points, normals, viewpoints, (step,))
+
+
+def _valid_faces(
+    points: FloatArray, kept: NDArray[np.bool_], faces: NDArray[Any]
+) -> tuple[FloatArray, NDArray[np.int32]]:
+    """The faces whose vertices are all kept, and the kept points, with those that coincide welded."""
+    n = len(kept)
+    if faces.size and (faces.min() < 0 or faces.max() >= n):
+        raise ScanReadError(
+            f"faces must name vertices 0 to {n - 1}, got {faces.min()} to {faces.max()}"
+        )
+    if len(points) < n:
+        numbers = np.cumsum(kept) - 1  # (n,), of the vertices that are left
+        faces = numbers[faces[kept[faces].all(axis=1)]]
+    if not len(faces):
+        return points, faces.astype(np.int32)
+    points, faces = welded(points, faces.astype(np.int64))
+    return points, faces.astype(np.int32)
+
+
+def _unit_normals(normals: FloatArray, notes: list[str]) -> FloatArray | None:
+    """The normals, scaled to unit length; None if one has no direction."""
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    usable = np.isfinite(length) & (length > 0)
+    if usable.all():
+        return np.asarray(normals / length)
+    notes.append(f"ignored the file's normals: {int((~usable).sum())} of them have no direction")
+    return None
+
+
+def _finite_viewpoints(viewpoints: FloatArray, notes: list[str]) -> FloatArray | None:
+    """The positions of the sensors, unless one is no place."""
+    if (np.abs(viewpoints) <= LARGEST_COORDINATE).all():
+        return viewpoints
+    notes.append(
+        "ignored the file's sensor positions: some are NaN, infinite or beyond "
+        f"{LARGEST_COORDINATE:g}"
+    )
+    return None
 
 
 def _in_metres(raw: RawScan) -> tuple[RawScan, dict[str, float]]:

@@ -222,23 +222,15 @@ def ground_of(points: FloatArray, viewpoints: FloatArray | None = None) -> Groun
     rng = np.random.default_rng(0)
     some = np.sort(rng.permutation(len(points))[:COMPARED])
     few = points[some]
-    middle = few.mean(axis=0)
     diagonal = bounding_diagonal(few)
     if not diagonal:
         return None
     close = neighborhoods(points, PLANE_NEIGHBORS + 1, of_some=True)
     thickness = max(THICKNESS * diagonal, THICKNESS_OF_NOISE * noise(points, close))
-    normals, offsets = _planes(few - middle, rng)
-    heights = normals @ (few - middle).T - offsets[:, None]  # (planes, s)
-    on = (abs(heights) <= thickness).mean(axis=1)
-    above = (heights > thickness).mean(axis=1)
-    # Three collinear points have no plane: all points are on it, and none are on the body.
-    possible = (np.minimum(above, 1 - on - above) <= MOST_BENEATH) & (on <= 1 - LEAST_SHARE)
-    best = int(np.where(possible, on, 0).argmax())
-    if not (possible[best] and on[best] >= LEAST_SHARE):
+    up, inliers = _largest_plane(few, thickness, rng)
+    if not len(inliers):
         return None
-    up = normals[best] if above[best] > 0.5 * (1 - on[best]) else -normals[best]
-    up, height = fitted_plane(points, few[abs(heights[best]) <= thickness], up, thickness)
+    up, height = fitted_plane(points, inliers, up, thickness)
     on_plane = abs(height) <= thickness
     body = height > 2 * thickness
     if not (on_plane.mean() >= LEAST_SHARE and body.mean() >= LEAST_SHARE):
@@ -259,6 +251,27 @@ def ground_of(points: FloatArray, viewpoints: FloatArray | None = None) -> Groun
     centre = np.median(points[body], axis=0)
     place = centre - (height[body][0] + (centre - points[body][0]) @ up) * up
     return Ground(place, up, height <= removed)
+
+
+def _largest_plane(
+    few: FloatArray, thickness: float, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Find the plane with most points among random ones with hardly a point beneath.
+
+    Returns its normal and its points (k, 3); none if each plane has too few.
+    """
+    middle = few.mean(axis=0)
+    normals, offsets = _planes(few - middle, rng)
+    heights = normals @ (few - middle).T - offsets[:, None]  # (planes, s)
+    on = (abs(heights) <= thickness).mean(axis=1)
+    above = (heights > thickness).mean(axis=1)
+    # Three collinear points have no plane: all points are on it, and none are on the body.
+    possible = (np.minimum(above, 1 - on - above) <= MOST_BENEATH) & (on <= 1 - LEAST_SHARE)
+    best = int(np.where(possible, on, 0).argmax())
+    up = normals[best] if above[best] > 0.5 * (1 - on[best]) else -normals[best]
+    if not (possible[best] and on[best] >= LEAST_SHARE):
+        return up, few[:0]
+    return up, few[abs(heights[best]) <= thickness]
 
 
 def _planes(points: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:

@@ -79,9 +79,8 @@ def components(voxels: Mask, corners: bool) -> tuple[NDArray[np.int32], NDArray[
     n_x, n_y, _ = voxels.shape
     begins, ends, lines = _runs(voxels)
     parent = np.arange(len(begins))
-    apart = (
-        0 if corners else -1
-    )  # the largest number of voxels from the end of a run to an adjacent run
+    # The largest number of voxels from the end of a run to an adjacent run.
+    apart = 0 if corners else -1
     for x in range(n_x):
         for y in range(n_y):
             line = x * n_y + y
@@ -90,15 +89,7 @@ def components(voxels: Mask, corners: bool) -> tuple[NDArray[np.int32], NDArray[
             if x:
                 for other in range(max(0, y - corners), min(n_y, y + corners + 1)):
                     _join(parent, begins, ends, lines, line, line - n_y - y + other, apart)
-    label = np.zeros(len(begins), dtype=np.int32)
-    n = 0
-    for run in range(len(begins)):  # roots come before the runs that are joined to them
-        root = _root(parent, run)
-        if root == run:
-            n += 1
-            label[run] = n
-        else:
-            label[run] = label[root]
+    label, n = _numbered(parent)
     labels = np.zeros(voxels.shape, dtype=np.int32)
     sizes = np.zeros(n + 1, dtype=np.int64)
     sizes[0] = voxels.size
@@ -182,6 +173,21 @@ def _root(parent: NDArray[np.int64], run: int) -> int:
     return run
 
 
+@njit(cache=True)
+def _numbered(parent: NDArray[np.int64]) -> tuple[NDArray[np.int32], int]:
+    """The number of the component of each run, from 1; and how many there are."""
+    label = np.zeros(len(parent), dtype=np.int32)
+    n = 0
+    for run in range(len(parent)):  # roots come before the runs that are joined to them
+        root = _root(parent, run)
+        if root == run:
+            n += 1
+            label[run] = n
+        else:
+            label[run] = label[root]
+    return label, n
+
+
 def distances(sources: Mask, limit: float) -> Voxels:
     """The Euclidean distance of each voxel to the nearest source voxel, at most `limit`, axis by axis [1]_.
 
@@ -205,29 +211,19 @@ def distances(sources: Mask, limit: float) -> Voxels:
 def _distances(sources: Mask, limit: float, most: int, squares: NDArray[Any]) -> Voxels:
     """The distances; in `squares` those along the axes so far, of which the farthest are most²."""
     n_x, n_y, n_z = sources.shape
-    size, begin = n_y * n_z, most * n_z
+    size = n_y * n_z
     _squares_along_z(sources, most, squares)
     planes = squares.reshape(n_x, size)
+    _lower_along_y(planes, most, n_y)
     nothing = np.full(size, most * most, dtype=squares.dtype)
-    padded = np.full(size + 2 * begin, most * most, dtype=squares.dtype)
-    for x in range(n_x):
-        best = planes[x]
-        padded[begin : begin + size] = best
-        # A square that is less than k² cannot become smaller by a neighbour k voxels away.
-        largest, k = best.max(), 1
-        while k < min(most, n_y) and k * k < largest:
-            _lower(best, padded[begin - k * n_z :], padded[begin + k * n_z :], k)
-            k += 1
     result = np.empty(planes.shape, dtype=np.float32)
     best = nothing.copy()
     for x in range(n_x):
         best[:] = planes[x]
         largest, k = best.max(), 1
         while k < min(most, n_x) and k * k < largest:
-            before, after = (
-                planes[x - k] if x >= k else nothing,
-                planes[x + k] if x + k < n_x else nothing,
-            )
+            before = planes[x - k] if x >= k else nothing
+            after = planes[x + k] if x + k < n_x else nothing
             _lower(best, before, after, k)
             k += 1
         away = result[x]
@@ -250,6 +246,22 @@ def _squares_along_z(sources: Mask, most: int, squares: NDArray[Any]) -> None:
             for z in range(n_z - 1, -1, -1):
                 away = min(np.int64(line[z]), away + 1)
                 line[z] = away * away
+
+
+@njit(cache=True)
+def _lower_along_y(planes: NDArray[Any], most: int, n_y: int) -> None:
+    """Lower the squares in each plane to those of its lines plus the squares of the distances to them."""
+    size = planes.shape[1]
+    n_z = size // n_y
+    begin = most * n_z
+    padded = np.full(size + 2 * begin, most * most, dtype=planes.dtype)
+    for best in planes:
+        padded[begin : begin + size] = best
+        # A square that is less than k² cannot become smaller by a neighbour k voxels away.
+        largest, k = best.max(), 1
+        while k < min(most, n_y) and k * k < largest:
+            _lower(best, padded[begin - k * n_z :], padded[begin + k * n_z :], k)
+            k += 1
 
 
 @njit(cache=True)
@@ -288,28 +300,45 @@ def interior(mesh: TriangleMesh, grid: Grid) -> Mask:
 @njit(cache=True)
 def _vote(votes: NDArray[np.int8], at: FloatArray, faces: IntArray, axis: int) -> None:
     """Add one for each voxel round which the winding number of a surface, along an axis, is not zero."""
-    turns = np.zeros(
-        votes.shape, dtype=np.int32
-    )  # by the crossings between a voxel and the one before
+    # By the crossings between a voxel and the one before.
+    turns = np.zeros(votes.shape, dtype=np.int32)
     place = np.zeros(3, dtype=np.int64)
     i, j = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
     for f in range(len(faces)):
         a, b, c = at[faces[f, 0]], at[faces[f, 1]], at[faces[f, 2]]
-        for u in range(
-            int(np.ceil(min(a[i], b[i], c[i]))), int(np.floor(max(a[i], b[i], c[i]))) + 1
-        ):
-            for v in range(
-                int(np.ceil(min(a[j], b[j], c[j]))), int(np.floor(max(a[j], b[j], c[j]))) + 1
-            ):
-                # Twice the signed areas of the triangles of the line and one edge, opposite each corner.
-                p = (b[i] - u) * (c[j] - v) - (b[j] - v) * (c[i] - u)
-                q = (c[i] - u) * (a[j] - v) - (c[j] - v) * (a[i] - u)
-                r = (a[i] - u) * (b[j] - v) - (a[j] - v) * (b[i] - u)
-                if not ((p > 0 and q > 0 and r > 0) or (p < 0 and q < 0 and r < 0)):
-                    continue
-                height = (p * a[axis] + q * b[axis] + r * c[axis]) / (p + q + r)
-                place[i], place[j], place[axis] = u, v, int(np.ceil(height))
-                turns[place[0], place[1], place[2]] += 1 if p > 0 else -1
+        first, last = int(np.ceil(min(a[i], b[i], c[i]))), int(np.floor(max(a[i], b[i], c[i])))
+        low, high = int(np.ceil(min(a[j], b[j], c[j]))), int(np.floor(max(a[j], b[j], c[j])))
+        for u in range(first, last + 1):
+            for v in range(low, high + 1):
+                turn, height = _crossing(a, b, c, (i, j, axis), u, v)
+                if turn:
+                    place[i], place[j], place[axis] = u, v, int(np.ceil(height))
+                    turns[place[0], place[1], place[2]] += turn
+    _count(votes, turns, axis)
+
+
+@njit(cache=True)
+def _crossing(
+    a: FloatArray, b: FloatArray, c: FloatArray, axes: tuple[int, int, int], u: int, v: int
+) -> tuple[int, float]:
+    """How a grid line turns round a triangle that it crosses, 1 or −1, and where; 0 if it does not.
+
+    (u, v): the place of the line along the first two axes; it runs along the third.
+    """
+    i, j, axis = axes
+    # Twice the signed areas of the triangles of the line and one edge, opposite each corner.
+    p = (b[i] - u) * (c[j] - v) - (b[j] - v) * (c[i] - u)
+    q = (c[i] - u) * (a[j] - v) - (c[j] - v) * (a[i] - u)
+    r = (a[i] - u) * (b[j] - v) - (a[j] - v) * (b[i] - u)
+    if not ((p > 0 and q > 0 and r > 0) or (p < 0 and q < 0 and r < 0)):
+        return 0, 0.0
+    height = (p * a[axis] + q * b[axis] + r * c[axis]) / (p + q + r)
+    return (1 if p > 0 else -1), height
+
+
+@njit(cache=True)
+def _count(votes: NDArray[np.int8], turns: NDArray[np.int32], axis: int) -> None:
+    """Add the turns along an axis, and one vote where their sum is not zero."""
     before = (axis == 0, axis == 1, axis == 2)
     for x in range(before[0], votes.shape[0]):
         for y in range(before[1], votes.shape[1]):

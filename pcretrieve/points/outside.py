@@ -9,7 +9,7 @@ from numba import njit
 
 from pcretrieve.arrays import bounds
 from pcretrieve.points.grid import Grid, Mask, Voxels, components, distances
-from pcretrieve.values import FloatArray
+from pcretrieve.values import FloatArray, IntArray
 
 # Number of empty voxels around the points, in which finite differences are computed.
 MARGIN = 3
@@ -79,42 +79,31 @@ def flood(
     # Around the points there is only outside, which later steps need not visit. All voxels `MARGIN` beyond
     # the points have been reached, so that none farther away is nearer to a voxel of the rest.
     held = points if further is None else np.concatenate([points, further])
-    at = grid.coordinates(np.array(bounds(held)))
+    grid, rest = _around(held, grid)
+    reached, distance = np.ascontiguousarray(reached[rest]), np.ascontiguousarray(distance[rest])
+    return Outside(grid, reached, distances(reached, deepest), distance)
+
+
+def _around(points: FloatArray, grid: Grid) -> tuple[Grid, tuple[slice, ...]]:
+    """The part of a grid that contains points, with a margin: the grid of this part, and its voxels."""
+    at = grid.coordinates(np.array(bounds(points)))
     low = np.maximum(np.floor(at[0]).astype(int) - MARGIN, 0)
     high = np.minimum(np.ceil(at[1]).astype(int) + MARGIN + 1, grid.shape)
-    rest = tuple(slice(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))
-    reached, distance = np.ascontiguousarray(reached[rest]), np.ascontiguousarray(distance[rest])
-    a, b, c = reached.shape
-    grid = Grid(grid.origin + low * cell, cell, (a, b, c))
-    return Outside(grid, reached, distances(reached, deepest), distance)
+    a, b, c = (high - low).tolist()
+    part = tuple(
+        slice(first, last) for first, last in zip(low.tolist(), high.tolist(), strict=True)
+    )
+    return Grid(grid.origin + low * grid.cell, grid.cell, (a, b, c)), part
 
 
 @njit(cache=True)
 def _regrown(outside: Mask, distance: Voxels, n_steps: int, clearance: float) -> Mask:
     """The voxels outside the walls, and those that are reached from them by a number of steps."""
-    n_x, n_y, n_z = outside.shape
     result: Mask = outside.copy()
-    was, reached, to_points = outside.ravel(), result.ravel(), distance.ravel()
-    a = n_y * n_z
-    step = (a, n_z, 1)
+    reached, to_points = result.ravel(), distance.ravel()
+    step = (outside.shape[1] * outside.shape[2], outside.shape[2], 1)
     front = np.empty(distance.size, dtype=np.int32)
-    n = 0
-    for x in range(1, n_x - 1):
-        for y in range(1, n_y - 1):
-            for z in range(1, n_z - 1):
-                c = (x * n_y + y) * n_z + z
-                if was[c] or to_points[c] <= clearance:
-                    continue
-                if (
-                    was[c - 1]
-                    or was[c + 1]
-                    or was[c - n_z]
-                    or was[c + n_z]
-                    or was[c - a]
-                    or was[c + a]
-                ):
-                    front[n] = c
-                    n += 1
+    n = _first_front(outside, to_points, clearance, front)
     for i in range(n):
         reached[front[i]] = True
     # Breadth-first search, one step for all voxels of the front at a time.
@@ -130,6 +119,26 @@ def _regrown(outside: Mask, distance: Voxels, n_steps: int, clearance: float) ->
                         n += 1
         begin = end
     return result
+
+
+@njit(cache=True)
+def _first_front(outside: Mask, to_points: Voxels, clearance: float, front: IntArray) -> int:
+    """Write the voxels with a face to the outside that are away from the points; returns their number."""
+    n_x, n_y, n_z = outside.shape
+    was = outside.ravel()
+    layer = n_y * n_z
+    n = 0
+    for x in range(1, n_x - 1):
+        for y in range(1, n_y - 1):
+            for z in range(1, n_z - 1):
+                c = (x * n_y + y) * n_z + z
+                if was[c] or to_points[c] <= clearance:
+                    continue
+                beside = was[c - 1] or was[c + 1] or was[c - n_z] or was[c + n_z]
+                if beside or was[c - layer] or was[c + layer]:
+                    front[n] = c
+                    n += 1
+    return n
 
 
 @njit(cache=True)

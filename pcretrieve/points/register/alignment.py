@@ -90,33 +90,54 @@ def adjusted(
     column = {number: slice(6 * k, 6 * k + 6) for k, number in enumerate(free)}
     pairs = [(i, j) for i in poses for j in poses if i != j and (i in column or j in column)]
     for step in steps:
-        farthest = step * reach
-        matrix, right = np.zeros((6 * len(free), 6 * len(free))), np.zeros(6 * len(free))
-        middle = np.array([moved(changed[n], views[n].points).mean(axis=0) for n in poses]).mean(
-            axis=0
-        )
-        for i, j in pairs:
-            points, planes, distance = _paired(views[i], views[j], changed[i], changed[j], farthest)
-            if len(points) < FREEDOMS:
-                continue
-            # Tukey's biweight, which is zero at the largest distance: the cost is continuous.
-            weight = (1 - (distance / farthest) ** 2) ** 2
-            arm = (points - middle) / farthest  # scaled, so that ω and v have the same unit
-            gradient = np.concatenate([np.cross(arm, planes), planes], axis=1)  # (p, 6)
-            block = gradient.T @ (weight[:, None] * gradient)
-            pull = gradient.T @ (weight * distance)
-            for number, sign in ((i, 1), (j, -1)):
-                if number in column:
-                    matrix[column[number], column[number]] += block
-                    right[column[number]] += sign * pull
-            if i in column and j in column:
-                matrix[column[i], column[j]] -= block
-                matrix[column[j], column[i]] -= block
-        # The minimum-norm solution: undetermined motions, such as a slide along a plane, are zero.
-        twist = np.linalg.lstsq(matrix, right, rcond=1e-9)[0].astype(np.float64)
-        for number, at in column.items():
-            changed[number] = _motion(twist[at], middle, farthest) @ changed[number]
+        changed = _stepped(views, changed, pairs, column, step * reach)
     return changed
+
+
+def _stepped(
+    views: Sequence[View],
+    poses: Poses,
+    pairs: Sequence[tuple[int, int]],
+    column: Mapping[int, slice],
+    farthest: float,
+) -> dict[int, FloatArray]:
+    """The poses after one step, in which views with a place in the system of equations (`column`) move."""
+    matrix, right = np.zeros((6 * len(column), 6 * len(column))), np.zeros(6 * len(column))
+    centres = [moved(poses[number], views[number].points).mean(axis=0) for number in poses]
+    middle = np.array(centres).mean(axis=0)
+    for i, j in pairs:
+        paired = _paired(views[i], views[j], poses[i], poses[j], farthest)
+        if len(paired[0]) < FREEDOMS:
+            continue
+        block, pull = _equations(*paired, middle, farthest)
+        for number, sign in ((i, 1), (j, -1)):
+            if number in column:
+                matrix[column[number], column[number]] += block
+                right[column[number]] += sign * pull
+        if i in column and j in column:
+            matrix[column[i], column[j]] -= block
+            matrix[column[j], column[i]] -= block
+    # The minimum-norm solution: undetermined motions, such as a slide along a plane, are zero.
+    twist = np.linalg.lstsq(matrix, right, rcond=1e-9)[0].astype(np.float64)
+    moves = {number: _motion(twist[at], middle, farthest) for number, at in column.items()}
+    return {
+        number: moves[number] @ pose if number in moves else pose for number, pose in poses.items()
+    }
+
+
+def _equations(
+    points: FloatArray,
+    planes: FloatArray,
+    distance: FloatArray,
+    middle: FloatArray,
+    farthest: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Σ w g gᵀ (6, 6) and Σ w d g (6,) over pairs of a point and a plane at the distance d."""
+    # Tukey's biweight, which is zero at the largest distance: the cost is continuous.
+    weight = (1 - (distance / farthest) ** 2) ** 2
+    arm = (points - middle) / farthest  # scaled, so that ω and v have the same unit
+    gradient = np.concatenate([np.cross(arm, planes), planes], axis=1)  # (p, 6)
+    return gradient.T @ (weight[:, None] * gradient), gradient.T @ (weight * distance)
 
 
 def _motion(twist: FloatArray, middle: FloatArray, length: float) -> FloatArray:

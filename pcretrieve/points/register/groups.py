@@ -85,20 +85,14 @@ def _candidates(
     first, second = views
     here, there = _look_alikes(*features)
     one, two = rng.integers(len(here), size=(2, options.n_tries))
-    length, cosines, frame, middle = _pairs(first, here[one], here[two])
-    other_length, other_cosines, other_frame, other_middle = _pairs(second, there[one], there[two])
-    # The dissimilarity of two pairs; 1 is the largest that is accepted.
-    unlike = np.maximum(
-        np.abs(length - other_length) / (PAIR_LENGTH * cell),
-        np.abs(cosines - other_cosines).max(axis=1) / PAIR_COSINE,
-    )  # (n_tries,)
-    unlike[np.minimum(length, other_length) < SHORTEST_PAIR * cell] = np.inf
+    pairs, others = _pairs(first, here[one], here[two]), _pairs(second, there[one], there[two])
+    unlike = _unlike(pairs, others, cell)  # (n_tries,)
     chosen = np.argsort(unlike, kind="stable")[: min(MOST_MOTIONS, int((unlike < 1).sum()))]
 
     motions: FloatArray = np.tile(np.eye(4), (len(chosen), 1, 1))
-    motions[:, :3, :3] = frame[chosen] @ other_frame[chosen].transpose(0, 2, 1)
-    motions[:, :3, 3] = middle[chosen] - np.einsum(
-        "mij,mj->mi", motions[:, :3, :3], other_middle[chosen]
+    motions[:, :3, :3] = pairs.frame[chosen] @ others.frame[chosen].transpose(0, 2, 1)
+    motions[:, :3, 3] = pairs.middle[chosen] - np.einsum(
+        "mij,mj->mi", motions[:, :3, :3], others.middle[chosen]
     )
     score = _scores(first, second, motions, ROUGH * reach)
     score += _scores(second, first, np.linalg.inv(motions).astype(np.float64), ROUGH * reach)
@@ -139,10 +133,29 @@ def _look_alikes(
     return np.concatenate([here, forth]), np.concatenate([there, back])
 
 
-def _pairs(
-    view: View, one: NDArray[np.intp], two: NDArray[np.intp]
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """The lengths (n,), cosines (n, 3), frames (n, 3, 3) and midpoints (n, 3) of pairs of oriented points."""
+class Pairs(NamedTuple):
+    """The lengths (n,), cosines (n, 3), frames (n, 3, 3) and midpoints (n, 3) of pairs of oriented points.
+
+    The cosines are those between the line and both normals, and between the normals.
+    """
+
+    length: FloatArray
+    cosines: FloatArray
+    frame: FloatArray
+    middle: FloatArray
+
+
+def _unlike(pairs: Pairs, others: Pairs, cell: float) -> FloatArray:
+    """(n,) dissimilarities of pairs of one view and of the other; 1 is the largest that is accepted."""
+    unlike = np.maximum(
+        np.abs(pairs.length - others.length) / (PAIR_LENGTH * cell),
+        np.abs(pairs.cosines - others.cosines).max(axis=1) / PAIR_COSINE,
+    )
+    unlike[np.minimum(pairs.length, others.length) < SHORTEST_PAIR * cell] = np.inf
+    return np.asarray(unlike)
+
+
+def _pairs(view: View, one: NDArray[np.intp], two: NDArray[np.intp]) -> Pairs:
     line = view.points[two] - view.points[one]
     length: FloatArray = np.linalg.norm(line, axis=1)
     line /= np.maximum(length, np.finfo(float).tiny)[:, None]
@@ -151,12 +164,8 @@ def _pairs(
     up = view.normals[one] + view.normals[two] - (start + end)[:, None] * line
     up /= np.maximum(np.linalg.norm(up, axis=1), np.finfo(float).tiny)[:, None]
     frame = np.stack([line, up, np.cross(line, up)], axis=2)
-    return (
-        length,
-        np.stack([start, end, between], axis=1),
-        frame,
-        (view.points[one] + view.points[two]) / 2,
-    )
+    cosines = np.stack([start, end, between], axis=1)
+    return Pairs(length, cosines, frame, (view.points[one] + view.points[two]) / 2)
 
 
 def _scores(first: View, second: View, motions: FloatArray, tolerance: float) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -12,10 +12,18 @@ import numpy as np
 from pcretrieve.errors import InputError
 from pcretrieve.options import MergeOptions, ScanOptions
 from pcretrieve.points.clean import averaged
-from pcretrieve.points.register.alignment import Overlap, adjusted, moved, overlap, shared, turned
+from pcretrieve.points.register.alignment import (
+    Overlap,
+    Poses,
+    adjusted,
+    moved,
+    overlap,
+    shared,
+    turned,
+)
 from pcretrieve.points.register.groups import COARSE, FINE, largest_group
 from pcretrieve.points.register.tracking import followed, posed_track, tracks
-from pcretrieve.points.register.views import prepared
+from pcretrieve.points.register.views import View, prepared
 from pcretrieve.values import FloatArray, PointCloud, Step
 
 # Smallest overlap of two views that is reported; fraction of the points of one of them.
@@ -81,54 +89,89 @@ def merge_views(
     rng = np.random.default_rng(options.seed)
     ready, scale = prepared(views, options, near, rng)
     cell, reach = options.cell * scale, options.reach * scale
-    notes = []
     if poses is None:
-        found = tracks(ready, reach, options)
-        starts = [track.key_poses for track in found]
-        groups = [
-            adjusted(ready, keys, fixed=[min(keys)], steps=COARSE, reach=reach) for keys in starts
-        ]
-        keys = largest_group(ready, groups, cell, reach, options, rng)
-        placed, key_of = followed(ready, keys, found, reach, options)
+        keys, placed, key_of = _found(ready, cell, reach, options, rng)
     else:
-        placed = dict(enumerate(np.array(poses, dtype=np.float64)))
-        keys, key_of = placed, {number: number for number in placed}
-        if options.refine:
-            track = posed_track(ready, placed, reach, options)
-            keys = track.key_poses
-            keys = adjusted(ready, keys, fixed=[min(keys)], steps=(*COARSE, *FINE), reach=reach)
-            placed, key_of = followed(ready, keys, [track], reach, None)
-    if len(keys) < len(placed):
-        notes.append(f"registered {len(placed)} views of a sequence by {len(keys)} key frames")
-
-    all_poses, shares = np.full((len(views), 4, 4), np.nan), np.zeros(len(views))
-    for number in range(len(views)):
-        if number not in placed:
-            notes.append(
-                f"left out view {number}: it has no place where it shares a surface with the others"
-            )
-            continue
-        all_poses[number] = placed[number]
-        shares[number] = shared(ready, keys | {number: placed[number]}, number, reach)
-        if shares[number] < options.min_overlap:
-            notes.append(
-                f"view {number} shares only {shares[number]:.1%} of its points with the others"
-            )
-    pairs = [*combinations(keys, 2), *((key, view) for view, key in key_of.items() if key != view)]
-    ordered = sorted((min(pair), max(pair)) for pair in pairs)
-    overlaps = [overlap(ready, placed, first, second, reach) for first, second in ordered]
-    reported = tuple(pair for pair in overlaps if pair.share >= LEAST_SHARE)
-    notes += _standing_off(reported)
+        keys, placed, key_of = _refined(ready, poses, reach, options)
+    all_poses, shares = _of_all(ready, keys, placed, reach)
     cloud = _joined([ready[number].cloud for number in sorted(placed)], all_poses[sorted(placed)])
     if options.voxel:
-        cloud, _ = averaged(cloud, options.voxel * scale)
+        cloud = averaged(cloud, options.voxel * scale)[0]
     sizes = {
         "views": float(len(views)),
         "placed": float(len(placed)),
         "points": float(len(cloud.points)),
     }
+    overlaps = _overlaps(ready, keys, placed, key_of, reach)
+    notes = [*_notes(keys, placed, shares, options), *_standing_off(overlaps)]
     step = Step("merge", time.perf_counter() - started, sizes, tuple(notes))
-    return Merged(cloud.after(step), all_poses, shares, reported, scale)
+    return Merged(cloud.after(step), all_poses, shares, overlaps, scale)
+
+
+# The poses of the key frames and of all views that have a place, by number, and the key frame of each view.
+Located = tuple[dict[int, FloatArray], dict[int, FloatArray], Mapping[int, int]]
+
+
+def _found(
+    views: Sequence[View],
+    cell: float,
+    reach: float,
+    options: MergeOptions,
+    rng: np.random.Generator,
+) -> Located:
+    """Search the poses of views: tracks of a sequence first, then the groups that fit each other."""
+    found = tracks(views, reach, options)
+    groups = [
+        adjusted(views, keys, fixed=[min(keys)], steps=COARSE, reach=reach)
+        for keys in (track.key_poses for track in found)
+    ]
+    keys = largest_group(views, groups, cell, reach, options, rng)
+    return keys, *followed(views, keys, found, reach, options)
+
+
+def _refined(
+    views: Sequence[View], poses: FloatArray, reach: float, options: MergeOptions
+) -> Located:
+    """Refine the poses (v, 4, 4) of views, if the options say so."""
+    placed = dict(enumerate(np.array(poses, dtype=np.float64)))
+    if not options.refine:
+        return placed, placed, {number: number for number in placed}
+    track = posed_track(views, placed, reach, options)
+    keys = track.key_poses
+    keys = adjusted(views, keys, fixed=[min(keys)], steps=(*COARSE, *FINE), reach=reach)
+    return keys, *followed(views, keys, [track], reach, None)
+
+
+def _of_all(
+    views: Sequence[View], keys: dict[int, FloatArray], placed: Poses, reach: float
+) -> tuple[FloatArray, FloatArray]:
+    """The poses and the shares of all views, as in `Merged`."""
+    poses, shares = np.full((len(views), 4, 4), np.nan), np.zeros(len(views))
+    for number, pose in placed.items():
+        poses[number] = pose
+        shares[number] = shared(views, keys | {number: pose}, number, reach)
+    return poses, shares
+
+
+def _notes(keys: Poses, placed: Poses, shares: FloatArray, options: MergeOptions) -> Iterator[str]:
+    """Say which views have key frames, no place, or little in common with the others."""
+    if len(keys) < len(placed):
+        yield f"registered {len(placed)} views of a sequence by {len(keys)} key frames"
+    for number, share in enumerate(shares):
+        if number not in placed:
+            yield f"left out view {number}: it has no place where it shares a surface with the others"
+        elif share < options.min_overlap:
+            yield f"view {number} shares only {share:.1%} of its points with the others"
+
+
+def _overlaps(
+    views: Sequence[View], keys: Poses, placed: Poses, key_of: Mapping[int, int], reach: float
+) -> tuple[Overlap, ...]:
+    """The overlaps of all key frames, and of each view and its key frame, that are worth a report."""
+    pairs = [*combinations(keys, 2), *((key, view) for view, key in key_of.items() if key != view)]
+    ordered = sorted((min(pair), max(pair)) for pair in pairs)
+    overlaps = [overlap(views, placed, first, second, reach) for first, second in ordered]
+    return tuple(pair for pair in overlaps if pair.share >= LEAST_SHARE)
 
 
 def _standing_off(overlaps: Sequence[Overlap]) -> list[str]:

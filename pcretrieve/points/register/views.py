@@ -148,10 +148,10 @@ def _background_plane(
     towards = np.where(normals @ (sensor - middle) > offsets, 1, -1)  # (p,)
     heights = towards[:, None] * (normals @ (few - middle).T - offsets[:, None])  # (p, s): in front
     on = (abs(heights) <= thickness[:, None]).mean(axis=1)
-    central = (abs(heights) <= thickness[:, None] / 2).mean(axis=1)
     front = (heights > thickness[:, None]).mean(axis=1)
     possible = (1 - on - front <= MOST_BEHIND) & (on >= LEAST_SHARE) & (front >= LEAST_LEFT)
-    possible &= central >= LEAST_CENTRAL * on
+    # Near the middle of the plane, too.
+    possible &= (abs(heights) <= thickness[:, None] / 2).mean(axis=1) >= LEAST_CENTRAL * on
     if not possible.any():
         return None
     best = int(np.where(possible, on, 0).argmax())
