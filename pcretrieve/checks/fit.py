@@ -64,6 +64,9 @@ ABOVE = 1e-3
 ASIDE = 0.6
 MOSTLY = 0.6
 
+# The same of what is at the end of the body, beyond which there is nothing, as a crown and a sole are.
+MOSTLY_AT_END = 0.45
+
 # Largest mean cosine between the axis of a cut limb and the normals round it: round a crown without hair it
 # is .35 and more, round a shallow hole 1.
 TILTED = 0.33
@@ -323,10 +326,12 @@ class Fit:
 
     def is_beyond_sight(self, faces: Faces) -> bool:
         """Whether what else was not seen faces the same direction as some faces, or the opposite one."""
+        axis = self.axis(faces)
         rest = np.setdiff1d(self.far, faces)
-        is_aligned = np.abs(self.normals[rest] @ self.axis(faces)) > ASIDE
+        is_aligned = np.abs(self.normals[rest] @ axis) > ASIDE
+        least = MOSTLY_AT_END if self.beyond(faces, axis) < ON_GROUND else MOSTLY
         areas = self.areas[rest]
-        return bool(len(rest) and (areas * is_aligned).sum() > MOSTLY * areas.sum())
+        return bool(len(rest) and (areas * is_aligned).sum() > least * areas.sum())
 
     def beyond(self, faces: Faces, axis: FloatArray) -> float:
         """How far the body extends beyond some faces along a unit vector, relative to its length."""

@@ -44,12 +44,12 @@ ERROR_OF_WELDS = 0.3
 WELDS_OF_PARTS = 5
 
 # Length of the shortest level line of the first eigenfunction round one body, relative to the root of the
-# area on its smaller side. People have .78 and more, but a femur .38.
-LEAST_NECK = 0.75
+# area on its smaller side. People have .65 and more, but a femur .38.
+LEAST_NECK = 0.65
 
 # Level lines nearby, on both sides, are longer than the shortest one by this factor where two bodies touch.
 # Along the shaft of a bone they are not.
-LEAST_SHARPNESS = 1.3
+LEAST_SHARPNESS = 1.4
 NECK_ERROR = 0.45
 
 # Shares of the area on one side of the level lines that are drawn, and the number of those nearby.
