@@ -173,10 +173,9 @@ def _copy_file(source: Path, target: Path) -> None:
         connection.set_progress_handler(_Progress(target), STEPS_AT_ONCE)
         # By rows, not by pages, whose free space has bytes of what was removed.
         connection.execute("VACUUM INTO ?", [str(target.absolute())])
-    # Also where files can only be read, because locks do not reach other computers.
     with translated(target), closing(sqlite3.connect(target, isolation_level=None)) as copy:
         copy.execute("PRAGMA secure_delete = ON")
-        copy.execute(f"PRAGMA journal_mode = {journal(target) or 'DELETE'}")
+        copy.execute(f"PRAGMA journal_mode = {journal(target)}")
         copy.execute("DELETE FROM meta WHERE key = 'batch'")  # no ingest counts in the copy
 
 

@@ -1,8 +1,7 @@
 """SQLite files, which other processes can read while one process writes.
 
 With a write-ahead log, processes share memory, which computers cannot. On file systems of a network, SQLite
-therefore uses a rollback journal, with which readers and the writer wait for each other by locks; if these
-locks do not reach other computers, it only reads.
+therefore uses a rollback journal, with which readers and the writer wait for each other by locks.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ from __future__ import annotations
 import fcntl
 import logging
 import os
-import re
 import sqlite3
 import stat
 import time
@@ -56,32 +54,9 @@ PRIVATE = 0o600
 
 MOUNTS = Path("/proc/self/mountinfo")
 
-# Types of file systems that several computers mount, with the options by which locks stay on one computer.
-NETWORK: dict[str, tuple[str, ...]] = {
-    "nfs": ("nolock", "local_lock=all", "local_lock=posix"),
-    "nfs4": ("local_lock=all", "local_lock=posix"),
-    "cifs": ("nobrl",),
-    "smb3": ("nobrl",),
-    "lustre": ("localflock", "noflock"),
-    **dict.fromkeys(("gpfs", "ceph", "fuse.ceph-fuse", "fuse.glusterfs", "9p", "virtiofs"), ()),
-}
-
-# Types without locks that other computers see.
-WITHOUT_LOCKS = {
-    *("afs", "beegfs", "ncpfs", "smbfs", "vboxsf", "fuse.afs", "fuse.blobfuse", "fuse.blobfuse2"),
-    *(
-        "fuse.davfs",
-        "fuse.gcsfuse",
-        "fuse.goofys",
-        "fuse.mountpoint-s3",
-        "fuse.rclone",
-        "fuse.s3fs",
-    ),
-    "fuse.sshfs",
-}
-
-# Types of FUSE on local disks, where memory can be shared.
-LOCAL = {"fuse.fuse-overlayfs", "fuseblk"}
+# Types of file systems that several computers mount. Those of FUSE do not say whether they are one.
+SHARED = frozenset({"9p", "ceph", "cifs", "gpfs", "lustre", "nfs", "nfs4", "smb3", "virtiofs"})
+FUSE = "fuse"
 
 
 class SqliteDatabase:
@@ -203,7 +178,7 @@ class SqliteDatabase:
             # SQLite does not wait where another process sets the mode of the file at the same time.
             for wait in (*[0.01] * N_WAITS, 0.0):
                 with suppress(CatalogueError) if wait else nullcontext():
-                    self.execute(f"PRAGMA journal_mode = {journal(self._path) or 'DELETE'}")
+                    self.execute(f"PRAGMA journal_mode = {journal(self._path)}")
                     break
                 time.sleep(wait)
             with self._transaction("IMMEDIATE"):
@@ -259,12 +234,6 @@ def connect(path: Path, *, create: bool) -> sqlite3.Connection:
     if not path.parent.is_dir():
         raise CatalogueError(
             f"there is no folder {path.parent} to put a catalogue into: make it first"
-        )
-    if create and journal(path) is None:
-        raise CatalogueError(
-            f"{path} is on a file system of the type {_file_system(path)[0]}, whose locks other computers do "
-            "not see, so that two writers would damage it: ingest into a file on a local disk, and copy it "
-            "when it is complete (pcretrieve catalogue backup); or use PostgreSQL"
         )
     check_files(path)
     with translated(path):
@@ -347,8 +316,6 @@ def translated(path: Path) -> Iterator[None]:
 
 def _is_writable(path: Path) -> bool:
     """Whether SQLite can write to a file, for which it creates further files in the same folder."""
-    if journal(path) is None:
-        return False
     effective = os.access in os.supports_effective_ids  # the user by whose rights files are opened
     return all(os.access(place, os.W_OK, effective_ids=effective) for place in (path, path.parent))
 
@@ -379,33 +346,19 @@ def _connected(path: Path, mode: str) -> sqlite3.Connection:
     return connection
 
 
-def journal(path: Path) -> Literal["WAL", "DELETE"] | None:
-    """The journal mode of SQLite for a file; None if it can only be read where it is."""
-    kind, options = _file_system(path)
-    if kind in WITHOUT_LOCKS or options.intersection(NETWORK.get(kind, ())):
-        return None
-    if kind == "lustre" and "flock" not in options:
-        return None  # the default of earlier versions: no locks
-    # A file system of FUSE does not say whether it is one of a network; not all of them can share memory.
-    is_shared = kind in NETWORK or kind.split(".")[0] == "fuse"
-    return "DELETE" if is_shared and kind not in LOCAL else "WAL"
+def journal(path: Path) -> Literal["WAL", "DELETE"]:
+    """The journal mode of SQLite for a file: other computers cannot share the memory of a log."""
+    kind = _file_system(path)
+    return "DELETE" if kind in SHARED or kind.startswith(FUSE) else "WAL"
 
 
-def _file_system(path: Path) -> tuple[str, set[str]]:
-    """The type and the options of the file system in which a file is, or would be made."""
-    try:
-        lines = MOUNTS.read_text("utf-8", "surrogateescape").splitlines()
-    except OSError:
-        return "", set()
-    place, found, depth = Path(os.path.realpath(path)), ("", set[str]()), 0
-    for line in lines:
-        before, _, after = line.partition(" - ")
-        point = Path(
-            re.sub(r"\\([0-7]{3})", lambda code: chr(int(code[1], 8)), before.split(" ")[4])
-        )
-        if (
-            place.is_relative_to(point) and len(point.parts) >= depth
-        ):  # the last of several at one place
-            kind, _, options = after.split(" ", 2)
-            found, depth = (kind, set(options.split(","))), len(point.parts)
-    return found
+def _file_system(path: Path) -> str:
+    """The type of the file system in which a file is, or would be made; "" if that is not known."""
+    with suppress(OSError):
+        device = Path(os.path.realpath(path)).parent.stat().st_dev
+        number = f"{os.major(device)}:{os.minor(device)}"
+        for line in MOUNTS.read_text("utf-8", "surrogateescape").splitlines():
+            before, _, after = line.partition(" - ")
+            if before.split(" ")[2] == number:
+                return after.split(" ")[0]
+    return ""

@@ -147,6 +147,26 @@ def test_nothing_is_written_to_a_file_that_is_not_there_any_more(path: Path) -> 
             store.remove("2")
 
 
+def test_computers_that_share_a_file_share_no_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On file systems of networks, and of FUSE, which may be such, there is a rollback journal."""
+    device = tmp_path.stat().st_dev
+    mounts = tmp_path / "mountinfo"
+    monkeypatch.setattr("pcretrieve.catalogue.sqlite.MOUNTS", mounts)
+    for kind, mode in {
+        "ext4": "wal",
+        "overlay": "wal",
+        "nfs4": "delete",
+        "fuse.sshfs": "delete",
+    }.items():
+        other = "21 27 0:0 / / rw - nfs server:/ rw\n"
+        number = f"{os.major(device)}:{os.minor(device)}"
+        mounts.write_text(f"{other}22 27 {number} / {tmp_path} rw - {kind} server:/scans rw\n")
+        with Catalogue(tmp_path / f"{kind}.sqlite", create=True) as store:
+            assert store.database.execute("PRAGMA journal_mode") == [(mode,)]
+
+
 @contextmanager
 def read_only(folder: Path) -> Iterator[None]:
     """A folder in which this process, also that of root, may not write."""

@@ -148,7 +148,9 @@ def run(script: str, kind: str, folder: Path, *given: object) -> Path:
         egg = shapes.ellipsoid((1, 1.2, 1.5 + number / 5), subdivisions=2)
         write_mesh(egg, folder / "scans" / f"{number}.off")
     mounts, library = folder / "mountinfo", folder / "calls.so"
-    mounts.write_text(f"22 27 0:21 / / rw - {kind} server:/scans rw\n")
+    device = folder.stat().st_dev
+    number = f"{os.major(device)}:{os.minor(device)}"
+    mounts.write_text(f"22 27 {number} / / rw - {kind} server:/scans rw\n")
     compiling: list[str | Path] = [
         "cc",
         "-shared",
