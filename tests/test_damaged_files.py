@@ -206,7 +206,7 @@ KINDS = {
     "catalogue": Kind("c.sqlite", read_catalogue),
     "pages of a catalogue": Kind("c.sqlite", read_catalogue, CHANGES),
     "index, numbers": Kind("gallery.npy", read_index),
-    "index, ids": Kind("id_text.npy", read_index),
+    "index, ids": Kind("ids.npy", read_index),
     "whitening": Kind("metric.npz", read_whitening),
     "options": Kind("options.toml", PipelineOptions.from_toml),
     "labels": Kind("labels.csv", read_labels),

@@ -38,7 +38,7 @@ from pcretrieve.values import FloatArray
 logger = logging.getLogger(__name__)
 
 # Version of the arrays of an index, which is incremented when their meaning changes.
-FORMAT = 10
+FORMAT = 11
 
 # Smallest number of shapes for which an index is stored.
 SMALLEST_KEPT = 1_000

@@ -40,9 +40,6 @@ from pcretrieve.values import FloatArray
 Rows = NDArray[np.int32]
 Singles = NDArray[np.float32]
 
-# What `scan` is, and what it is compiled to.
-Scan = Callable[..., tuple[Rows, Singles]]
-
 # Least number of principal directions that the bounds are computed from, and least share of the variance that
 # is along them. With fewer the bounds are looser and more shapes need an exact distance; with more the bounds
 # take longer, yet less than a flat scan. See docs/decisions.md, N_LEADING.
@@ -149,19 +146,20 @@ class LowerBounds(NamedTuple):
     def cells(
         self, query: FloatArray
     ) -> tuple[NDArray[np.uint8], Rows, Singles, Singles, FloatArray]:
-        """What `scan` reads of all blocks, for a query (D,)."""
+        """What the compiled `scan` reads of all blocks, for a query (D,)."""
         with np.errstate(over="ignore", invalid="ignore"):
             middle = (self.low - query + self.step / 2).astype(np.float32)
             reach = HALF_CELL * np.sqrt((self.step**2).sum(axis=1))
             return self.codes, self.rows, middle, self.step.astype(np.float32), reach
 
-    def candidates(
-        self, point: FloatArray, k: int, radius: Callable[[Rows], float], scan: Scan
-    ) -> Positions:
+    def candidates(self, point: FloatArray, k: int, radius: Callable[[Rows], float]) -> Positions:
         """The rows (n,), ascending, that include the `k` nearest to a point (L,) and all at equal distance.
 
         radius: function of (n,) rows that returns a distance within which at least `k` of them lie.
         """
+        # numba takes half a second to load, which a query of a small gallery does not wait for.
+        from pcretrieve.retrieval.compiled import scan
+
         query = (point - self.mean) @ self.axes  # (D,)
         to_blocks, cells = self._to_blocks(query), self.cells(query)
         order = np.argsort(to_blocks, kind="stable")
@@ -197,36 +195,6 @@ class LowerBounds(NamedTuple):
         # The factor allows for rounding errors of D terms and of their partial sums.
         limit = (radius * radius) * (1 + 4 * (int(self.axes.shape[1]) + 8) * SINGLE)
         return limit if limit < LARGEST_SINGLE else math.inf
-
-
-def scan(
-    codes: NDArray[np.uint8],
-    rows: Rows,
-    middle: Singles,
-    step: Singles,
-    reach: FloatArray,
-    blocks: Positions,
-    limit: np.float32,
-) -> tuple[Rows, Singles]:
-    """The rows of some blocks whose squared distance to their cells is at most a limit, and these squares.
-
-    The distance to a cell is at least that to its middle, less half its diagonal.
-
-    middle: (B, D), the middles of the first cells of each block, relative to the query.
-    reach: (B,), halves of the diagonals of the cells.
-    """
-    total = np.zeros((len(blocks), codes.shape[2]), np.float32)
-    with np.errstate(over="ignore", invalid="ignore"):
-        for axis in range(codes.shape[1]):
-            along = (
-                codes[blocks, axis] * step[blocks, axis, np.newaxis]
-                + middle[blocks, axis, np.newaxis]
-            )
-            total += along**2
-        most = ((math.sqrt(limit) + reach[blocks]) ** 2).astype(np.float32)
-        within = ~(total > most[:, np.newaxis]) & (rows[blocks] != NO_ROW)
-        bounds = np.maximum(np.sqrt(total) - reach[blocks, np.newaxis], 0) ** 2
-    return rows[blocks][within], bounds[within].astype(np.float32)
 
 
 def _leaves(leading: NDArray[np.float32], members: Rows) -> Iterator[Rows]:

@@ -22,7 +22,16 @@ def scan(
     blocks: NDArray[np.intp],
     limit: np.float32,
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """The rows of some blocks and their lower bounds, as by `pcretrieve.retrieval.bounds.scan`."""
+    """The rows of some blocks whose squared distance to their cells is at most a limit, and these squares.
+
+    The distance to a cell is at least that to its middle, less half its diagonal.
+
+    codes, rows: (B, D, S) and (B, S), as in `LowerBounds`.
+    middle: (B, D), the middles of the first cells of each block, relative to the query.
+    step: (B, D), lengths of the cells.
+    reach: (B,), halves of the diagonals of the cells.
+    blocks: (b,), the blocks to scan.
+    """
     n_axes, size = codes.shape[1:]
     near = np.empty(len(blocks) * size, np.int32)
     bounds = np.empty(len(near), np.float32)

@@ -206,6 +206,9 @@ def position_of(ids: Sequence[str], shape_id: str) -> int:
     try:
         return ids.index(shape_id)
     except ValueError as error:
-        raise InputError(
-            f"the query must be one of the {len(ids)} ranked shapes, got {shape_id!r}"
-        ) from error
+        raise unknown_shape(ids, shape_id) from error
+
+
+def unknown_shape(ids: Sequence[str], shape_id: str) -> InputError:
+    """The error of a shape that is not in a gallery."""
+    return InputError(f"the query must be one of the {len(ids)} ranked shapes, got {shape_id!r}")

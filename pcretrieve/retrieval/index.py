@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple, cast
 
@@ -24,7 +24,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcretrieve.errors import InputError
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval import bounds
 from pcretrieve.retrieval.bounds import LowerBounds, Rows
 from pcretrieve.retrieval.distances import (
     CHUNK,
@@ -38,7 +37,7 @@ from pcretrieve.retrieval.distances import (
     nearest_of,
     pairwise,
     pairwise_blocks,
-    position_of,
+    unknown_shape,
 )
 from pcretrieve.retrieval.reranking import N_NEAR, reranked_neighbors
 from pcretrieve.retrieval.scores import MatchScores
@@ -50,8 +49,8 @@ from pcretrieve.values.base import check_type
 # by lower bounds.
 N_ALL = 1000
 
-# Number of queries that an index answers without compiled code: numba takes longer to load than they take.
-N_INTERPRETED = 10
+# Between the ids of shapes in their array.
+SEPARATOR = "\0"
 
 # Tolerance of the lower bound. The rounding error of a sum of L products of numbers of magnitude s is at most
 # a few L·s·ε, and that of a vector of up to L such sums √L times as large; this is the factor of L²·s.
@@ -75,45 +74,6 @@ WRONG_UNITS = {
     "new catalogue with --unit (scan.unit)",
 }
 INSTEAD = "or compare the form alone (size_weight = 0, and the scale area)"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Names(Sequence[str]):
-    """Strings in ascending order as arrays, which may be mapped into memory; each is decoded when asked for.
-
-    text: (b,) uint8, all strings in UTF-8, one after the other.
-    ends: (n,) int64, the position behind the last byte of each string.
-    """
-
-    text: NDArray[np.uint8]
-    ends: NDArray[np.int64]
-
-    @classmethod
-    def of(cls, names: Iterable[str]) -> Names:
-        """The arrays of some strings, ascending."""
-        encoded = [name.encode() for name in names]
-        text = np.frombuffer(b"".join(encoded), np.uint8)
-        return cls(text, np.cumsum(np.fromiter(map(len, encoded), np.int64, len(encoded))))
-
-    def __len__(self) -> int:
-        return len(self.ends)
-
-    def __getitem__(self, position: Any) -> Any:
-        if isinstance(position, slice):
-            return [self[number] for number in range(len(self))[position]]
-        number = range(len(self))[position]
-        start = self.ends[number - 1] if number else 0
-        return str(self.text[start : self.ends[number]].data, "utf-8")
-
-    def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and self[(row := bisect_left(self, name)) : row + 1] == [name]
-
-    def index(self, name: str, *_: Any) -> int:
-        """The position of a string."""
-        row = bisect_left(self, name)
-        if self[row : row + 1] != [name]:
-            raise ValueError(f"{name!r} is not among the names")
-        return row
 
 
 class _MadeBy(NamedTuple):
@@ -156,7 +116,7 @@ class SignatureIndex:
 
     Attributes
     ----------
-    ids : sequence of str, length N
+    ids : tuple of str, length N
         The shapes of the table, in alphabetical order.
     points : (N, L) float64
         Their whitened coordinates.
@@ -195,7 +155,7 @@ class SignatureIndex:
         self.whitening.check_made_for(table.digest)
         self.scores = scores
         by_id = sorted(range(len(table)), key=table.ids.__getitem__)
-        self.ids = Names.of(table.ids[row] for row in by_id)
+        self.ids = tuple(table.ids[row] for row in by_id)
         self.points: FloatArray = np.empty(table.values.shape)
         for start in range(0, len(by_id), CHUNK):
             some = slice(start, start + CHUNK)
@@ -204,8 +164,6 @@ class SignatureIndex:
         self._size = max(1.0, float(self.points.max()), -float(self.points.min()))
         is_large = len(table) > N_ALL and self._distance.exceeds_log
         self._bounds = LowerBounds.of(self.points) if is_large else None
-        # Counted without a lock: two threads that count the same query change no answer.
-        self._n_answered = 0
 
     @property
     def distance(self) -> str:
@@ -271,7 +229,7 @@ class SignatureIndex:
         if among is None:
             found = self.query(query, most)
         else:
-            known = [shape_id for shape_id in sorted(among) if shape_id in self.ids]
+            known = sorted({*among} & {*self.ids})
             found = nearest_of(known, self.between(known, self.point_of(query))[0], most)
         results = found
         if rerank != "none":
@@ -284,7 +242,6 @@ class SignatureIndex:
 
     def load(self) -> None:
         """Load the compiled code now, so that no later query waits for it."""
-        self._n_answered = N_INTERPRETED
         self.nearest(self.ids[0], 1)
 
     def blocks(self, queries: Positions | None = None) -> Iterator[DistanceBlock]:
@@ -294,13 +251,13 @@ class SignatureIndex:
 
     def between(self, ids: Sequence[str], points: FloatArray | None = None) -> FloatArray:
         """Distances (Q, m) of whitened coordinates (Q, L), or (m, m) of some shapes, to these shapes."""
-        rows: FloatArray = self.points[[position_of(self.ids, shape_id) for shape_id in ids]]
+        rows: FloatArray = self.points[[self._row(shape_id) for shape_id in ids]]
         return pairwise(self._distance, rows if points is None else points, rows)
 
     def point_of(self, query: str | Signature | ArrayLike) -> FloatArray:
         """The whitened coordinates (1, L) of a shape of the table, or of a signature that is comparable."""
         if isinstance(query, str):
-            place = position_of(self.ids, query)
+            place = self._row(query)
             held: FloatArray = self.points[place : place + 1]
             return held
         if isinstance(query, Signature):
@@ -318,11 +275,14 @@ class SignatureIndex:
         """Rows, ascending, that include the `k` nearest to a point and all rows at equal distance."""
         if self._bounds is None:
             return np.arange(len(self.points))
-        scan = bounds.scan
-        self._n_answered += 1
-        if self._n_answered > N_INTERPRETED:
-            from pcretrieve.retrieval.compiled import scan
-        return self._bounds.candidates(point[0], k, partial(self._radius, point, k), scan)
+        return self._bounds.candidates(point[0], k, partial(self._radius, point, k))
+
+    def _row(self, shape_id: str) -> int:
+        """The row of a shape."""
+        row = bisect_left(self.ids, shape_id)
+        if self.ids[row : row + 1] != (shape_id,):
+            raise unknown_shape(self.ids, shape_id)
+        return row
 
     def _radius(self, point: FloatArray, k: int, rows: Rows) -> float:
         """A radius within which at least `k` of some rows lie, rounding errors included."""
@@ -340,8 +300,7 @@ class SignatureIndex:
             "distance": np.array(self.distance),
             "gallery": self.points,
             "size": np.array(self._size),
-            "id_text": self.ids.text,
-            "id_ends": self.ids.ends,
+            "ids": np.frombuffer(SEPARATOR.join(self.ids).encode(), np.uint8),
         }
         arrays |= {name: np.array(text or "") for name, text in self._made_by._asdict().items()}
         arrays |= {} if self._bounds is None else self._bounds._asdict()
@@ -367,7 +326,7 @@ class SignatureIndex:
             index._made_by = _MadeBy(
                 kind, digest, cast("Metric", metric), cast("SizeUnit", unit) or None
             )
-            index.ids = Names(arrays["id_text"], arrays["id_ends"])
+            index.ids = tuple(str(arrays["ids"].data, "utf-8").split(SEPARATOR))
             index.points, index._size = arrays["gallery"], float(arrays["size"])
             index._distance = known_distance(str(arrays["distance"]))
             index.whitening = Whitening.from_arrays(fitted)
@@ -378,7 +337,6 @@ class SignatureIndex:
             )
         except KeyError as error:
             raise InputError(f"the arrays of an index must include {error.args[0]!r}") from error
-        index._n_answered = 0
         fits = index._bounds is None or index._bounds.fits(index.points)
         if not fits or len(index.ids) != len(index.points):
             raise InputError(
