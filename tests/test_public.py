@@ -1,9 +1,11 @@
 """The public names: exact, documented, and imported only when they are used."""
 
 import inspect
+import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from commands import NAMES
@@ -78,3 +80,56 @@ def test_third_parties_wait_until_they_are_needed(name: str) -> None:
     assert imported_by("-c", f"from pcretrieve import {name}").isdisjoint(
         {"open3d", "pytetwild", "trimesh"}
     )
+
+
+# Imports every module where nothing can be written, and prints what that opened for writing, made or set.
+IMPORTS = """
+import os, pkgutil, signal, sys
+import numpy, sklearn  # which set variables themselves
+
+effects = []
+WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT
+CHANGES = ("os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.putenv", "os.unsetenv", "tempfile.",
+           "resource.setrlimit", "shutil.", "subprocess.Popen", "socket.connect", "ctypes.call_function")
+
+def note(event, arguments):
+    if event == "open" and arguments[2] & WRITING or event.startswith(CHANGES):
+        effects.append(f"{event} {arguments}")
+
+def settings():
+    handlers = [signal.getsignal(number) for number in signal.valid_signals()]
+    umask = os.umask(0o077)
+    os.umask(umask)
+    return dict(os.environ), handlers, umask, os.getcwd(), os.nice(0)
+
+before = settings()
+sys.addaudithook(note)
+import pcretrieve
+for module in pkgutil.walk_packages(pcretrieve.__path__, "pcretrieve."):
+    if not module.name.endswith("__main__"):
+        __import__(module.name)
+effects += [f"{a} -> {b}" for a, b in zip(before, settings()) if a != b]
+effects += [f"import {name}" for name in ("numba", "open3d") if name in sys.modules]
+print("\\n".join(effects))
+"""
+
+
+def test_importing_any_module_does_nothing(tmp_path: Path) -> None:
+    """No file, folder, variable of the environment or setting of the process is touched."""
+    tmp_path.chmod(0o555)
+    environment = os.environ | {
+        "HOME": "/nonexistent",
+        "TMPDIR": str(tmp_path),
+        "PYTHONPATH": os.pathsep.join(sys.path),
+        "XDG_CACHE_HOME": "",
+        "NUMBA_CACHE_DIR": "",
+    }
+    done = subprocess.run(
+        [sys.executable, "-B", "-c", IMPORTS],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == []

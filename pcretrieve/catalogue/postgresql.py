@@ -24,9 +24,6 @@ from pcretrieve.errors import CatalogueError
 
 logger = logging.getLogger(__name__)
 
-# psycopg warns of what it cannot end on a lost connection, which nobody needs to see.
-logging.getLogger("psycopg").addHandler(logging.NullHandler())
-
 # The schema of the tables, unless the URL names another one.
 SCHEMA = "pcretrieve"
 
@@ -169,6 +166,8 @@ class PostgresqlDatabase:
                 "a catalogue in PostgreSQL needs psycopg, which is not installed: pip install "
                 "'pcretrieve[postgresql]'"
             ) from error
+        # psycopg warns of what it cannot end on a lost connection, which nobody needs to see.
+        logging.getLogger("psycopg").addHandler(logging.NullHandler())
         self._url, self.location, self._schema = _parsed(url)
         self._connection: Any = None
         self._in_transaction = False

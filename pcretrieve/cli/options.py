@@ -104,7 +104,10 @@ class Command(click.Command):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run, print the result, and end with its exit code."""
+        from pcretrieve.values.compiled import tuned_process
+
         with errors_as_json(ctx, prints_json()):
+            tuned_process()
             result = super().invoke(ctx)
             if isinstance(result, Result):
                 print_result(result)

@@ -16,13 +16,13 @@ but change with the pose. So they find copies of one body in one pose: see docs/
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.points.grid import Grid, interior
 from pcretrieve.values import FloatArray, IntArray, Signature, TriangleMesh
+from pcretrieve.values.compiled import compiled
 
 # R, in units of √A with the area A of the surface, each 1.38 times the one before, and the ratio c = σ / R. A
 # person of 1.7 m² has arms of .03, thighs of .06 and a head of .07. See docs/decisions.md, HAPT.
@@ -82,7 +82,7 @@ def projected_areas(mesh: TriangleMesh, radii: FloatArray, spread: float) -> Flo
     return transform
 
 
-@njit(cache=True)
+@compiled()
 def _arrived(samples: FloatArray, radius: float, shape: tuple[int, int, int]) -> FloatArray:
     """The area that arrives in each voxel of a grid, in C order, from a surface that moves inwards."""
     arrived = np.zeros(shape[0] * shape[1] * shape[2])
@@ -97,7 +97,7 @@ def _arrived(samples: FloatArray, radius: float, shape: tuple[int, int, int]) ->
     return arrived
 
 
-@njit(cache=True)
+@compiled()
 def _gathered(
     arrived: FloatArray, inside: NDArray[np.intp], offsets: NDArray[np.intp], shares: FloatArray
 ) -> FloatArray:
@@ -148,7 +148,7 @@ def _samples(mesh: TriangleMesh, grid: Grid) -> FloatArray:
     return _centres(values, mesh.faces, mesh.face_areas, n_parts.astype(np.intp))
 
 
-@njit(cache=True)
+@compiled()
 def _centres(
     values: FloatArray, faces: IntArray, areas: FloatArray, parts: NDArray[np.intp]
 ) -> FloatArray:
@@ -173,7 +173,7 @@ def _centres(
     return samples
 
 
-@njit(cache=True)
+@compiled()
 def _vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """(n, 3) means of the normals of the faces at each vertex by their angles, not of unit length."""
     # Such normals do not depend on how the surface is triangulated: G. Thürmer and C. Wüthrich, "Computing
@@ -188,7 +188,7 @@ def _vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     return normals
 
 
-@njit(cache=True)
+@compiled()
 def _weighted_normal(
     vertices: FloatArray, here: int, after: int, before: int
 ) -> tuple[float, float, float]:

@@ -453,8 +453,11 @@ def _prepare(folder: str | None, memory: float | None) -> bool:
         os.environ["TMPDIR"] = tempfile.tempdir = folder
     from threadpoolctl import threadpool_limits
 
+    from pcretrieve.values.compiled import tuned_process
+
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threadpool_limits(limits=1)
+    tuned_process()
     if memory is not None:
         limit = int(memory * GIB)
         resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))

@@ -288,7 +288,7 @@ def compile_stages() -> None:
     from pcretrieve.points.grid import components, distances
 
     components(np.zeros((1, 1, 1), dtype=np.bool_), False)
-    if components.stats.cache_misses:
+    if components.dispatcher.stats.cache_misses:
         logging.getLogger("pcretrieve").warning(
             "compiling, once after an installation: half a minute"
         )

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from pcretrieve.arrays import bounds
 from pcretrieve.values import FloatArray, IntArray, TriangleMesh
+from pcretrieve.values.compiled import compiled
 
 #: A set of voxels, or of other elements.
 Mask: TypeAlias = NDArray[np.bool_]
@@ -61,7 +61,7 @@ class Grid:
         return tuple(np.rint(self.coordinates(points)).astype(np.intp).T)
 
 
-@njit(cache=True)
+@compiled()
 def components(voxels: Mask, corners: bool) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Label the connected components of a set of voxels, by runs along the last axis [1]_.
 
@@ -121,7 +121,7 @@ def joined_by(a: NDArray[np.integer], b: NDArray[np.integer], n: int) -> NDArray
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.intp)
 
 
-@njit(cache=True)
+@compiled()
 def _runs(voxels: Mask) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]]:
     """First voxel and end of each run of voxels on each line, and the first run of each line."""
     n_x, n_y, n_z = voxels.shape
@@ -143,7 +143,7 @@ def _runs(voxels: Mask) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[n
     return limits[0:n:2], limits[1:n:2], lines
 
 
-@njit(cache=True)
+@compiled()
 def _join(
     parent: NDArray[np.int64],
     begins: NDArray[np.int32],
@@ -165,7 +165,7 @@ def _join(
             b += 1
 
 
-@njit(cache=True)
+@compiled()
 def _root(parent: NDArray[np.int64], run: int) -> int:
     while parent[run] != run:
         parent[run] = parent[parent[run]]
@@ -173,7 +173,7 @@ def _root(parent: NDArray[np.int64], run: int) -> int:
     return run
 
 
-@njit(cache=True)
+@compiled()
 def _numbered(parent: NDArray[np.int64]) -> tuple[NDArray[np.int32], int]:
     """The number of the component of each run, from 1; and how many there are."""
     label = np.zeros(len(parent), dtype=np.int32)
@@ -207,7 +207,7 @@ def distances(sources: Mask, limit: float) -> Voxels:
     )
 
 
-@njit(cache=True)
+@compiled()
 def _distances(sources: Mask, limit: float, most: int, squares: NDArray[Any]) -> Voxels:
     """The distances; in `squares` those along the axes so far, of which the farthest are most²."""
     n_x, n_y, n_z = sources.shape
@@ -233,7 +233,7 @@ def _distances(sources: Mask, limit: float, most: int, squares: NDArray[Any]) ->
     return result.reshape(sources.shape)
 
 
-@njit(cache=True)
+@compiled()
 def _squares_along_z(sources: Mask, most: int, squares: NDArray[Any]) -> None:
     """Squared distances along the last axis."""
     n_x, n_y, n_z = sources.shape
@@ -248,7 +248,7 @@ def _squares_along_z(sources: Mask, most: int, squares: NDArray[Any]) -> None:
                 line[z] = away * away
 
 
-@njit(cache=True)
+@compiled()
 def _lower_along_y(planes: NDArray[Any], most: int, n_y: int) -> None:
     """Lower the squares in each plane to those of its lines plus the squares of the distances to them."""
     size = planes.shape[1]
@@ -264,7 +264,7 @@ def _lower_along_y(planes: NDArray[Any], most: int, n_y: int) -> None:
             k += 1
 
 
-@njit(cache=True)
+@compiled()
 def _lower(line: NDArray[Any], before: NDArray[Any], after: NDArray[Any], k: int) -> None:
     """Lower the squares of a line to those of the lines k voxels before and after it, plus k²."""
     square = line.dtype.type(k * k)
@@ -297,7 +297,7 @@ def interior(mesh: TriangleMesh, grid: Grid) -> Mask:
     return votes >= 2
 
 
-@njit(cache=True)
+@compiled()
 def _vote(votes: NDArray[np.int8], at: FloatArray, faces: IntArray, axis: int) -> None:
     """Add one for each voxel round which the winding number of a surface, along an axis, is not zero."""
     # By the crossings between a voxel and the one before.
@@ -317,7 +317,7 @@ def _vote(votes: NDArray[np.int8], at: FloatArray, faces: IntArray, axis: int) -
     _count(votes, turns, axis)
 
 
-@njit(cache=True)
+@compiled()
 def _crossing(
     a: FloatArray, b: FloatArray, c: FloatArray, axes: tuple[int, int, int], u: int, v: int
 ) -> tuple[int, float]:
@@ -336,7 +336,7 @@ def _crossing(
     return (1 if p > 0 else -1), height
 
 
-@njit(cache=True)
+@compiled()
 def _count(votes: NDArray[np.int8], turns: NDArray[np.int32], axis: int) -> None:
     """Add the turns along an axis, and one vote where their sum is not zero."""
     before = (axis == 0, axis == 1, axis == 2)

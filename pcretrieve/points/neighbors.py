@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.arrays import bounds
 from pcretrieve.values import FloatArray
+from pcretrieve.values.compiled import compiled
 
 Index = NDArray[np.intp]
 Shape = tuple[int, int, int]
@@ -70,12 +70,12 @@ def _cells(points: FloatArray, k: int) -> tuple[FloatArray, float, Shape, Index,
     return None if crowd.max() > MOST_CROWDED * wanted else cells
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _cell(at: float, n: int) -> int:
     return min(max(int(at), 0), n - 1)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _sorted(points: FloatArray, low: FloatArray, edge: float, shape: Shape) -> tuple[Index, Index]:
     """(n,) numbers of the points, grouped by cell; (cells + 1,) position of the first one of each cell."""
     cell = np.empty(len(points), dtype=np.intp)
@@ -107,7 +107,7 @@ def _sorted(points: FloatArray, low: FloatArray, edge: float, shape: Shape) -> t
 Place = tuple[float, float, float]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _nearest(
     points: FloatArray,
     low: FloatArray,
@@ -134,7 +134,7 @@ def _nearest(
     return distance, near
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _search(
     grouped: FloatArray,
     starts: Index,
@@ -154,7 +154,7 @@ def _search(
         n = _insert(keys, waiting, n_waiting)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _to_border(place: Place, shape: Shape, ring: int) -> float:
     """The distance from a place to the border of its block, beyond which there are more cells."""
     gap = np.inf
@@ -167,14 +167,14 @@ def _to_border(place: Place, shape: Shape, ring: int) -> float:
     return gap
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _block(place: float, n: int, ring: int) -> tuple[int, int]:
     """The first cell of a block along one axis, and the one after the last."""
     cell = _cell(place, n)
     return max(0, cell - ring), min(n, cell + ring + 1)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _collect(
     grouped: FloatArray,
     starts: Index,
@@ -202,7 +202,7 @@ def _collect(
     return n
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _insert(keys: FloatArray, waiting: FloatArray, n_waiting: int) -> int:
     """Sort the smallest of the waiting keys into an empty list; returns how many there are."""
     n = 0
@@ -216,7 +216,7 @@ def _insert(keys: FloatArray, waiting: FloatArray, n_waiting: int) -> int:
     return n
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _square(points: FloatArray, i: int, place: Place) -> float:
     """The square of the distance of a point from a place."""
     x, y, z = points[i, 0] - place[0], points[i, 1] - place[1], points[i, 2] - place[2]
@@ -231,7 +231,7 @@ LEAST_RANK = 1e-12
 Symmetric = tuple[float, float, float, float, float, float]
 
 
-@njit(cache=True)
+@compiled()
 def plane_deviations(points: FloatArray, near: NDArray[np.intp]) -> FloatArray:
     """(m,) root mean square distances of (m, k) neighbours from their least-squares planes.
 
@@ -255,7 +255,7 @@ def plane_deviations(points: FloatArray, near: NDArray[np.intp]) -> FloatArray:
     return found
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def guided_planes(
     points: FloatArray,
     guide: FloatArray,
@@ -282,7 +282,7 @@ def guided_planes(
     return normals
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _weigh(
     weight: FloatArray,
     guide: FloatArray,
@@ -304,7 +304,7 @@ def _weigh(
         weight[j] *= np.exp(-((distance[j] / width) ** 2))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _covariance(points: FloatArray, near: NDArray[np.intp], weight: FloatArray) -> Symmetric:
     """Σ w (p − m)(p − m)ᵀ of points with the weighted mean m."""
     total = x = y = z = 0.0
@@ -328,7 +328,7 @@ def _covariance(points: FloatArray, near: NDArray[np.intp], weight: FloatArray) 
     return xx, yy, zz, xy, xz, yz
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _smallest_eigenvalue(matrix: Symmetric) -> float:
     # The trigonometric solution of the characteristic polynomial of a symmetric matrix (Smith, "Eigenvalues
     # of a symmetric 3 × 3 matrix", Communications of the ACM 4, 1961).
@@ -343,7 +343,7 @@ def _smallest_eigenvalue(matrix: Symmetric) -> float:
     return float(mean + 2 * size * np.cos((np.arccos(half) + 2 * np.pi) / 3))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _smallest_eigenvector(matrix: Symmetric) -> Place:
     """A unit eigenvector of the smallest eigenvalue λ of A."""
     scaled = _scaled(matrix)
@@ -357,7 +357,7 @@ def _smallest_eigenvector(matrix: Symmetric) -> Place:
     return first[0], first[1], first[2]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _scaled(matrix: Symmetric) -> Symmetric:
     """A times a power of two, so that its digits stay, and squares of entries do not underflow.
 
@@ -369,7 +369,7 @@ def _scaled(matrix: Symmetric) -> Symmetric:
     return unit * xx, unit * yy, unit * zz, unit * xy, unit * xz, unit * yz
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _perpendicular(matrix: Symmetric, value: float) -> tuple[Place, float]:
     """A vector that is perpendicular to all rows of A − λI, and its length.
 

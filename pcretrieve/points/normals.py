@@ -6,7 +6,6 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.arrays import DOUBLE_OFFSET, Frame
@@ -24,6 +23,7 @@ from pcretrieve.points.neighbors import (
 )
 from pcretrieve.points.outside import Outside, flood
 from pcretrieve.values import FloatArray, PointCloud, Step
+from pcretrieve.values.compiled import compiled
 
 # Width of the Gaussian weight of neighbours, relative to the distance of the farthest one.
 NEIGHBOR_SPREAD = 0.7
@@ -232,7 +232,7 @@ def _has_leaked(oriented: FloatArray, near: NDArray[np.intp], shallow: NDArray[n
     return bool(np.bincount(patch[points], minlength=1).max() > LARGEST_PATCH * len(near))
 
 
-@njit(cache=True)
+@compiled()
 def _disagreeing(
     oriented: FloatArray, near: NDArray[np.intp], shallow: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], float]:

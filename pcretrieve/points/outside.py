@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from pcretrieve.arrays import bounds
 from pcretrieve.points.grid import Grid, Mask, Voxels, components, distances
 from pcretrieve.values import FloatArray, IntArray
+from pcretrieve.values.compiled import compiled
 
 # Number of empty voxels around the points, in which finite differences are computed.
 MARGIN = 3
@@ -96,7 +96,7 @@ def _around(points: FloatArray, grid: Grid) -> tuple[Grid, tuple[slice, ...]]:
     return Grid(grid.origin + low * grid.cell, grid.cell, (a, b, c)), part
 
 
-@njit(cache=True)
+@compiled()
 def _regrown(outside: Mask, distance: Voxels, n_steps: int, clearance: float) -> Mask:
     """The voxels outside the walls, and those that are reached from them by a number of steps."""
     result: Mask = outside.copy()
@@ -121,7 +121,7 @@ def _regrown(outside: Mask, distance: Voxels, n_steps: int, clearance: float) ->
     return result
 
 
-@njit(cache=True)
+@compiled()
 def _first_front(outside: Mask, to_points: Voxels, clearance: float, front: IntArray) -> int:
     """Write the voxels with a face to the outside that are away from the points; returns their number."""
     n_x, n_y, n_z = outside.shape
@@ -141,7 +141,7 @@ def _first_front(outside: Mask, to_points: Voxels, clearance: float, front: IntA
     return n
 
 
-@njit(cache=True)
+@compiled()
 def sampled(values: Voxels, at: FloatArray) -> FloatArray:
     """(n,) values at (n, 3) positions in voxels, by trilinear interpolation between the centres of voxels.
 

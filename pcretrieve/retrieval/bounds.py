@@ -36,6 +36,7 @@ from numpy.typing import NDArray
 from pcretrieve.retrieval.covariances import scatter_matrix
 from pcretrieve.retrieval.distances import CHUNK, Positions
 from pcretrieve.values import FloatArray
+from pcretrieve.values.compiled import compiled
 
 Rows = NDArray[np.int32]
 Singles = NDArray[np.float32]
@@ -157,9 +158,6 @@ class LowerBounds(NamedTuple):
 
         radius: function of (n,) rows that returns a distance within which at least `k` of them lie.
         """
-        # numba takes half a second to load, which a query of a small gallery does not wait for.
-        from pcretrieve.retrieval.compiled import scan
-
         query = (point - self.mean) @ self.axes  # (D,)
         to_blocks, cells = self._to_blocks(query), self.cells(query)
         order = np.argsort(to_blocks, kind="stable")
@@ -195,6 +193,49 @@ class LowerBounds(NamedTuple):
         # The factor allows for rounding errors of D terms and of their partial sums.
         limit = (radius * radius) * (1 + 4 * (int(self.axes.shape[1]) + 8) * SINGLE)
         return limit if limit < LARGEST_SINGLE else math.inf
+
+
+# Contraction to fused multiply-add instructions makes rounding errors smaller, which the limit allows for.
+@compiled(nogil=True, fastmath={"contract"})
+def scan(
+    codes: NDArray[np.uint8],
+    rows: Rows,
+    middle: Singles,
+    step: Singles,
+    reach: FloatArray,
+    blocks: Positions,
+    limit: np.float32,
+) -> tuple[Rows, Singles]:
+    """The rows of some blocks whose squared distance to their cells is at most a limit, and these squares.
+
+    The distance to a cell is at least that to its middle, less half its diagonal.
+
+    codes, rows: (B, D, S) and (B, S), as in `LowerBounds`.
+    middle: (B, D), the middles of the first cells of each block, relative to the query.
+    step: (B, D), lengths of the cells.
+    reach: (B,), halves of the diagonals of the cells.
+    blocks: (b,), the blocks to scan.
+    """
+    n_axes, size = codes.shape[1:]
+    near = np.empty(len(blocks) * size, np.int32)
+    bounds = np.empty(len(near), np.float32)
+    total = np.empty(size, np.float32)
+    found = 0
+    for block in blocks:
+        total[:] = 0
+        for axis in range(n_axes):
+            cell, s, o = codes[block, axis], step[block, axis], middle[block, axis]
+            for i in range(size):
+                along = np.float32(cell[i]) * s + o
+                total[i] += along * along
+        most = np.float32((math.sqrt(limit) + reach[block]) ** 2)
+        for i in range(size):
+            # The negation is true for a NaN too.
+            if not (total[i] > most) and rows[block, i] >= 0:
+                near[found] = rows[block, i]
+                bounds[found] = max(math.sqrt(total[i]) - reach[block], 0.0) ** 2
+                found += 1
+    return near[:found], bounds[:found]
 
 
 def _leaves(leading: NDArray[np.float32], members: Rows) -> Iterator[Rows]:

@@ -12,7 +12,6 @@ from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
@@ -20,7 +19,10 @@ from scipy.spatial.distance import cdist
 
 from pcretrieve.descriptors.hapt import in_principal_frame
 from pcretrieve.errors import DegenerateMeshError, OptionError, Stage
+from pcretrieve.surface.simplify import decimated, simplified
+from pcretrieve.surface.topology import compact
 from pcretrieve.values import FloatArray, IntArray, Shape, TriangleMesh
+from pcretrieve.values.compiled import compiled
 
 # Number of faces to which a surface is simplified first.
 N_FACES = 1000
@@ -45,10 +47,6 @@ def canonical_form(mesh: TriangleMesh) -> TriangleMesh:
 
 def coarser(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
     """A surface with about so many faces, or all of its faces if it has fewer."""
-    # Imported here because the modules' numba functions are compiled on import.
-    from pcretrieve.surface.simplify import decimated, simplified
-    from pcretrieve.surface.topology import compact
-
     if len(mesh.faces) <= n_faces:
         return compact(mesh.vertices, mesh.faces)
     try:
@@ -217,7 +215,7 @@ def depth_pictures(mesh: TriangleMesh) -> Iterator[FloatArray]:
         yield _drawn(pixels, mesh.faces, N_PIXELS)
 
 
-@njit(cache=True)
+@compiled()
 def _drawn(pixels: FloatArray, faces: IntArray, side: int) -> FloatArray:
     """A picture (side, side) of the largest third coordinate at each pixel (x, y), and 0 without a face."""
     picture = np.zeros((side, side))
@@ -324,7 +322,7 @@ def clock_distance(query: ViewWords, other: ViewWords) -> float:
     return float(_smallest_mean(*query, *other, exchanges()))
 
 
-@njit(cache=True)
+@compiled()
 def _smallest_mean(
     starts: IntArray,
     words: IntArray,
@@ -354,7 +352,7 @@ def _smallest_mean(
     return smallest / n_views
 
 
-@njit(cache=True)
+@compiled()
 def _distance(
     words: IntArray, counts: IntArray, other_words: IntArray, other_counts: IntArray
 ) -> float:

@@ -16,11 +16,11 @@ BLAS takes twice as long for such narrow blocks, and SuperLU half as much again:
 from __future__ import annotations
 
 import numpy as np
-from numba import config, njit
 from numpy.typing import NDArray
 
 from pcretrieve.spectral.elements import Index
 from pcretrieve.values import FloatArray
+from pcretrieve.values.compiled import compiled
 
 # Number of vectors in a block. An iteration finds at most as many copies of a multiple eigenvalue as the
 # block has vectors. The symmetry groups of bodies in space have irreducible representations of dimension 5 at
@@ -32,16 +32,12 @@ BLOCK = 8
 # the cache, and a copy of the basis would double the memory.
 CHUNK = 512
 
-# Rows of eight numbers are vectors of the processor, if numba lets LLVM combine equal operations. The setting
-# is one of the process; operations are combined, not reordered, so that no result changes.
-config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]
-
 # A row of a block.
 Row = tuple[float, float, float, float, float, float, float, float]
 NOTHING: Row = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-@njit(cache=True, fastmath={"contract"})
+@compiled(fastmath={"contract"})
 def _row(block: FloatArray, i: int) -> Row:
     """Row i of a block."""
     return (
@@ -56,7 +52,7 @@ def _row(block: FloatArray, i: int) -> Row:
     )
 
 
-@njit(cache=True, fastmath={"contract"})
+@compiled(fastmath={"contract"})
 def _put(block: FloatArray, i: int, row: Row) -> None:
     """Write row i of a block."""
     (
@@ -71,7 +67,7 @@ def _put(block: FloatArray, i: int, row: Row) -> None:
     ) = row
 
 
-@njit(cache=True, fastmath={"contract"})
+@compiled(fastmath={"contract"})
 def _plus(row: Row, factor: float, other: Row) -> Row:
     """The row plus a factor times another: one operation of the processor."""
     return (
@@ -86,7 +82,7 @@ def _plus(row: Row, factor: float, other: Row) -> Row:
     )
 
 
-@njit(cache=True, fastmath={"contract"})
+@compiled(fastmath={"contract"})
 def product(indptr: Index, columns: Index, entries: FloatArray, block: FloatArray) -> FloatArray:
     """The product of a CSR matrix and an (n, BLOCK) block."""
     product = np.empty_like(block)
@@ -98,7 +94,7 @@ def product(indptr: Index, columns: Index, entries: FloatArray, block: FloatArra
     return product
 
 
-@njit(cache=True, fastmath={"contract"})
+@compiled(fastmath={"contract"})
 def times(block: FloatArray, matrix: FloatArray) -> None:
     """Multiply an (n, BLOCK) block by a (BLOCK, BLOCK) matrix, in place."""
     for i in range(len(block)):
@@ -108,7 +104,7 @@ def times(block: FloatArray, matrix: FloatArray) -> None:
         _put(block, i, row)
 
 
-@njit(cache=True, fastmath={"contract"})
+@compiled(fastmath={"contract"})
 def components(basis: FloatArray, block: FloatArray) -> FloatArray:
     """(width, BLOCK): the product of a basis and a block. Four vectors of the basis read a row at once."""
     found = np.zeros((len(basis), BLOCK))
@@ -129,7 +125,7 @@ def components(basis: FloatArray, block: FloatArray) -> FloatArray:
     return found
 
 
-@njit(cache=True, fastmath={"contract"})
+@compiled(fastmath={"contract"})
 def subtract(basis: FloatArray, parts: FloatArray, block: FloatArray) -> None:
     """Subtract from a block, in place, the vectors whose components along the basis are (width, BLOCK)."""
     for start in range(0, len(block), CHUNK):
@@ -145,7 +141,7 @@ def subtract(basis: FloatArray, parts: FloatArray, block: FloatArray) -> None:
                 _put(block, i, row)
 
 
-@njit(cache=True)
+@compiled()
 def paired(indptr: Index, rows: Index) -> NDArray[np.bool_]:
     """(n + 1,) whether a column of L and the next are a pair: they have the same rows below the second.
 
@@ -159,7 +155,7 @@ def paired(indptr: Index, rows: Index) -> NDArray[np.bool_]:
     return paired
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@compiled(error_model="numpy", fastmath={"contract"})
 def substitute(
     block: FloatArray,
     indptr: Index,
@@ -180,7 +176,7 @@ def substitute(
 # lie as far apart as the first column is long below its diagonal.
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@compiled(error_model="numpy", fastmath={"contract"})
 def _forward(
     block: FloatArray, indptr: Index, rows: Index, lower: FloatArray, paired: NDArray[np.bool_]
 ) -> None:
@@ -205,7 +201,7 @@ def _forward(
             column += 1
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@compiled(error_model="numpy", fastmath={"contract"})
 def _backward(
     block: FloatArray,
     indptr: Index,

@@ -25,11 +25,6 @@ from pcretrieve.spectral.blocks import BLOCK, CHUNK
 from pcretrieve.spectral.elements import Index
 from pcretrieve.values import FloatArray, LaplaceBeltrami
 
-# An untouched block, freed at once: glibc then keeps up to 64 MiB of free memory at the end of the heap,
-# twice the largest block that it has mapped and freed (mallopt(3), M_MMAP_THRESHOLD). Else each surface takes
-# it anew from the system, with thousands of page faults: 15 % of the time of 5,000 vertices, 6 % of a scan.
-np.empty((32 << 20) - (64 << 10), dtype=np.uint8)
-
 # Size of the basis: a multiple of the number of pairs, and a constant. Large enough that the iteration
 # usually converges without a restart.
 VECTORS_PER_PAIR = 3

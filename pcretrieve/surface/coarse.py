@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.arrays import bounds
@@ -18,6 +17,7 @@ from pcretrieve.surface.poisson import poisson
 from pcretrieve.surface.repair import largest_component
 from pcretrieve.surface.topology import defects
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
+from pcretrieve.values.compiled import compiled
 
 # Standard deviation of the Gaussian filter of the indicator function; in voxels.
 FILTER = 0.6
@@ -59,7 +59,7 @@ def indicator(points: FloatArray, normals: FloatArray, spacings: FloatArray, gri
     return np.asarray(values - values[0, 0, 0], dtype=np.float32)
 
 
-@njit(cache=True)
+@compiled()
 def _splatted(at: FloatArray, vectors: FloatArray, shape: tuple[int, int, int]) -> Voxels:
     """(3, a, b, c) sums of vectors at positions in voxels.
 
@@ -107,7 +107,7 @@ def crossings(mesh: TriangleMesh, grid: Grid, axis: int) -> Voxels:
     return _crossed(grid.coordinates(mesh.vertices), mesh.faces, grid.shape, axis)[1]
 
 
-@njit(cache=True)
+@compiled()
 def _accumulate(odd: Mask) -> None:
     """Turn the changes of the parity along the last axis into the parity."""
     for x in range(odd.shape[0]):
@@ -118,7 +118,7 @@ def _accumulate(odd: Mask) -> None:
                 line[z] = is_inside
 
 
-@njit(cache=True)
+@compiled()
 def _crossed(
     at: FloatArray, faces: NDArray[np.int32], shape: tuple[int, int, int], axis: int
 ) -> tuple[Mask, Voxels]:
@@ -151,7 +151,7 @@ def _crossed(
     return odd, crossings
 
 
-@njit(cache=True)
+@compiled()
 def _lines(
     at: FloatArray, face: NDArray[np.int32], axis: int, n: int, beside: float
 ) -> tuple[int, int]:
@@ -162,7 +162,7 @@ def _lines(
     return first, last + 1
 
 
-@njit(cache=True)
+@compiled()
 def _meeting(
     at: FloatArray, face: NDArray[np.int32], axes: tuple[int, int, int], x: float, y: float
 ) -> float:
@@ -187,7 +187,7 @@ def _meeting(
     return float(along)
 
 
-@njit(cache=True)
+@compiled()
 def _left(at: FloatArray, p: int, q: int, i: int, j: int, x: float, y: float) -> bool:
     """Whether (x, y) is left of the directed line from p to q in the projection along an axis."""
     # Evaluated from the lower to the higher vertex number, so that the two directions never agree.

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.points.grid import Mask, Voxels
 from pcretrieve.points.outside import Outside
 from pcretrieve.values import FloatArray, IntArray, PointCloud
+from pcretrieve.values.compiled import compiled
 
 # Radius of the neighbourhood of a voxel, and standard deviation of the Gaussian
 # weight of its points; in voxels.
@@ -117,7 +117,7 @@ NARROWNESS = 1 / (2 * SPREAD * SPREAD)
 Vector = tuple[float, float, float]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _fitted(points: FloatArray, normals: FloatArray, to_points: Voxels) -> Voxels:
     """Distances from each voxel to the sphere that is fitted near it; NaN where there are too few points.
 
@@ -137,7 +137,7 @@ def _fitted(points: FloatArray, normals: FloatArray, to_points: Voxels) -> Voxel
     return distance
 
 
-@njit(cache=True)
+@compiled()
 def _numbered(to_points: Voxels) -> tuple[IntArray, int]:
     """The number, in order, of each voxel that may have a point within `REACH`, else −1; and how many."""
     number, n = np.full(to_points.size, -1, dtype=np.int32), 0
@@ -149,7 +149,7 @@ def _numbered(to_points: Voxels) -> tuple[IntArray, int]:
     return number.reshape(to_points.shape), n
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _to_sphere(sums: FloatArray, x: int, y: int, z: int) -> float:
     """The distance from a voxel to the sphere u₀ + u·p + q p·p = 0 of the sums (9,) over its points."""
     weight = sums[0]
@@ -177,12 +177,12 @@ def _to_sphere(sums: FloatArray, x: int, y: int, z: int) -> float:
     return float(2 * u_0 / (steepness + root + 1e-9))
 
 
-@njit(cache=True)
+@compiled()
 def _dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _summed(points: FloatArray, normals: FloatArray, number: IntArray, n: int) -> FloatArray:
     """(n, 9) sums of the weights w, and of w p, w n, w p·p, w p·n over the points p near each voxel.
 
@@ -199,13 +199,13 @@ def _summed(points: FloatArray, normals: FloatArray, number: IntArray, n: int) -
     return sums.reshape(n, 9)
 
 
-@njit(cache=True)
+@compiled()
 def _reached(place: float, n: int) -> tuple[int, int]:
     """The first of n voxels on a line within `REACH` of a place, and the one after the last."""
     return max(0, int(np.ceil(place - REACH))), min(n, int(place + REACH) + 1)
 
 
-@njit(cache=True)
+@compiled()
 def _set_terms(terms: FloatArray, point: FloatArray, normal: FloatArray, n_z: int) -> None:
     """Set the nine terms of a point for each voxel that it reaches on a line along z."""
     x, y, z = point
@@ -226,7 +226,7 @@ def _set_terms(terms: FloatArray, point: FloatArray, normal: FloatArray, n_z: in
         terms[t + 8] = factor * along
 
 
-@njit(cache=True)
+@compiled()
 def _add_terms(
     sums: FloatArray, terms: FloatArray, of_y: FloatArray, point: FloatArray, number: IntArray
 ) -> None:
@@ -252,7 +252,7 @@ def _add_terms(
                 _add_line(sums, here, weight, terms[9 * (first - low) : 9 * (last - low)])
 
 
-@njit(cache=True)
+@compiled()
 def _add_line(sums: FloatArray, here: int, weight: float, terms: FloatArray) -> None:
     # Numba need not test whether an index without a sign counts from the end of an array.
     start = np.uint64(here)

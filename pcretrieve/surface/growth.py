@@ -13,7 +13,6 @@ References
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.options import SurfaceOptions
@@ -21,6 +20,7 @@ from pcretrieve.points.grid import Mask, Voxels, distances, touching
 from pcretrieve.points.outside import FARTHEST
 from pcretrieve.surface.marching import marched, voxels_of
 from pcretrieve.values import TriangleMesh
+from pcretrieve.values.compiled import compiled
 
 # Largest amount by which the depth of a voxel, as the priority of region growing, may exceed its distance to
 # the nearest point; in voxels. It is small, so that a contact, with points of both surfaces in it, has a
@@ -67,7 +67,7 @@ def grown(inside: Mask, depth: Voxels, to_points: Voxels, walls: Mask) -> Mask:
     return _grown(*_steps(inside, depth, to_points), walls)
 
 
-@njit(cache=True)
+@compiled()
 def _steps(inside: Mask, depth: Voxels, to_points: Voxels) -> tuple[NDArray[np.int16], int]:
     """The integer priority of each voxel from 1, 0 outside; and the first voxel of the highest."""
     steps = np.zeros(inside.size, dtype=np.int16)
@@ -83,7 +83,7 @@ def _steps(inside: Mask, depth: Voxels, to_points: Voxels) -> tuple[NDArray[np.i
     return steps.reshape(inside.shape), seed
 
 
-@njit(cache=True)
+@compiled()
 def _grown(steps: NDArray[np.int16], seed: int, walls: Mask) -> Mask:
     _, n_y, n_z = steps.shape
     n = steps.size
@@ -149,7 +149,7 @@ def _grown(steps: NDArray[np.int16], seed: int, walls: Mask) -> Mask:
             top[queue] = max(top[queue], bucket)
 
 
-@njit(cache=True)
+@compiled()
 def _is_simple(body: int) -> bool:
     """Whether a voxel with these neighbours in the region is a simple point: adding it keeps the topology."""
     # It is simple if exactly one component of the region, in the 18-neighbourhood, and exactly one component
@@ -165,7 +165,7 @@ def _is_simple(body: int) -> bool:
     return rest != 0 and _is_joined_by_corners(rest)
 
 
-@njit(cache=True)
+@compiled()
 def _joined_by_faces(start: int, wanted: int, allowed: int) -> bool:
     """Whether the 6-connected component of `start` in the set `allowed` has all voxels of `wanted`."""
     reached = start
@@ -180,7 +180,7 @@ def _joined_by_faces(start: int, wanted: int, allowed: int) -> bool:
     return True
 
 
-@njit(cache=True)
+@compiled()
 def _is_joined_by_corners(voxels: int) -> bool:
     """Whether a set of voxels is 26-connected."""
     reached = voxels & -voxels

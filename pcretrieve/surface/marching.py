@@ -7,11 +7,11 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.points.grid import Mask
 from pcretrieve.values import FloatArray, IntArray
+from pcretrieve.values.compiled import compiled
 
 
 class Crossings(NamedTuple):
@@ -86,7 +86,7 @@ def marched(body: Mask, crossings: Sequence[Crossings] = ()) -> tuple[FloatArray
     return np.concatenate([vertices, middles]), faces
 
 
-@njit(cache=True)
+@compiled()
 def _triangulated(
     body: Mask,
     links: tuple[NDArray[np.intp], ...],
@@ -259,7 +259,7 @@ def smoothed(
     return result
 
 
-@njit(cache=True)
+@compiled()
 def _smooth(
     vertices: FloatArray, faces: IntArray, moving: NDArray[np.intp], factors: FloatArray
 ) -> None:

@@ -12,13 +12,13 @@ the rim into the contact, in the plane of symmetry of the two surfaces.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.grid import Grid, Mask, Voxels, components
 from pcretrieve.values import FloatArray
+from pcretrieve.values.compiled import compiled
 
 # Radius of the surfel, an oriented disk, that represents a point; in voxels.
 DISK = 2.0
@@ -53,7 +53,7 @@ LONG_DETOUR = 14
 MOST_CONTACTS = 0.08
 
 
-@njit(cache=True)
+@compiled()
 def walls(
     at: FloatArray, normals: FloatArray, shape: tuple[int, int, int], radius: float = DISK
 ) -> Mask:
@@ -156,7 +156,7 @@ def _from_limb(inside: Mask, walls: Mask, middle: int) -> NDArray[np.int32]:
     return _away(inside, walls, int(_away(inside, walls, middle).argmax()))
 
 
-@njit(cache=True)
+@compiled()
 def _away(inside: Mask, walls: Mask, source: int) -> NDArray[np.int32]:
     """Steps from a source to each voxel by breadth-first search that crosses no surfel; −1 elsewhere."""
     _, n_y, n_z = inside.shape
@@ -182,7 +182,7 @@ def _away(inside: Mask, walls: Mask, source: int) -> NDArray[np.int32]:
     return away.reshape(inside.shape)
 
 
-@njit(cache=True)
+@compiled()
 def _contacts(inside: Mask, away: NDArray[np.int32], detour: int) -> tuple[Mask, int]:
     """Voxels at which the distance jumps: to a 6-neighbour or, if not reached, around the voxel.
 
@@ -266,7 +266,7 @@ def joined(
     return solid, np.concatenate([nowhere, *bridges])
 
 
-@njit(cache=True)
+@compiled()
 def _counted(pieces: NDArray[np.int32], at: FloatArray, n: int) -> NDArray[np.int64]:
     """The number of points of each component: in its voxels or, if they are in none, adjacent to them."""
     found = np.zeros(n, dtype=np.int64)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.arrays import DOUBLE_OFFSET, Frame
@@ -15,6 +14,7 @@ from pcretrieve.options import SurfaceOptions
 from pcretrieve.surface.repair import repaired
 from pcretrieve.surface.topology import compact, twins
 from pcretrieve.values import FloatArray, IntArray, Step, TriangleMesh
+from pcretrieve.values.compiled import compiled
 
 # Weight of the squared distance along the surface, relative to the squared distance from it. A smaller weight
 # preserves creases better, a larger one gives faces of more even shape.
@@ -69,17 +69,17 @@ def simplified(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
     return compact(vertices, corners.reshape(-1, 3)[corners[::3] >= 0])
 
 
-@njit(cache=True)
+@compiled()
 def _next(h: int) -> int:
     return h - 2 if h % 3 == 2 else h + 1
 
 
-@njit(cache=True)
+@compiled()
 def _previous(h: int) -> int:
     return h + 2 if h % 3 == 0 else h - 1
 
 
-@njit(cache=True)
+@compiled()
 def _quadrics(vertices: FloatArray, corners: IntArray) -> tuple[FloatArray, float]:
     """The (n, 6) quadrics Σ A_f/3 (n_f n_fᵀ + EVENNESS I) as xx, yy, zz, xy, xz, yz; and the area."""
     quadrics = np.zeros((len(vertices), 6))
@@ -104,13 +104,13 @@ def _quadrics(vertices: FloatArray, corners: IntArray) -> tuple[FloatArray, floa
     return quadrics, area
 
 
-@njit(cache=True)
+@compiled()
 def _at(vertices: FloatArray, v: int) -> Point:
     # Numbers, because counting the references to a row of an array takes longer than the arithmetic.
     return vertices[v, 0], vertices[v, 1], vertices[v, 2]
 
 
-@njit(cache=True)
+@compiled()
 def _normal(a: Point, b: Point, c: Point) -> tuple[float, float, float, float]:
     """The normal of a triangle with twice its area as the length, and this length."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -119,7 +119,7 @@ def _normal(a: Point, b: Point, c: Point) -> tuple[float, float, float, float]:
     return x, y, z, np.sqrt(x * x + y * y + z * z)
 
 
-@njit(cache=True)
+@compiled()
 def _times(q: FloatArray, u: int, x: float, y: float, z: float) -> Point:
     return (
         q[u, 0] * x + q[u, 3] * y + q[u, 4] * z,
@@ -128,7 +128,7 @@ def _times(q: FloatArray, u: int, x: float, y: float, z: float) -> Point:
     )
 
 
-@njit(cache=True)
+@compiled()
 def _meeting(vertices: FloatArray, q: FloatArray, u: int, v: int) -> tuple[float, Point]:
     """The additional cost of the minimum of the quadrics of two vertices, and its place."""
     # Each vertex is at the minimum of its own quadric, so that a displacement y costs yᵀ Q y more. The
@@ -152,7 +152,7 @@ def _meeting(vertices: FloatArray, q: FloatArray, u: int, v: int) -> tuple[float
     return cost, (vertices[u, 0] + x, vertices[u, 1] + y, vertices[u, 2] + z)
 
 
-@njit(cache=True)
+@compiled()
 def _key(cost: float, edge: int) -> int:
     """An integer that sorts by cost, then by edge number."""
     # The cost is rounded to single precision, so that rounding errors of double precision do not affect the
@@ -160,7 +160,7 @@ def _key(cost: float, edge: int) -> int:
     return int(np.int64(np.float32(cost).view(np.int32)) << 32 | edge)
 
 
-@njit(cache=True)
+@compiled()
 def _sink(heap: Keys, size: int, at: int) -> None:
     key = heap[at]
     while True:
@@ -177,7 +177,7 @@ def _sink(heap: Keys, size: int, at: int) -> None:
     heap[at] = key
 
 
-@njit(cache=True)
+@compiled()
 def _rise(heap: Keys, at: int) -> None:
     key = heap[at]
     while at > 0 and heap[(at - 1) // 2] > key:
@@ -186,7 +186,7 @@ def _rise(heap: Keys, at: int) -> None:
     heap[at] = key
 
 
-@njit(cache=True)
+@compiled()
 def _keeps_shape(
     vertices: FloatArray, corners: IntArray, twin: IntArray, h: int, place: Point
 ) -> bool:
@@ -213,7 +213,7 @@ def _keeps_shape(
     return poorest >= min(poorest_before, LEAST_QUALITY)
 
 
-@njit(cache=True)
+@compiled()
 def _quality(a: Point, b: Point, c: Point, double: float) -> float:
     """4√3 area / Σ sides² of a triangle, where `double` is twice its area."""
     squares = 0.0
@@ -222,7 +222,7 @@ def _quality(a: Point, b: Point, c: Point, double: float) -> float:
     return 2 * np.sqrt(3) * double / squares if squares > 0 else 0.0
 
 
-@njit(cache=True)
+@compiled()
 def _keeps_topology(corners: IntArray, twin: IntArray, h: int, mark: IntArray, label: int) -> bool:
     """The link condition: the ends have exactly two common neighbours, and are not in a tetrahedron."""
     n_u, g = 0, h
@@ -238,7 +238,7 @@ def _keeps_topology(corners: IntArray, twin: IntArray, h: int, mark: IntArray, l
     return n_shared == 2 and n_u + n_v > 6
 
 
-@njit(cache=True)
+@compiled()
 def _merge(corners: IntArray, twin: IntArray, edge: IntArray, half: IntArray, h: int) -> int:
     """Collapse the head of a half-edge into its tail, and return a remaining half-edge from the tail."""
     g, tail = twin[h], corners[h]
@@ -258,7 +258,7 @@ def _merge(corners: IntArray, twin: IntArray, edge: IntArray, half: IntArray, h:
     return stays
 
 
-@njit(cache=True)
+@compiled()
 def _queue(
     vertices: FloatArray, corners: IntArray, twin: IntArray, quadrics: FloatArray, area: float
 ) -> tuple[IntArray, IntArray, Keys]:
@@ -279,7 +279,7 @@ def _queue(
     return edge, half, heap
 
 
-@njit(cache=True)
+@compiled()
 def _requeue(
     corners: IntArray,
     twin: IntArray,
@@ -311,7 +311,7 @@ def _requeue(
             return size
 
 
-@njit(cache=True)
+@compiled()
 def _collapsed(
     vertices: FloatArray,
     corners: IntArray,

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pcretrieve.points.grid import joined_by
 from pcretrieve.values import FloatArray, IntArray, TriangleMesh
+from pcretrieve.values.compiled import compiled
 
 Index = NDArray[np.intp]
 
@@ -150,7 +150,7 @@ def defects(mesh: TriangleMesh) -> Defects:
     )
 
 
-@njit(cache=True)
+@compiled()
 def twins(corners: IntArray, n_vertices: int) -> tuple[IntArray, int]:
     """The twins of half-edges, those in the opposite direction; and in how many places there is no manifold.
 
@@ -192,7 +192,7 @@ def twins(corners: IntArray, n_vertices: int) -> tuple[IntArray, int]:
     return twin, n_bad
 
 
-@njit(cache=True)
+@compiled()
 def _is_connected(twin: IntArray) -> bool:
     """Whether the faces of a closed manifold, of which there are some, are one component."""
     reached, queue, n = (

@@ -20,7 +20,6 @@ from pcretrieve.retrieval import (
     DistanceMatrix,
     SignatureIndex,
     bounds,
-    compiled,
     coordinates,
     fit_whitening,
     index,
@@ -259,7 +258,7 @@ def scan_by_numpy(
 
 
 Scan = Callable[..., tuple[Rows, Singles]]
-SCANS: tuple[Scan, ...] = (scan_by_numpy, compiled.scan)
+SCANS: tuple[Scan, ...] = (scan_by_numpy, bounds.scan)
 
 
 def galleries() -> dict[str, FloatArray]:
