@@ -306,7 +306,7 @@ def demo_command(folder: Path) -> None:
     """Try everything on simulated scans: ingest, query, evaluate, and a page of the results.
 
     The demo takes about a minute, and prints each command before it runs. All files are in FOLDER
-    (pcretrieve-demo by default): scans of people, an animal and a hand, their catalogue, and the page.
+    (pcretrieve-demo by default): scans of people, their catalogue, and the page.
 
     \b
     pcretrieve demo
@@ -316,9 +316,7 @@ def demo_command(folder: Path) -> None:
 
     scans, catalogue = folder / "scans", folder / "bodies.sqlite"
     n = len(DEMO_SAMPLES)
-    messages.say(
-        f"Simulating {n} scans of five bodies in {scans}, and a new scan of one of the bodies."
-    )
+    messages.say(f"Simulating {n} scans of four people in {scans}, and a new scan of one of them.")
     messages.stop_waiting()
     with messages.bar(
         total=n + 1, unit="scan", desc="simulate", disable=None, leave=False

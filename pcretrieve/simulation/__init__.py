@@ -1,6 +1,6 @@
 """Simulated scans of articulated bodies, for samples, tests and benchmarks.
 
-In come a seed and options; out come triangle meshes of people, animals and hands in many poses, and their
+In come a seed and options; out come triangle meshes of people in many poses, and their
 virtual scans as point clouds and files.
 """
 

@@ -1,4 +1,4 @@
-"""Articulated bodies: people, four-legged animals and hands in many poses.
+"""Articulated bodies: people in many poses; benchmarks add other families.
 
 A body is the skin of a subject, a smooth surface round the flesh, which follows the bones by linear blend
 skinning.
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from scipy.sparse import csc_array, diags_array
 from scipy.sparse.linalg import splu
 
 from pcretrieve.errors import InputError, OptionError
-from pcretrieve.simulation import animals, hands, people
+from pcretrieve.simulation import people
 from pcretrieve.simulation.skeleton import (
     Bone,
     Contact,
@@ -35,7 +36,7 @@ from pcretrieve.values import FloatArray, TriangleMesh
 LARGEST_DEVIATION = 2.0
 
 # Modules with the distributions of measures, the function that builds a skeleton, the cell, and poses.
-FAMILIES = {"person": people, "animal": animals, "hand": hands}
+FAMILIES: dict[str, ModuleType] = {"person": people}
 
 POSES: Mapping[str, dict[str, Pose]] = {name: family.POSES for name, family in FAMILIES.items()}
 """Poses by family and name. In poses with contacts (`Pose.contacts`) parts of the body touch each other."""

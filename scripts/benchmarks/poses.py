@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pcretrieve.simulation import POSES as DEMO_POSES
-from pcretrieve.simulation.hands import FINGERS, curl
-from pcretrieve.simulation.samples import SUBJECTS
+from benchmarks import animals, hands
+from benchmarks.hands import FINGERS, curl
+from pcretrieve.simulation import samples
+from pcretrieve.simulation.bodies import FAMILIES
 from pcretrieve.simulation.skeleton import Contact, Pose, both, left, right, turn
 
 _ARMS_DOWN = both(shoulder=(0, -32, 0), elbow=12)
@@ -233,11 +234,23 @@ _ORDER = {
     ),
 }
 
+# Pcretrieve simulates people; samples and benchmarks have animals and hands too.
+FAMILIES |= {"animal": animals, "hand": hands}
+
 POSES: Mapping[str, Mapping[str, Pose]] = {
-    family: {name: (DEMO_POSES[family] | more)[name] for name in _ORDER[family]}
+    family: {name: (FAMILIES[family].POSES | more)[name] for name in _ORDER[family]}
     for family, more in (("person", _PERSON), ("animal", _ANIMAL), ("hand", _HAND))
 }
 """Poses by family and name. In poses with contacts (`Pose.contacts`) parts of the body touch each other."""
+
+SUBJECTS: Mapping[str, tuple[str, ...]] = {
+    **samples.SUBJECTS,
+    "animal-1": ("stand", "walk", "graze", "play_bow", "wipe"),
+    "animal-2": ("stand", "gallop", "look_back", "rear", "lie"),
+    "hand-1": ("open", "relaxed", "grasp", "flex", "fist"),
+    "hand-2": ("spread", "table", "fan", "wave", "together"),
+}
+"""The poses of each individual of the sample set."""
 
 SAMPLES = tuple(f"{subject}_{pose}" for subject, poses in SUBJECTS.items() for pose in poses)
 """Names of all sample scans: subject and pose."""

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.measuring import argument_parser
-from benchmarks.poses import POSES, SAMPLES
+from benchmarks.poses import POSES, SAMPLES, SUBJECTS
 from pcretrieve.simulation import RigOptions, camera_pose, scan_views
 from pcretrieve.simulation.samples import SEED, moved, write_samples, write_whole
 from pcretrieve.values import FloatArray, TriangleMesh
@@ -48,6 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     write_samples(
         given.out,
         given.only or SAMPLES,
+        subjects=SUBJECTS,
         poses=POSES,
         seed=given.seed,
         on_scan=lambda path: click.echo(path, err=True),

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapes
-from benchmarks.poses import POSES
+from benchmarks.poses import POSES, SUBJECTS
 from benchmarks.samples import write, write_views
 from benchmarks.turning import TurningOptions, turning_frames, write_frames
 from benchmarks.uniform import UniformOptions, scan_uniformly
@@ -186,7 +186,11 @@ def test_the_same_seed_makes_the_same_bytes_and_the_points_of_the_set(tmp_path: 
 
     for run in ("one", "two"):
         labels = write_samples(
-            tmp_path / run, ["hand-2_fan", "hand-1_open"], poses=POSES, write=kept
+            tmp_path / run,
+            ["hand-2_fan", "hand-1_open"],
+            subjects=SUBJECTS,
+            poses=POSES,
+            write=kept,
         )
         assert labels == {"hand-1/hand-1_open.ply": "hand-1", "hand-2/hand-2_fan.conf": "hand-2"}
         made = (tmp_path / run).rglob("*.*")
