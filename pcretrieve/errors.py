@@ -40,7 +40,6 @@ class Stage(str, Enum):
     SPECTRUM = "spectrum"
     SIGNATURE = "signature"
     WORKER = "worker"  # the worker process ended, in an unknown stage
-    CHECK = "check"  # what was stored of a finished shape was damaged
 
     def __str__(self) -> str:
         return self.value

@@ -4,7 +4,7 @@ In come records and processed shapes; out come records, shapes, tables of signat
 """
 
 from pcretrieve.catalogue.catalogue import Catalogue, CatalogueLike, thumbnails
-from pcretrieve.catalogue.check import Defect, find_defects, set_to_be_ingested_again
+from pcretrieve.catalogue.check import Defect, find_defects
 from pcretrieve.catalogue.copies import backup, merge_catalogues
 from pcretrieve.catalogue.records import Content, Record, numbered_id
 
@@ -18,6 +18,5 @@ __all__ = [
     "find_defects",
     "merge_catalogues",
     "numbered_id",
-    "set_to_be_ingested_again",
     "thumbnails",
 ]

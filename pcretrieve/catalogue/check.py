@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
@@ -12,8 +13,11 @@ from typing import Literal
 from pcretrieve.catalogue.arrays import stored_shape, unpacked, unpacked_values
 from pcretrieve.catalogue.cache import remove_kept
 from pcretrieve.catalogue.catalogue import Catalogue
-from pcretrieve.catalogue.records import OWN, ChangedRow, Entry, Payload, Record, repeated
-from pcretrieve.errors import CatalogueError, ShapeError, Stage
+from pcretrieve.catalogue.records import OWN, ChangedRow, Entry, Payload, repeated
+from pcretrieve.errors import CatalogueError, ShapeError
+
+# The repair of a damaged shape.
+REMOVED = "removed: ingest its file again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,25 +52,6 @@ def find_defects(
         done = "removed, and made again when it is needed" if repair else None
         found.append(Defect("index", None, f"the stored index {folder} {fault}", done))
     return found
-
-
-def set_to_be_ingested_again(catalogue: Catalogue, record: Record, message: str) -> str | None:
-    """Replace a shape by a failure, whose file is processed again; None if that cannot be written."""
-    failure = Record(
-        record.id,
-        record.path,
-        "",  # of no file, so that the next ingest of the path processes it
-        record.label,
-        "failed",
-        str(Stage.CHECK),
-        CatalogueError.__name__,
-        f"what was stored of it was damaged: {message}",
-    )
-    try:
-        catalogue.add([Entry(failure, {}, {})])
-    except CatalogueError:
-        return None
-    return "set to be ingested again"
 
 
 @repeated
@@ -106,24 +91,22 @@ def _is_reindexed(catalogue: Catalogue) -> bool:
 
 
 def _shape_defects(catalogue: Catalogue, number: int, *, repair: bool) -> list[Defect]:
+    """What is wrong with a shape. A damaged one is removed, so that the next ingest processes its file."""
+    shape_id, faults = f"number {number}", ""
     try:
         for entry in catalogue.entries([number], "number"):
-            if faults := "; ".join(_faults(catalogue, entry)):
-                done = set_to_be_ingested_again(catalogue, entry.record, faults) if repair else None
-                return [Defect("shape", entry.record.id, faults, done)]
-    # Of a damaged record, not even the path and the id can be relied on, by which an ingest would replace it.
+            shape_id = entry.record.id
+            faults = "; ".join(_faults(catalogue, entry))
     except ChangedRow:
-        try:
-            ((shape_id,),) = catalogue.database.execute(
-                "SELECT id FROM shapes WHERE number = ?", [number]
-            )
-        except ChangedRow:
-            shape_id = f"number {number}"
-        if repair:
-            catalogue.forget(number)
-        done = "removed: ingest its file again" if repair else None
-        return [Defect("shape", shape_id, "its record has changed since it was stored", done)]
-    return []
+        faults = "its record has changed since it was stored"
+        with suppress(ChangedRow):
+            where = "SELECT id FROM shapes WHERE number = ?"
+            ((shape_id,),) = catalogue.database.execute(where, [number])
+    if not faults:
+        return []
+    if repair:
+        catalogue.forget("number", number)
+    return [Defect("shape", shape_id, faults, REMOVED if repair else None)]
 
 
 def _faults(catalogue: Catalogue, entry: Entry) -> Iterator[str]:

@@ -380,10 +380,10 @@ class Rows:
         self.database.scrub()
 
     @repeated
-    def forget(self, number: int) -> None:
-        """Remove the shape of a number, the record of which need not be readable."""
+    def forget(self, column: str, value: object) -> None:
+        """Remove the shape with a value in a column, such as its number; its record need not be readable."""
         with self.database.writing():
-            self._delete("number", [number])
+            self._delete(column, [value])
             self._changed()
 
     @repeated

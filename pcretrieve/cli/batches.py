@@ -1,4 +1,4 @@
-"""Commands that fill a catalogue with scans: ingest, status, retry, watch; and the demo of all."""
+"""Commands that fill a catalogue with scans: ingest, status, watch; and the demo of all."""
 
 from __future__ import annotations
 
@@ -132,34 +132,6 @@ def _facts(record: pr.Record) -> dict[str, object]:
     """Id and path of a record, in JSON; of a failure with its stage, its kind and its message."""
     facts: dict[str, object] = {"id": record.id, "path": record.path}
     return facts | out.failure_facts(record) if record.status == "failed" else facts
-
-
-@opt.command("retry")
-@opt.catalogue_option
-@opt.option(
-    "--stage STAGE",
-    "Only scans that failed in this stage, as `pcretrieve status` names it; worker: those whose "
-    "process ended, or took too long.",
-)
-@opt.option(
-    "--retries N",
-    "Try failing scans again, at most N times, with changes as for `ingest`.",
-    opt.NUMBER,
-    default=0,
-)
-@opt.remote_option
-@opt.process_options
-def retry_command(catalogue: str, progress: str, remote: bool, **chosen: Any) -> out.Result:
-    """Process failed scans again, with the settings of their catalogue.
-
-    \b
-    pcretrieve catalogue retry -c bodies.sqlite --stage worker --timeout 3600
-    """
-    chosen["remote"] = remote or messages.may_fetch
-    with pr.Catalogue(catalogue) as store, messages.Progress("retry", progress) as shown:
-        summary = pr.retry(store, on_start=shown.start, on_shape=partial(_advance, shown), **chosen)
-    _say_summary(summary, catalogue)
-    return _result(summary, catalogue)
 
 
 @opt.command("watch", has_json=False)

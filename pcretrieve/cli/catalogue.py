@@ -188,9 +188,9 @@ def merge_command(parts: tuple[str, ...], output: str) -> out.Result:
 )
 @opt.option(
     "--repair",
-    "Remove damaged indexes and rows without a shape, and mark damaged shapes to be ingested again.",
+    "Remove damaged shapes, to be ingested again, damaged indexes, and rows without a shape.",
 )
-@opt.remote_option
+@opt.option("--remote", "Fetch scans at URLs that the catalogue names, without a question.")
 def check_command(catalogue: str, sample: int, repair: bool, remote: bool) -> out.Result:
     """Check a catalogue for damage: its file, each record, all arrays, and some signatures.
 

@@ -32,7 +32,6 @@ STANDARD_ERROR = 2
 # `NAME_command`, with underscores for hyphens; its module is imported when the command or its help is called.
 CATALOGUE = {
     "merge": ("catalogue", "Join catalogues"),
-    "retry": ("batches", "Process failed scans again"),
     "check": ("catalogue", "Check a catalogue for damage"),
     "backup": ("catalogue", "Copy a catalogue to one file"),
     "export": ("catalogue", "Write meshes or signatures to files"),

@@ -294,12 +294,6 @@ def limit_options(
     return rare_option("--timeout SECONDS", text, seconds, default=time)(command)
 
 
-def remote_option(command: Decorated) -> Decorated:
-    """The option of commands that read scans again where a catalogue says they are."""
-    text = "Fetch scans at URLs that the catalogue names, without a question."
-    return option("--remote", text)(command)
-
-
 def process_options(command: Decorated) -> Decorated:
     """Options of commands that work on many scans in processes."""
     return workers_option(limit_options(progress_option(command)))

@@ -19,8 +19,8 @@ from pcretrieve.catalogue import (
     Defect,
     Record,
     find_defects,
-    set_to_be_ingested_again,
 )
+from pcretrieve.catalogue.check import REMOVED
 from pcretrieve.errors import CatalogueError, InputError, PcretrieveError, ShapeError
 from pcretrieve.formats.identity import content_hash
 from pcretrieve.formats.remote import Remote, check_remote
@@ -74,9 +74,8 @@ def check(
     sample : int, default 10
         Number of signatures that are computed again.
     repair : bool, default False
-        Remove rows of no shape, damaged records and damaged indexes, make SQL indexes again, and replace
-        shapes with damaged arrays by failures in the stage ``check``, whose files the next ingest, or
-        `retry`, processes again.
+        Remove damaged shapes, whose files the next ingest processes again, rows of no shape, and damaged
+        indexes, and make SQL indexes again.
     remote : bool or function, default False
         Whether signatures of the sample are also computed again from scans at URLs, which the catalogue
         names: anyone who made it may have written any address. A function is given the hosts, and decides.
@@ -115,7 +114,9 @@ def check(
                     continue
                 n_recomputed += 1
                 if (fault := _fault(task, outcome)) is not None:
-                    done = set_to_be_ingested_again(store, task.record, fault) if repair else None
+                    if repair:
+                        store.forget("id", task.record.id)
+                    done = REMOVED if repair else None
                     defects.append(Defect("signature", task.record.id, fault, done))
         n_failed = sum(store.failures().values())
         return Check(len(store), n_failed, n_recomputed, tuple(defects))

@@ -370,18 +370,14 @@ def test_a_flipped_bit_of_a_record(
     ],
 )
 def test_a_shape_with_damaged_arrays_is_processed_again(
-    damage: str, said: str, path: Path, original: Path
+    damage: str, said: str, path: Path, folder: Path, original: Path
 ) -> None:
     execute(path, damage)
     (defect,) = pr.check(path, sample=0, repair=True).defects
-    assert (defect.shape_id, defect.message, defect.repair) == (
-        "2",
-        said,
-        "set to be ingested again",
-    )
-    with Catalogue(path) as store:
-        assert (store.record("2").status, store.record("2").stage) == ("failed", "check")
-        assert pr.retry(store, stage="check", executor=in_this_process).done[0].id == "2"
+    assert (defect.shape_id, defect.message) == ("2", said)
+    assert defect.repair == "removed: ingest its file again"
+    again = pr.ingest(folder, path, executor=in_this_process)
+    assert [record.id for record in again.done] == ["2"]
     assert [row[1:] for row in content(path)] == [row[1:] for row in content(original)]
 
 

@@ -59,7 +59,6 @@ ASKED: dict[str, tuple[str, int, set[str], bool]] = {
     "lab report-problem": ("scans/flat.xyz -o problem.zip", 0, {"file", "failure"}, True),
     "ingest": ("scans -c new.sqlite --workers 1 --quiet", 3, {"done", "failed", "held"}, True),
     "status": ("-c c.sqlite", 0, {"state", "n_shapes"}, False),
-    "catalogue retry": ("-c c.sqlite --workers 1", 3, {"done", "failed"}, True),
     "query": ("e0 -c c.sqlite -k 2", 0, {"query", "results", "match", "verdict", "distance"}, True),
     "evaluate": ("-c c.sqlite", 0, {"map", "n_queries"}, True),
     "lab matrix": ("-c c.sqlite -o run.txt", 0, {"matrix", "ids", "n_shapes", "failed"}, True),

@@ -64,8 +64,6 @@ def test_the_environment_names_the_catalogue(eggs: Path, tmp_path: Path) -> None
     for words in (("status",), ("catalogue", "check")):
         assert run(*words, PCRETRIEVE_CATALOGUE=path).stdout == run(*words, "-c", path).stdout != ""
         run(*words, PCRETRIEVE_CATALOGUE=None, code=2)
-    refused = run("catalogue", "retry", "--stage", "surface", PCRETRIEVE_CATALOGUE=path, code=1)
-    assert "failed in the stage surface" in str(refused.exception)
 
 
 def test_a_similar_name_is_suggested(eggs: Path, monkeypatch: pytest.MonkeyPatch) -> None:

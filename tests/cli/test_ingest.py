@@ -1,4 +1,4 @@
-"""`ingest`, `status`, `retry` and `watch`: what they say while they work, and afterwards."""
+"""`ingest`, `status` and `watch`: what they say while they work, and afterwards."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from pathlib import Path
 import pytest
 import shapes
 from click.testing import Result
-from commands import refusal, result, run
-from processes import living, wait_for
+from commands import result, run
+from processes import in_this_process, living, wait_for
 
 import pcretrieve as pr
+from pcretrieve.errors import InputError
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.run import Arrivals
 
@@ -94,7 +95,7 @@ def test_after_so_many_failures_the_ingest_stops_and_can_be_continued(folder: Pa
     assert "INFO pcretrieve.ingestion.run: failed: [bad-1 / read]" in text
 
 
-# --- status and retry -----------------------------------------------------------------------------------
+# --- status -----------------------------------------------------------------------------------
 
 
 def test_the_status_of_an_ingest_and_a_retry_of_its_failures(folder: Path) -> None:
@@ -138,12 +139,10 @@ def test_the_status_of_an_ingest_and_a_retry_of_its_failures(folder: Path) -> No
     assert f"2 shapes, {N_BAD} failed\n" in said
     table = [line.split() for line in said.splitlines()[-2:]]
     assert table == [["NUMBER", "FAILURE"], [str(N_BAD), "ScanReadError", "in", "read"]]
-    refused = refusal("catalogue", "retry", "-c", catalogue, "--stage", "surface")
-    assert "failed in the stage surface; stages with failures: read" in refused
-    again = result("catalogue", "retry", "-c", catalogue, "--stage", "read", code=3)
-    assert {failure["id"] for failure in again["failed"]} == {
-        f"bad-{number}" for number in range(N_BAD)
-    }
+    with pytest.raises(InputError, match="failed in the stage surface; stages with failures: read"):
+        pr.retry(catalogue, stage="surface")
+    again = pr.retry(catalogue, stage="read", executor=in_this_process)
+    assert {record.id for record in again.failed} == {f"bad-{number}" for number in range(N_BAD)}
 
 
 @pytest.mark.slow

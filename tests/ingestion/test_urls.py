@@ -181,8 +181,7 @@ def test_stored_urls_are_not_fetched_unasked(catalogue: Path, http: str) -> None
     with pytest.raises(InputError, match=words):
         retry(catalogue, remote=unwilling)
     assert asked == [http]
-    for command in ("check", "retry"):
-        assert re.search(words, refusal("catalogue", command, "-c", catalogue))
+    assert re.search(words, refusal("catalogue", "check", "-c", catalogue))
     assert Server.asked == []
 
 
@@ -194,10 +193,10 @@ def test_stored_urls_are_fetched_when_that_is_allowed(catalogue: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("answer", "asked"), [("n", set()), ("y", {"/b.ply"})])
+@pytest.mark.parametrize(("answer", "asked"), [("n", set()), ("y", {"/a.ply"})])
 def test_a_terminal_is_asked(catalogue: Path, http: str, answer: str, asked: set[str]) -> None:
     ours, theirs = pty.openpty()
-    words = ["catalogue", "retry", "-c", str(catalogue), "--progress", "none"]
+    words = ["catalogue", "check", "-c", str(catalogue)]
     os.write(ours, f"{answer}\n".encode())
     with subprocess.Popen(
         [sys.executable, "-m", "pcretrieve", *words],
