@@ -44,8 +44,8 @@ BLOCK = 1000
 
 GAP = "  "
 
-# Least numbers of characters in columns that are narrowed, in the order in which they are.
-NARROWED = (("path", 24), ("words", 24), ("path", 12), ("text", 8))
+# Least number of characters in a column of sentences, which are broken on a narrow terminal.
+LEAST_WORDS = 24
 
 # Colours of the words that say that something is wrong.
 COLOURS = {"incomplete": "yellow", "failed": "red"}
@@ -81,7 +81,10 @@ Columns = Mapping[str, str]
 
 
 def write_table(columns: Columns, rows: Iterable[Sequence[str]]) -> int:
-    """Print a table with headings, on a terminal as wide as it is; nothing, if there are no rows."""
+    """Print a table with headings, on a terminal as wide as it is; nothing, if there are no rows.
+
+    A narrow terminal gets no files, and broken sentences; ids are never cut, because people copy them.
+    """
     limit = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
     widths = [0] * len(columns)
     remaining, n_rows = iter(rows), 0
@@ -119,18 +122,18 @@ def _lines(
     columns: Columns, cells: Sequence[str], widths: Sequence[int], *, is_heading: bool = False
 ) -> Iterator[str]:
     """The line of a row, or several lines, if words are broken."""
-    kinds = [*columns.values()]
     parts = [
         textwrap.wrap(cell, width, break_on_hyphens=False)
         if kind == "words" and _width(cell) > width
-        else [_shortened(cell, width)]
-        for kind, cell, width in zip(kinds, cells, widths, strict=True)
+        else [cell]
+        for kind, cell, width in zip(columns.values(), cells, widths, strict=True)
     ]
     for line in zip_longest(*parts, fillvalue=""):
         padded = []
-        for kind, text, width in zip(kinds, line, widths, strict=True):
+        for kind, text, width in zip(columns.values(), line, widths, strict=True):
             blanks, cell = " " * (width - _width(text)), _styled(text, is_heading)
-            padded.append(blanks + cell if kind == "number" else cell + blanks)
+            if width:
+                padded.append(blanks + cell if kind == "number" else cell + blanks)
         yield GAP.join(padded).rstrip()
 
 
@@ -143,14 +146,24 @@ def _styled(text: str, is_heading: bool) -> str:
 
 
 def _fitted(columns: Columns, widths: Sequence[int], limit: int) -> list[int]:
-    """Widths whose row has at most `limit` characters, if columns can be narrowed so far."""
+    """Widths whose row has at most `limit` characters, if possible; 0 for a column that is left out."""
     fitted = [*widths]
-    for narrowed, least in NARROWED:
-        for number, (heading, kind) in enumerate(columns.items()):
-            excess = sum(fitted) + len(GAP) * (len(fitted) - 1) - limit
-            if kind == narrowed and excess > 0 and fitted[number] > least:
-                fitted[number] = max(least, len(heading), fitted[number] - excess)
+    kinds = [*columns.values()]
+    least = [
+        min(width, LEAST_WORDS) if kind == "words" else width
+        for kind, width in zip(kinds, widths, strict=True)
+    ]
+    if _total(least) > limit and "path" in kinds:
+        fitted[kinds.index("path")] = 0
+    for number, kind in enumerate(kinds):
+        if kind == "words" and (excess := _total(fitted) - limit) > 0:
+            fitted[number] = max(least[number], fitted[number] - excess)
     return fitted
+
+
+def _total(widths: Sequence[int]) -> int:
+    """The number of characters in a row."""
+    return sum(width + len(GAP) for width in widths if width) - len(GAP)
 
 
 def _width(text: str) -> int:
@@ -160,18 +173,6 @@ def _width(text: str) -> int:
     return sum(
         0 if combining(sign) else 2 if east_asian_width(sign) in "WF" else 1 for sign in text
     )
-
-
-def _shortened(text: str, width: int) -> str:
-    """The beginning and the end of a text that takes more than a width, with an ellipsis between them."""
-    if _width(text) <= width:
-        return text
-    first, last = "", text
-    while _width(first) < (width - 1) // 3:
-        first += text[len(first)]
-    while _width(first) + 1 + _width(last) > width:
-        last = last[1:]
-    return f"{first}…{last}"
 
 
 # --- results and documents -----------------------------------------------------------------------------
