@@ -423,7 +423,8 @@ def described_scan(
         from pcretrieve.draw.axes import upward
         from pcretrieve.draw.thumbnail import thumbnail
 
-        picture = thumbnail(mesh.vertices, mesh.faces, up=mesh.up if up is None else upward(up))
+        drawn = thumbnail(mesh.vertices, mesh.faces, up=mesh.up if up is None else upward(up))
+        picture = None if drawn is None else drawn.png
     return Described(signature, shape.verdict, picture, None if mesh is None else len(mesh.faces))
 
 

@@ -144,6 +144,12 @@ class Catalogue(Rows):
         with intact(self.location, f"the thumbnail of {shape_id!r}"):
             return None if stored is None else unpacked(stored, 1)[0].tobytes()
 
+    def direction_upwards(self, shape_id: str) -> FloatArray | None:
+        """(3,) the direction upwards in the picture of a shape, in the frame of its file."""
+        stored = self._entry(shape_id, ["up"]).payloads.get("up")
+        with intact(self.location, f"the thumbnail of {shape_id!r}"):
+            return None if stored is None else np.asarray(unpacked(stored, 1)[0], np.float64)
+
     def signature(self, shape_id: str) -> FloatArray:
         """The signature (L,) of a shape by the options of the catalogue, as it is stored."""
         stored = self._entry(shape_id, ()).signatures.get(records.OWN)
@@ -194,12 +200,14 @@ class Catalogue(Rows):
         payloads = payloads_of(shape, self.options)
         if content.thumbnail is not None:
             payloads["thumbnails"] = packed([np.frombuffer(content.thumbnail, np.uint8)])
+        if content.up is not None:
+            payloads["up"] = packed([content.up])
         return self.store(
             records.Entry(record, {records.OWN: packed_values(content.signature)}, payloads)
         )
 
-    def keep_thumbnail(self, record: records.Record, picture: bytes) -> bool:
-        """Store the picture of a shape, a PNG file, unless the shape has been replaced since it was read.
+    def keep_thumbnail(self, record: records.Record, picture: bytes, up: FloatArray) -> bool:
+        """Store the picture of a shape, and what is up in it, unless the shape has been replaced meanwhile.
 
         Returns whether it could be written. No error is raised, because a picture can be drawn again.
         """
@@ -208,9 +216,14 @@ class Catalogue(Rows):
         try:
             with self.database.writing():
                 self.database.execute(
-                    "UPDATE arrays SET thumbnails = ? WHERE shape = "
+                    "UPDATE arrays SET up = ?, thumbnails = ? WHERE shape = "
                     "(SELECT number FROM shapes WHERE id = ? AND content_hash = ? AND status = 'done')",
-                    [packed([np.frombuffer(picture, np.uint8)]), record.id, record.content_hash],
+                    [
+                        packed([up]),
+                        packed([np.frombuffer(picture, np.uint8)]),
+                        record.id,
+                        record.content_hash,
+                    ],
                 )
         except CatalogueError:  # another process has locked it, or the disk is full
             return False
@@ -230,7 +243,7 @@ class Catalogue(Rows):
             self.keep_setting("up", axis)
             if axis is None:
                 self.database.execute(
-                    "UPDATE arrays SET thumbnails = NULL WHERE meshes IS NOT NULL"
+                    "UPDATE arrays SET up = NULL, thumbnails = NULL WHERE meshes IS NOT NULL"
                 )
 
     # --- signatures -------------------------------------------------------------------------------------

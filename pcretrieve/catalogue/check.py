@@ -128,8 +128,10 @@ def _faults(catalogue: Catalogue, entry: Entry) -> Iterator[str]:
         reading.append((name, partial(unpacked_values, value, 1, n_values)))
     if "spectra" in stored:
         reading.append(("its arrays", partial(stored_shape, stored, entry.record.steps)))
-    if "thumbnails" in stored:
-        reading.append(("its thumbnail", partial(unpacked, stored["thumbnails"], 1)))
+    drawn: tuple[Payload, ...] = ("up", "thumbnails")
+    for name in drawn:
+        if name in stored:
+            reading.append(("its thumbnail", partial(unpacked, stored[name], 1)))
     for what, read in reading:
         try:
             read()

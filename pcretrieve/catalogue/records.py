@@ -20,11 +20,11 @@ from pcretrieve.errors import CatalogueError, OptionError
 from pcretrieve.options import NUMBERS_VERSION, PipelineOptions, options_difference
 from pcretrieve.values import UNIT, FloatArray, Shape, Step, Verdict
 
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 1
 
 #: The parts that are stored of a shape besides its record and its signatures; each can be read separately.
-Payload = Literal["spectra", "moments", "overlaps", "thumbnails", "meshes"]
-PAYLOADS: tuple[Payload, ...] = ("spectra", "moments", "overlaps", "thumbnails", "meshes")
+Payload = Literal["spectra", "moments", "overlaps", "up", "thumbnails", "meshes"]
+PAYLOADS: tuple[Payload, ...] = ("spectra", "moments", "overlaps", "up", "thumbnails", "meshes")
 
 # Columns by table. The table shapes has the small columns that are searched and listed; what is read of
 # single shapes only is in further tables, by the number of the shape.
@@ -76,6 +76,7 @@ TABLES = {
         "spectra": "{octets}",  # areas (s,), unit length² of the file; eigenvalues (s, k) of unit area
         "moments": "{octets}",  # (s, k, k) ⟨φ_i², φ_j⟩ of unit area
         "overlaps": "{octets}",  # (s, k, k) ⟨φ_i², φ_j²⟩ of unit area
+        "up": "{octets}",  # (3,) the direction upwards in the picture, in the frame of the file
         "thumbnails": "{octets}",  # bytes of a PNG file: a picture of the first surface
         "meshes": "{octets}",  # vertices and faces of each surface in turn, unit length of the file
     },
@@ -120,15 +121,10 @@ def check_version(location: str, settings: Mapping[str, str]) -> None:
     version = settings.get("schema_version", "0")
     if not settings or not version.isdecimal():
         raise damaged(location, "it has no version")
-    if int(version) > SCHEMA_VERSION:
+    if int(version) != SCHEMA_VERSION:
         raise CatalogueError(
-            f"{location} was written by a newer pcretrieve (schema {version}, this one knows "
-            f"{SCHEMA_VERSION}): upgrade pcretrieve"
-        )
-    if int(version) < SCHEMA_VERSION:
-        raise CatalogueError(
-            f"{location} was written by an older pcretrieve, whose tables this one does not know: ingest "
-            "into a new catalogue, or use that version"
+            f"{location} was written by another version of pcretrieve (schema {version}, this one knows "
+            f"{SCHEMA_VERSION}): use that version, or ingest into a new catalogue"
         )
 
 
@@ -183,11 +179,14 @@ class Content:
     """The result of processing a scan.
 
     signature: (L,) float64, values of the signature by the options of the catalogue.
+    thumbnail: a picture of the first surface, a PNG file.
+    up: (3,) float64, the direction upwards in it.
     """
 
     shape: Shape
     signature: FloatArray
     thumbnail: bytes | None = None
+    up: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +16,9 @@ AXES: FloatArray = np.repeat(np.eye(3), 2, axis=0) * np.tile([[1.0], [-1.0]], (3
 # file. As a fraction of the total variance, and as a skewness, it is above rounding errors and not visible.
 TIE = 1e-6
 
+# The limbs of a person.
+N_LIMBS = 4
+
 # Limits of ways over the surface of a person, relative to the mean of the four from a hand to a foot: the
 # shortest of these relative to the longest; from foot to foot; from hand to hand. Round their ends, to this
 # distance, legs have more area than arms, but not as much more as of animals. Of 159 people in samples,
@@ -27,16 +29,6 @@ HAND_TO_HAND = (0.64, 0.88)
 END = 0.3
 THICKEST = 1.6
 FOOT = 0.15
-
-# Ends of an animal. Limits of ways over its surface: between two pairs of feet, and within the narrower pair,
-# relative to within the wider; how much those from the feet of a pair to other ends differ, relative to the
-# longest; the product of the first and the height above the feet. Of 97 animals and centaurs, 94 stand within
-# 60 degrees, by their skewness 74. People with raised arms have no such feet, of 30 hands two.
-N_ENDS = 7
-LONGER = 1.15
-EQUAL = 0.6
-UNLIKE = 0.75
-ABOVE = 0.1
 
 
 def upward(axis: str | None) -> FloatArray | None:
@@ -73,7 +65,7 @@ class Person(NamedTuple):
 
 def person_of(vertices: FloatArray, faces: IntArray) -> Person | None:
     """A surface as that of a person: its four ends are two pairs, equally far from each other."""
-    numbers, ways = _ends(vertices, faces, 4)
+    numbers, ways = _ends(vertices, faces)
     apart = ways[:, numbers]
     if not 0 < apart.max() < np.inf:
         return None  # a single point, or several parts
@@ -97,8 +89,8 @@ def person_of(vertices: FloatArray, faces: IntArray) -> Person | None:
     return Person(numbers[feet], numbers[hands], ways[feet], ways[hands])
 
 
-def _ends(vertices: FloatArray, faces: IntArray, n: int) -> tuple[IntArray, FloatArray]:
-    """The (n,) ends of a body, from its middle, then from all before, the farthest; and ways from each."""
+def _ends(vertices: FloatArray, faces: IntArray) -> tuple[IntArray, FloatArray]:
+    """The (4,) ends of a body, from its middle, then from all before, the farthest; and ways from each."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import dijkstra
 
@@ -111,44 +103,21 @@ def _ends(vertices: FloatArray, faces: IntArray, n: int) -> tuple[IntArray, Floa
         list[int](),
         list[FloatArray](),
     )
-    for _ in range(n):
+    for _ in range(N_LIMBS):
         ends.append(int(far.argmax()))
         rows.append(dijkstra(graph, directed=False, indices=ends[-1:])[0])
         far = np.minimum(far if len(rows) > 1 else np.inf, rows[-1])
     return np.array(ends, np.int32), np.stack(rows)
 
 
-def _above_feet(vertices: FloatArray, faces: IntArray) -> FloatArray | None:
-    """(3,) upwards from the feet of an animal: the pairs of ends that are most alike for its other ends."""
-    numbers, ways = _ends(vertices, faces, N_ENDS)
-    apart = ways[:, numbers]
-    if not (longest := apart.max()) < np.inf:
-        return None  # several parts
-    unlike = (
-        np.abs(apart[:, None] - apart).sum(axis=2) - 2 * apart
-    )  # without the ways within a pair
-    pairs = [
-        two
-        for two in combinations(combinations(range(N_ENDS), 2), 2)
-        if len({*two[0], *two[1]}) == 4
-    ]
-    first, second = min(pairs, key=lambda two: unlike[two[0]] + unlike[two[1]])
-    narrow, wide = sorted((apart[first], apart[second]))
-    upwards = vertices.mean(axis=0) - vertices[numbers[[*first, *second]]].mean(axis=0)
-    height, between = np.linalg.norm(upwards), apart[np.ix_(first, second)].mean()
-    are_alike = narrow > EQUAL * wide and unlike[first] + unlike[second] < UNLIKE * longest
-    are_below = between > LONGER * wide and height * between > ABOVE * wide * longest
-    return np.asarray(upwards / height) if are_alike and are_below else None
-
-
 def body_axes(vertices: FloatArray, faces: IntArray, up: FloatArray | None = None) -> FloatArray:
     """(3, 3) the axes of a camera in front of a surface of positive area, as from `principal_axes`.
 
-    If up is not given, people are upright in any pose, and animals above their feet. People look ahead.
+    If up is not given, people are upright in any pose. People look ahead.
     """
     person = person_of(vertices, faces)
-    if up is None:
-        up = _above_feet(vertices, faces) if person is None else person.upwards(vertices)
+    if up is None and person is not None:
+        up = person.upwards(vertices)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2  # (m,)
     # The midpoints of the edges, each with a third of the area, integrate quadratics over a triangle exactly.

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from base64 import b64encode
 from html import escape
 from io import BytesIO
+from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
-from PIL.PngImagePlugin import PngInfo
 
 from pcretrieve.arrays import FloatArray, IntArray, bounding_diagonal
 from pcretrieve.draw import pictures
@@ -26,15 +25,21 @@ MOST_POINTS = 20_000
 AZIMUTH = 20.0
 ELEVATION = 10.0
 
-# How a picture was drawn, and which direction is upwards in it, which its PNG file says. To be changed when
-# bodies are drawn differently, so that pictures of earlier versions in catalogues are drawn again.
-DRAWN_BY = "pcretrieve drawing 4, up"
-DIRECTION = re.compile(rb"Comment\0" + DRAWN_BY.encode() + rb"((?: -?[0-9]\.[0-9]{4}){3})")
-
 # The palette has one entry for the background, and one for each brightness at each coverage, at most 256 in
 # all. It reduces the size of a file to a third.
 N_COVERAGES = pictures.SUPERSAMPLING**2
 N_LEVELS = 255 // N_COVERAGES
+
+
+class Thumbnail(NamedTuple):
+    """A picture of a surface.
+
+    png: a PNG file with a palette and a transparent background; 6 to 10 kB at 200 pixels.
+    up: (3,) float64, the direction that is upwards in it, in the frame of the surface; of length 1.
+    """
+
+    png: bytes
+    up: FloatArray
 
 
 def thumbnail(
@@ -43,14 +48,13 @@ def thumbnail(
     *,
     up: FloatArray | None = None,
     size: int = THUMBNAIL_PIXELS,
-) -> bytes | None:
+) -> Thumbnail | None:
     """A picture of a surface from its front, which fills the picture up to `MARGIN`; None without area.
 
     It is invariant to rigid motion and scaling of the body, because the camera is relative to `body_axes`.
 
     up: (3,), optional, the direction upwards, such as `TriangleMesh.up`, of length 1.
     size: side of the square picture; pixels.
-    Returns bytes: a PNG file with a palette and a transparent background; 6 to 10 kB at 200 pixels.
     """
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
@@ -64,11 +68,8 @@ def thumbnail(
     framed = camera.seen(vertices)
     face = pictures.visible_faces(framed, faces, size)
     covered = (face >= 0).astype(np.float64)
-    return _png(
-        pictures.pooled(np.append(pictures.face_brightness(framed, faces), 0.0)[face]),
-        pictures.pooled(covered),
-        axes[1],
-    )
+    shade = pictures.pooled(np.append(pictures.face_brightness(framed, faces), 0.0)[face])
+    return Thumbnail(_png(shade, pictures.pooled(covered)), axes[1])
 
 
 def resized(picture: bytes, size: int) -> bytes:
@@ -83,16 +84,7 @@ def resized(picture: bytes, size: int) -> bytes:
         Image.fromarray(a).resize((size, size), Image.Resampling.BOX) for a in (shade, coverage)
     ]
     shade, coverage = (np.asarray(each) for each in smaller)
-    return _png(shade.astype(np.float64), coverage.astype(np.float64), direction_upwards(picture))
-
-
-def direction_upwards(picture: bytes) -> FloatArray | None:
-    """(3,) the direction that is upwards in a thumbnail, to four decimals, in the file of the surface.
-
-    None for a picture that this version of pcretrieve would draw differently.
-    """
-    found = DIRECTION.search(picture[:2048])
-    return None if found is None else np.array(found[1].split(), np.float64)
+    return _png(shade.astype(np.float64), coverage.astype(np.float64))
 
 
 def cloud_thumbnail(points: FloatArray) -> bytes:
@@ -114,7 +106,7 @@ def picture_html(picture: bytes | None, words: str) -> str:
     return f"<div style='display: inline-block'>{image}<code>{escape(words)}</code></div>"
 
 
-def _png(shade: FloatArray, coverage: FloatArray, up: FloatArray | None) -> bytes:
+def _png(shade: FloatArray, coverage: FloatArray) -> bytes:
     """A PNG file of means over the area of each pixel; `shade` is 0 where nothing is seen."""
     # The mean over the part of the pixel that shows the body, so that edges are not darker.
     brightness = shade / np.where(coverage > 0, coverage, 1)
@@ -128,9 +120,6 @@ def _png(shade: FloatArray, coverage: FloatArray, up: FloatArray | None) -> byte
     alphas = np.concatenate([[0], np.repeat(np.linspace(0, 255, N_COVERAGES + 1)[1:], N_LEVELS)])
     picture = Image.fromarray(number.astype(np.uint8))
     picture.putpalette(np.round(colours).astype(np.uint8).tobytes())
-    drawn_by = PngInfo()
-    if up is not None:
-        drawn_by.add_text("Comment", " ".join([DRAWN_BY, *(f"{value:.4f}" for value in up)]))
     file, transparency = BytesIO(), np.round(alphas).astype(np.uint8).tobytes()
-    picture.save(file, "PNG", transparency=transparency, pnginfo=drawn_by)
+    picture.save(file, "PNG", transparency=transparency)
     return file.getvalue()

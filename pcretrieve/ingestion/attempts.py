@@ -77,12 +77,13 @@ def content_of(path: Path, options: PipelineOptions) -> Content:
 
     shape = process(path, options)
     signature = signature_of(shape, options, path).values
-    picture = None
+    drawn = None
     if shape.surfaces[0].mesh is not None:
-        picture = thumbnail(shape.mesh.vertices, shape.mesh.faces, up=shape.mesh.up)
+        drawn = thumbnail(shape.mesh.vertices, shape.mesh.faces, up=shape.mesh.up)
     # Points and eigenvectors are not stored, and are not sent to the process that stores the content.
     surfaces = tuple(replace(surface, eigenpairs=None) for surface in shape.surfaces)
-    return Content(replace(shape, surfaces=surfaces, cloud=None), signature, picture)
+    stored = replace(shape, surfaces=surfaces, cloud=None)
+    return Content(stored, signature, *(drawn or (None, None)))
 
 
 def next_attempt(

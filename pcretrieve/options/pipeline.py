@@ -34,7 +34,7 @@ else:
 # option, changes a signature, because signatures of different versions must not be compared. The changes are
 # listed in CHANGELOG.md under "Changed numbers". Values of one version may differ by 1e-8 of themselves: the
 # order of sums has changed them by 7e-10, and distances between shapes are above 1e-2.
-NUMBERS_VERSION = 16
+NUMBERS_VERSION = 1
 
 #: The signature that has error bars, and that uncertainties are of: that of the paper, of the form alone.
 JUDGED = {"method": "r-bihdm", "n_values": 23, "scale": "area", "size_weight": 0.0}
@@ -169,11 +169,6 @@ class PipelineOptions(Options):
         `merge`, which makes the file of a scan before the pipeline.
         """
         values = self.model_dump(exclude={"signature", "retrieval", "catalogue", "merge"})
-        # Without the default unit and the default limit of faces, which older catalogues do not name.
-        if self.scan.unit == "none":
-            del values["scan"]["unit"]
-        if self.surface.max_faces == SurfaceOptions().max_faces:
-            del values["surface"]["max_faces"]
         values["numbers_version"] = NUMBERS_VERSION
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
 

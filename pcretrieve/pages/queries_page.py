@@ -72,7 +72,7 @@ def query_page(
         thumbnails = Thumbnails(store, up)
         pairs = [_paired(store, one) for one in many if isinstance(one, tuple)]
         alone = [one for one in many if not isinstance(one, tuple)]
-        asked |= {"options": chosen, "has_pictures": True, "up": thumbnails.said}
+        asked |= {"options": chosen, "has_pictures": True, "up": thumbnails.up}
         what, outcomes = (
             "pairs" if pairs else "queries",
             pairs + list(pr.search_many(store, alone, **asked)),

@@ -255,7 +255,8 @@ class TriangleMesh(_Processed):
     def _repr_html_(self) -> str:
         from pcretrieve.draw.thumbnail import picture_html, thumbnail
 
-        return picture_html(thumbnail(self.vertices, self.faces, up=self.up), repr(self))
+        drawn = thumbnail(self.vertices, self.faces, up=self.up)
+        return picture_html(None if drawn is None else drawn.png, repr(self))
 
 
 def adjacency(mesh: TriangleMesh) -> csr_array:

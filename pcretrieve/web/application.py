@@ -122,7 +122,7 @@ class Answers:
         # Requests that have waited for an answer share the next one, which has begun after they arrived.
         if kept is None or begun < asked.arrived:
             begun = time.monotonic()
-            now = asked.catalogue.state(), pictures.said, pictures.up
+            now = asked.catalogue.state(), pictures.up
             if kept is None or state != now:
                 state, kept = now, answer(asked)
         self._kept[address] = begun, state, kept

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from pcretrieve import Catalogue, PipelineOptions, TriangleMesh
-from pcretrieve.draw.thumbnail import direction_upwards
 from pcretrieve.errors import InputError, PcretrieveError, ShapeError
 from pcretrieve.ingestion.pool import in_processes
 from pcretrieve.pages.html import without_folders
@@ -78,14 +77,11 @@ def _mesh_and_up(
     catalogue: Catalogue, shape_id: str, thumbnails: Thumbnails
 ) -> tuple[TriangleMesh, FloatArray | None]:
     """A surface, simplified if it has too many faces, and the direction that is up in its picture."""
-    mesh, picture = (
-        mesh_of(catalogue, shape_id),
-        thumbnails.of(catalogue, record_of(catalogue, shape_id)),
-    )
+    mesh, record = mesh_of(catalogue, shape_id), record_of(catalogue, shape_id)
     if len(mesh.faces) > MOST_FACES:
         coarse = mesh.to_open3d().simplify_quadric_decimation(MOST_FACES)
         mesh = TriangleMesh(np.array(coarse.vertices), np.array(coarse.triangles, dtype=np.int32))
-    return mesh, direction_upwards(picture or b"")
+    return mesh, thumbnails.direction(catalogue, record)
 
 
 def mesh_of(catalogue: Catalogue, shape_id: str) -> TriangleMesh:

@@ -151,7 +151,7 @@ class Jobs:
         job.state = "running"
         outcome: Described | PcretrieveError
         try:
-            items = [(scan, self._thumbnails.said)]
+            items = [(scan, self._thumbnails.up)]
             ((_, outcome),) = in_processes(self._described, items, idle=self._idle, **self._limits)
             job.stages = stages_of(job.folder)
         except Exception as error:  # noqa: BLE001  processes cannot be started, or the disk is full

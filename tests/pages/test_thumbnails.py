@@ -18,14 +18,12 @@ from PIL import Image
 
 import pcretrieve as pr
 from pcretrieve import Catalogue, PipelineOptions
-from pcretrieve.catalogue import find_defects
-from pcretrieve.draw.thumbnail import THUMBNAIL_PIXELS, thumbnail
+from pcretrieve.draw.thumbnail import THUMBNAIL_PIXELS, Thumbnail, thumbnail
 from pcretrieve.errors import OptionError
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.attempts import content_of
 from pcretrieve.pages import thumbnails
 from pcretrieve.pages.thumbnails import Thumbnails
-from pcretrieve.values import TriangleMesh
 
 OPTIONS = PipelineOptions().changed(
     signature={"method": "r-bihdm", "n_values": 10}, spectral={"n_pairs": 61}
@@ -60,7 +58,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     """The directions upwards of the pictures that are drawn while pages are made."""
     ups: list[object] = []
 
-    def counted(*mesh: object, **more: object) -> bytes | None:
+    def counted(*mesh: object, **more: object) -> Thumbnail | None:
         ups.append(more["up"])
         return thumbnail(*mesh, **more)  # type: ignore[arg-type]
 
@@ -85,7 +83,10 @@ def test_a_catalogue_keeps_the_pictures_that_would_be_drawn_and_pages_use_them(
     pictures = Thumbnails(catalogue)
     for record in catalogue.records():
         mesh, kept = catalogue.mesh(record.id), catalogue.thumbnail(record.id)
-        assert kept == thumbnail(mesh.vertices, mesh.faces) == pictures.of(catalogue, record)
+        drawn_now = thumbnail(mesh.vertices, mesh.faces)
+        assert drawn_now is not None
+        assert kept == drawn_now.png == pictures.of(catalogue, record)
+        np.testing.assert_array_equal(catalogue.direction_upwards(record.id), drawn_now.up)
         assert kept and size_of(kept) == (THUMBNAIL_PIXELS, THUMBNAIL_PIXELS)
     assert catalogue.stored_bytes("0")["thumbnails"] > 1000
     bare = content_of(
@@ -119,6 +120,7 @@ def test_what_is_up_can_be_said_for_each_page(
         stands
     ] * 3
     assert all((one == direction).all() for one in np.array(drawn))
+    np.testing.assert_array_equal(catalogue.direction_upwards("0"), direction)
     for axis, words in {"y": "report", "-y": "lab map", "-x": "query 0 -k 3 --html"}.items():
         drawn.clear()
         output = () if "--html" in words else ("-o",)
@@ -139,37 +141,10 @@ def test_what_is_up_can_be_said_for_each_page(
     assert is_upright(catalogue.thumbnail("0") or b"") != is_upright(shown)
 
 
-def test_bodies_of_one_collection_stand_along_one_axis(tmp_path: Path, drawn: list[object]) -> None:
-    """Bodies with the thin end below, along z, and two that lie, whose files have the z axis upwards too."""
-    for number in range(12):
-        egg = shapes.ellipsoid((1.0, 1.2, 2.0 + number / 20), subdivisions=3)
-        x, y, z = egg.vertices.T
-        narrower = 1 + z / 4
-        x, y = x * narrower, y * narrower
-        places = np.stack([x, y, z] if number > 1 else [x, z, y], axis=1)
-        write_mesh(TriangleMesh(places, egg.faces), tmp_path / f"{number:02}.off")
-    with ingested(tmp_path, "lying.sqlite") as store:
-        pictures, records = Thumbnails(store), store.records()
-        assert [is_upright(pictures.of(store, one) or b"") for one in records] == [False] * 2 + [
-            True
-        ] * 10
-        np.testing.assert_array_equal(drawn, [[0, 0, 1]] * 2)
-        assert (pictures.said, pictures.up) == (None, "z")
-        again = Thumbnails(store)
-        assert [again.of(store, one) for one in records] == [
-            pictures.of(store, one) for one in records
-        ]
-        assert len(drawn) == 2, "what was drawn is kept"
-        assert store.thumbnail("00") == pictures.of(store, records[0])
-        assert not {
-            defect.message for defect in find_defects(store) if "thumbnail" in defect.message
-        }
-
-
 def test_what_was_not_stored_is_drawn_once_and_kept_if_it_can_be_written(
     folder: Path, drawn: list[object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As of a catalogue that an earlier version made; without its surface, a picture is left as it is."""
+    """As of a shape whose picture was dropped; without its surface, a picture is left as it is."""
     monkeypatch.setattr("pcretrieve.catalogue.sqlite.LOCK_TIMEOUT", 1.0)
     with ingested(folder, "earlier.sqlite") as store:
         before = [store.thumbnail(record.id) for record in store.records()]
@@ -188,7 +163,7 @@ def test_what_was_not_stored_is_drawn_once_and_kept_if_it_can_be_written(
             other.rollback()
         assert len(drawn) == 6
         assert {store.thumbnail(record.id) for record in store.records()} == {None}
-        assert store.keep_thumbnail(store.record("0"), before[0] or b"")
+        assert store.keep_thumbnail(store.record("0"), before[0] or b"", np.array([0, 0, 1.0]))
         with closing(sqlite3.connect(store.location)) as other, other:
             other.execute("UPDATE arrays SET meshes = NULL")
         assert Thumbnails(store, "x").of(store, store.record("0")) == before[0]

@@ -267,9 +267,8 @@ def figure_1(folder: Path, sheet: Path | None) -> Iterator[str]:
 
 def _tile(path: Path) -> Image.Image:
     mesh = read_mesh(path)
-    return Image.open(io.BytesIO(thumbnail(mesh.vertices, mesh.faces, size=TILE) or b"")).convert(
-        "RGBA"
-    )
+    drawn = thumbnail(mesh.vertices, mesh.faces, size=TILE)
+    return Image.open(io.BytesIO(b"" if drawn is None else drawn.png)).convert("RGBA")
 
 
 N_VALUES = 23
