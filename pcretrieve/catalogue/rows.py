@@ -380,7 +380,7 @@ class Rows:
         self.database.scrub()
 
     @repeated
-    def forget(self, column: str, value: object) -> None:
+    def forget(self, column: str, value: str | int) -> None:
         """Remove the shape with a value in a column, such as its number; its record need not be readable."""
         with self.database.writing():
             self._delete(column, [value])
@@ -491,7 +491,7 @@ class Rows:
             if stored:
                 self.database.each(inserting(table), stored)
 
-    def _delete(self, column: str, values: Collection[str] | Collection[int]) -> None:
+    def _delete(self, column: str, values: Collection[object]) -> None:
         chosen = list(self._each("SELECT number FROM shapes", column, values))
         if chosen:
             for name in ("provenance", "arrays"):

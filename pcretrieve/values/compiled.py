@@ -5,7 +5,7 @@ from __future__ import annotations
 import atexit
 import os
 from collections.abc import Callable
-from functools import cache, cached_property, partial, update_wrapper
+from functools import cache, cached_property, update_wrapper
 from pathlib import Path
 from typing import Any, Generic, ParamSpec, TypeVar
 
@@ -43,7 +43,11 @@ class Compiled(Generic[P, R]):
 
 def compiled(**settings: Any) -> Callable[[Callable[P, R]], Compiled[P, R]]:
     """Compile a function by `numba.njit` with some settings, when it is first called."""
-    return partial(Compiled, **settings)
+
+    def made(function: Callable[P, R]) -> Compiled[P, R]:
+        return Compiled(function, **settings)
+
+    return made
 
 
 def tuned_process() -> None:
@@ -59,20 +63,21 @@ def _numba() -> Any:
     """The module numba, set up, which takes half a second to load."""
     import numba
 
+    config: Any = numba.config
     # Rows of eight numbers are vectors of the processor, if numba lets LLVM combine equal operations. The
     # setting is one of the process; operations are combined, not reordered, so that no result changes.
-    numba.config.SLP_VECTORIZE = 1
+    config.SLP_VECTORIZE = 1
     if not os.access(PACKAGE, os.W_OK):
         try:
             home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-            _lend_compiled(numba.config.CACHE_DIR or Path(home, "numba"))
+            _lend_compiled(config.CACHE_DIR or Path(home, "numba"))
         except (OSError, RuntimeError):  # a home that cannot be written, or none
             from tempfile import TemporaryDirectory
 
             folder = TemporaryDirectory(prefix="pcretrieve-", ignore_cleanup_errors=True)
             atexit.register(folder.cleanup)
             # The variable is for child processes.
-            os.environ["NUMBA_CACHE_DIR"] = numba.config.CACHE_DIR = folder.name
+            os.environ["NUMBA_CACHE_DIR"] = config.CACHE_DIR = folder.name
             _lend_compiled(folder.name)
     return numba
 

@@ -149,8 +149,8 @@ def run(script: str, kind: str, folder: Path, *given: object) -> Path:
         write_mesh(egg, folder / "scans" / f"{number}.off")
     mounts, library = folder / "mountinfo", folder / "calls.so"
     device = folder.stat().st_dev
-    number = f"{os.major(device)}:{os.minor(device)}"
-    mounts.write_text(f"22 27 {number} / / rw - {kind} server:/scans rw\n")
+    of_device = f"{os.major(device)}:{os.minor(device)}"
+    mounts.write_text(f"22 27 {of_device} / / rw - {kind} server:/scans rw\n")
     compiling: list[str | Path] = [
         "cc",
         "-shared",
