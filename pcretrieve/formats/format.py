@@ -28,8 +28,8 @@ DEFLATE_RATIO = 1032
 
 # A protocol has two letters at least, unlike the drives of Windows.
 PROTOCOL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):(/.*)", re.DOTALL)
-# Protocols of file systems whose paths are absolute.
-LOCAL = frozenset({"file", "local"})
+# The protocol of files on this computer, whose paths are absolute.
+FILE = "file"
 
 # Characters that a path must not have, and the mark between the name of a file and that of a scan in it.
 UNSAFE = re.compile(r"[\x00-\x1f\x7f/\\#]+")
@@ -142,7 +142,7 @@ def url_of(path: Path) -> str | None:
     if found is None:
         return None
     protocol, rest = found.groups()
-    return f"{protocol}:/{'/' if protocol in LOCAL else ''}{rest}"
+    return f"{protocol}:/{'/' if protocol == FILE else ''}{rest}"
 
 
 def check_file(path: Path) -> None:

@@ -39,7 +39,7 @@ def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
         images ``.png .tif .npy``, or the posed range scans that a Stanford ``.conf`` merges.
         Meshes: ``.ply .obj .off .stl .glb .gltf``, and ``.3mf .dae`` by the extra ``meshes``.
         ``file#name`` is one of several scans in a file; the file itself is all of them as one. A path may be
-        a URL that fsspec knows, such as ``s3://bucket/scan.ply``, by the extra ``remote``.
+        a URL, such as ``s3://bucket/scan.ply``, of ``http https s3 file``, by the extra ``remote``.
 
     Returns
     -------

@@ -9,10 +9,9 @@ from ipaddress import ip_address
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
-from urllib.parse import urlsplit
 
 from pcretrieve.errors import InputError, PcretrieveError, ScanReadError, ShapeError
-from pcretrieve.formats.format import LOCAL, url_of
+from pcretrieve.formats.format import FILE, url_of
 from pcretrieve.formats.registry import parts_of, split_member
 
 # Largest size of a file that is copied for one command; bytes.
@@ -29,8 +28,8 @@ MOST_LISTED_BYTES = 1 << 24
 # Largest number of files of a listing, which stores give without pages.
 MOST_LISTED = 200_000
 
-# Protocols of file systems, besides HTTP, whose URLs name a computer; others name a bucket.
-SERVERS = frozenset({"ftp", "sftp", "ssh", "smb", "webhdfs", "hdfs"})
+# Protocols of URLs. For others, fsspec would load code that nobody has checked, and connect anywhere.
+PROTOCOLS = ("http", "https", "s3", "file")
 
 #: Whether scans are fetched whose URLs are stored in a catalogue, or what decides that, given their hosts.
 Remote: TypeAlias = bool | Callable[[Sequence[str]], bool]
@@ -40,7 +39,7 @@ def check_remote(paths: Iterable[str], remote: Remote, location: str) -> None:
     """Check that the URLs among the paths in a catalogue, which may be somebody else's, may be fetched."""
     urls = [url for path in paths if (url := url_of(Path(path))) is not None]
     # Not parsed, because parsers differ in what they take for the host.
-    hosts = {"/".join(url.split("/", 3)[:3]) for url in urls if url.partition(":")[0] not in LOCAL}
+    hosts = {"/".join(url.split("/", 3)[:3]) for url in urls if url.partition(":")[0] != FILE}
     if hosts and not (remote(sorted(hosts)) if callable(remote) else remote):
         raise InputError(
             f"{location} names scans at {', '.join(sorted(hosts))}, which are not fetched unasked, because "
@@ -112,17 +111,18 @@ def _store(
 ) -> Iterator[tuple[Any, str, str]]:
     """The file system of a URL, the path in it, and the URL. Errors of stores get one kind and a message."""
     url = str(url_of(path))
+    protocol = url.partition(":")[0]
+    if protocol not in PROTOCOLS:
+        raise kind(
+            f"a URL must begin with {', '.join(PROTOCOLS)}, got {url}: copy the scan to this computer first"
+        )
     try:
         try:
             from fsspec.core import url_to_fs
 
-            protocol = url.partition(":")[0]
             own: dict[str, Any] = {}
             if protocol in ("http", "https"):
                 own = {"get_client": _client, "skip_instance_cache": True}
-            elif protocol in SERVERS:  # some of which connect as soon as they are made
-                for *_, address in socket.getaddrinfo(urlsplit(url).hostname, None):
-                    _check_address(address)
             system, place = url_to_fs(url, **own)
         except ImportError as error:
             raise kind(f"cannot {act} {url}, {error}: pip install 'pcretrieve[remote]'") from error

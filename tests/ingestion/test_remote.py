@@ -208,7 +208,6 @@ def test_what_is_a_url() -> None:
         "s3://bucket/a b.ply": "s3://bucket/a b.ply",
         "FILE:///a.ply": "FILE://a.ply",
         "file:///a.ply": "file:///a.ply",
-        "local:///a.ply": "local:///a.ply",
         "c:/scans/a.ply": None,
         "/scans/http://host/a.ply": None,
         "simplecache::https://host/a.ply": None,
@@ -220,7 +219,8 @@ def test_what_is_a_url() -> None:
 
 def test_stores_that_are_not_there() -> None:
     for name, words in {
-        "nowhere://a/b/": "Protocol not known: nowhere",
+        "nowhere://a/b/": "a URL must begin with http, https, s3, file, got nowhere://a/b: copy",
+        "sftp://host/folder/": "a URL must begin with http, https, s3, file",
         "http://127.0.0.1:9/folder/": "cannot look into",
         "file:///nowhere/at/all/": "names no scans",
     }.items():

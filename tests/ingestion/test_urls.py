@@ -120,7 +120,7 @@ def test_link_local_addresses_are_refused_however_they_are_named(
             read_scan(f"http://{host}/a.ply")
         with pytest.raises(ScanReadError, match=words):
             content_hash(Path(f"http://{host}/a.ply"))
-        with pytest.raises(ScanReadError, match=words):
+        with pytest.raises(ScanReadError, match="a URL must begin with http"):
             read_scan(f"ftp://{host}/a.ply")
     for host in ("169.254.7.9", "scans.test"):  # brackets are of a pattern
         with pytest.raises(InputError, match=words):
