@@ -343,35 +343,44 @@ class Fit:
         """Where the surface may have been closed across limbs; none of points without normals."""
         if self.cloud.normals is None:
             return ()
-        distance, near = self.to_points
-        far = np.flatnonzero(self.bare & (self.areas > 0) & ~self.on_base)
-        is_turned = np.einsum("ij,ij->i", self.normals[far], self.cloud.normals[near[far]]) < TURNED
-        may_close = is_turned & (distance[far] > CLOSING * self.spacing)
-        is_closing = may_close.copy()
-        is_closing[may_close] = self.light(far[may_close]) > OPEN_END
-        found = []
-        for part in parts(self.mesh, far[is_closing])[:N_ENDS]:
-            middle = np.average(self.middles[part], axis=0, weights=self.areas[part])
-            is_near = np.linalg.norm(self.middles[far] - middle, axis=1)
-            is_near = is_near < NEAR_END * self.cloud.diagonal
-            end = far[is_near & is_turned]
-            if not len(end):
-                continue
-            axis = self.axis(end)
-            rim = np.unique(near[far[is_near]])
-            tilt = float((self.cloud.normals[rim] @ axis).mean())
-            beyond = self.beyond(end, axis)
-            if tilt > TILTED or (beyond < AT_END and self.is_beyond_sight(end)):
-                continue
-            middle = np.average(self.middles[end], axis=0, weights=self.areas[end])
-            offsets = self.cloud.points[rim] - middle
-            likeness = rim_of_limb(self.cloud.normals[rim], offsets, axis)
-            cap = far[is_near & is_closing]
-            area = float(np.linalg.norm(self.areas[cap] @ self.normals[cap]) / self.areas.sum())
-            share = max(likeness, SHEET) * area
-            found.append(End(middle, axis, share, beyond < ON_GROUND))
+        far, _, is_closing = self._closing
+        caps = parts(self.mesh, far[is_closing])[:N_ENDS]
+        found = [end for cap in caps if (end := self._end(cap)) is not None]
         cut = [end for end in found if not self._is_sole(end, found)]
         return tuple(sorted(cut, key=lambda one: -one.share))
+
+    @cached_property
+    def _closing(self) -> tuple[Faces, Mask, Mask]:
+        """Faces (k,) without points; whether each is turned away from the nearest one, and closes a limb."""
+        normals = np.asarray(self.cloud.normals)
+        distance, near = self.to_points
+        far = np.flatnonzero(self.bare & (self.areas > 0) & ~self.on_base)
+        is_turned = np.einsum("ij,ij->i", self.normals[far], normals[near[far]]) < TURNED
+        is_closing = is_turned & (distance[far] > CLOSING * self.spacing)
+        is_closing[is_closing] = self.light(far[is_closing]) > OPEN_END
+        return far, is_turned, is_closing
+
+    def _end(self, cap: Faces) -> End | None:
+        """The end of the limb that connected faces may close; None if they close no limb."""
+        far, is_turned, is_closing = self._closing
+        middle = np.average(self.middles[cap], axis=0, weights=self.areas[cap])
+        apart = np.linalg.norm(self.middles[far] - middle, axis=1)
+        is_near = apart < NEAR_END * self.cloud.diagonal
+        faces = far[is_near & is_turned]
+        if not len(faces):
+            return None
+        axis = self.axis(faces)
+        rim = np.unique(self.to_points[1][far[is_near]])
+        normals = np.asarray(self.cloud.normals)[rim]
+        beyond = self.beyond(faces, axis)
+        is_expected = beyond < AT_END and self.is_beyond_sight(faces)
+        if (normals @ axis).mean() > TILTED or is_expected:
+            return None
+        middle = np.average(self.middles[faces], axis=0, weights=self.areas[faces])
+        likeness = rim_of_limb(normals, self.cloud.points[rim] - middle, axis)
+        closing = far[is_near & is_closing]
+        area = np.linalg.norm(self.areas[closing] @ self.normals[closing]) / self.areas.sum()
+        return End(middle, axis, max(likeness, SHEET) * float(area), beyond < ON_GROUND)
 
     def _is_sole(self, end: End, ends: list[End]) -> bool:
         """Whether the body stands on an end and on another one."""

@@ -224,9 +224,9 @@ def scan(
     for block in blocks:
         total[:] = 0
         for axis in range(n_axes):
-            cell, s, o = codes[block, axis], step[block, axis], middle[block, axis]
+            cells = codes[block, axis]
             for i in range(size):
-                along = np.float32(cell[i]) * s + o
+                along = np.float32(cells[i]) * step[block, axis] + middle[block, axis]
                 total[i] += along * along
         most = np.float32((math.sqrt(limit) + reach[block]) ** 2)
         for i in range(size):
