@@ -156,13 +156,6 @@ LARGE = {
     "surface.body._surface",
     "surface.caps.capped",
     "surface.fairing.faired",
-    "surface.growth._grown",
-    "surface.marching._triangulated",
-    "surface.parts.joined",
-    "surface.parts.walls",
-    "surface.simplify._collapsed",
-    "surface.simplify._keeps_shape",
-    "surface.simplify._meeting",
     "web.server.opened_site",
 }
 

@@ -12,6 +12,8 @@ References
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +21,7 @@ from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.grid import Mask, Voxels, distances, touching
 from pcretrieve.points.outside import FARTHEST
 from pcretrieve.surface.marching import marched, voxels_of
-from pcretrieve.values import TriangleMesh
+from pcretrieve.values import IntArray, TriangleMesh
 from pcretrieve.values.compiled import compiled
 
 # Largest amount by which the depth of a voxel, as the priority of region growing, may exceed its distance to
@@ -86,38 +88,21 @@ def _steps(inside: Mask, depth: Voxels, to_points: Voxels) -> tuple[NDArray[np.i
 @compiled()
 def _grown(steps: NDArray[np.int16], seed: int, walls: Mask) -> Mask:
     _, n_y, n_z = steps.shape
-    n = steps.size
-    step, wall = steps.ravel(), walls.reshape(3, n)
+    step, wall = steps.ravel(), walls.reshape(3, steps.size)
     # The state of a voxel is in one byte, so that the states of a neighbourhood stay in the cache.
-    state = np.zeros(n, dtype=np.uint8)
-    for cell in range(n):
+    state = np.zeros(steps.size, dtype=np.uint8)
+    for cell in range(steps.size):
         state[cell] = INSIDE if step[cell] else 0
     offset = np.array(
         [(k // 9 - 1) * n_y * n_z + (k // 3 % 3 - 1) * n_z + k % 3 - 1 for k in range(27)]
     )
-    along = (n_y * n_z, n_z, 1)
-    n_buckets = step[seed] + 1
-    # Two bucket queues, whose buckets are linked lists through `after`: 1 for voxels that are reached by a
-    # link without a surfel, 0 for the others.
-    head = np.full((2, n_buckets), -1, dtype=np.int32)
-    tail = np.full((2, n_buckets), -1, dtype=np.int32)
-    after = np.empty((2, n), dtype=np.int32)
-    top = np.array([0, step[seed]])
-    head[1, top[1]] = seed
-    after[1, seed] = -1
+    queues = _empty_queues(steps.size, step[seed] + 1)
+    _put(queues, 1, seed, step[seed])
     while True:
-        queue = 1
-        while queue >= 0:
-            while top[queue] > 0 and head[queue, top[queue]] < 0:
-                top[queue] -= 1
-            if top[queue] > 0:
-                break
-            queue -= 1
-        if queue < 0:
+        queue, cell = _take(queues)
+        if cell < 0:
             region: Mask = (state & ADDED != 0).reshape(steps.shape)
             return region
-        cell = head[queue, top[queue]]
-        head[queue, top[queue]] = after[queue, cell]
         state[cell] &= ~(WAITING << queue)
         if state[cell] & ADDED:
             continue
@@ -127,26 +112,74 @@ def _grown(steps: NDArray[np.int16], seed: int, walls: Mask) -> Mask:
         if around and not _is_simple(around):  # the first voxel has nothing around it
             continue  # it is queued again when a neighbour is added
         state[cell] |= ADDED
-        for axis in range(3):
-            above, below = cell + along[axis], cell - along[axis]
-            state[above] |= ADJACENT if wall[axis, cell] else ADJACENT | LINKED
-            state[below] |= ADJACENT if wall[axis, below] else ADJACENT | LINKED
+        _mark_adjacent(state, wall, cell, (n_y * n_z, n_z, 1))
         for k in range(27):
             other = cell + offset[k]
             if state[other] & (INSIDE | ADDED | ADJACENT) != INSIDE | ADJACENT:
                 continue
             queue = 1 if state[other] & LINKED else 0
-            if state[other] & (WAITING << queue):
-                continue
-            state[other] |= WAITING << queue
-            bucket = step[other]
-            after[queue, other] = -1
-            if head[queue, bucket] < 0:
-                head[queue, bucket] = other
-            else:
-                after[queue, tail[queue, bucket]] = other
-            tail[queue, bucket] = other
-            top[queue] = max(top[queue], bucket)
+            if not state[other] & (WAITING << queue):
+                state[other] |= WAITING << queue
+                _put(queues, queue, other, step[other])
+
+
+@compiled()
+def _mark_adjacent(
+    state: NDArray[np.uint8], wall: Mask, cell: int, along: tuple[int, int, int]
+) -> None:
+    """Note that a voxel was added, at its six neighbours."""
+    for axis in range(3):
+        above, below = cell + along[axis], cell - along[axis]
+        state[above] |= ADJACENT if wall[axis, cell] else ADJACENT | LINKED
+        state[below] |= ADJACENT if wall[axis, below] else ADJACENT | LINKED
+
+
+class Queues(NamedTuple):
+    """Two queues of voxels by priority: 1 for voxels that a link without a surfel reaches, 0 for the others.
+
+    Each priority has a bucket, which is a list of voxels in the order in which they came.
+
+    head, tail: (2, b) the first and the last voxel of each bucket; the head of an empty one is −1.
+    after: (2, n) the voxel that follows each voxel in its bucket; −1 for the last.
+    top: (2,) a priority above which all buckets are empty; the bucket 0 is empty.
+    """
+
+    head: IntArray
+    tail: IntArray
+    after: IntArray
+    top: NDArray[np.int64]
+
+
+@compiled()
+def _empty_queues(n: int, n_buckets: int) -> Queues:
+    head = np.full((2, n_buckets), -1, dtype=np.int32)
+    tail = np.full((2, n_buckets), -1, dtype=np.int32)
+    return Queues(head, tail, np.empty((2, n), dtype=np.int32), np.zeros(2, dtype=np.int64))
+
+
+@compiled()
+def _put(queues: Queues, queue: int, cell: int, priority: int) -> None:
+    """Append a voxel to its bucket."""
+    queues.after[queue, cell] = -1
+    if queues.head[queue, priority] < 0:
+        queues.head[queue, priority] = cell
+    else:
+        queues.after[queue, queues.tail[queue, priority]] = cell
+    queues.tail[queue, priority] = cell
+    queues.top[queue] = max(queues.top[queue], priority)
+
+
+@compiled()
+def _take(queues: Queues) -> tuple[int, int]:
+    """The queue and the voxel that is next, which is removed; the voxel is −1 if there is none."""
+    for queue in (1, 0):
+        while queues.top[queue] > 0 and queues.head[queue, queues.top[queue]] < 0:
+            queues.top[queue] -= 1
+        if queues.top[queue] > 0:
+            cell = queues.head[queue, queues.top[queue]]
+            queues.head[queue, queues.top[queue]] = queues.after[queue, cell]
+            return queue, cell
+    return 0, -1
 
 
 @compiled()

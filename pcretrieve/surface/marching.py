@@ -82,20 +82,59 @@ def marched(body: Mask, crossings: Sequence[Crossings] = ()) -> tuple[FloatArray
         placed.append(at.astype(np.float64))
         placed[axis][:, axis] += share
     vertices = np.concatenate(placed)
-    faces, middles = _triangulated(body, tuple(links), vertices, *_table())
+    faces, middles = _triangulated(body, tuple(links), vertices, _table())
     return np.concatenate([vertices, middles]), faces
+
+
+class Table(NamedTuple):
+    """What each of the 256 cases of a cube has, by edges of the cube; −1 for none.
+
+    triangles: (256, 7, 3), with `MIDDLE` for a vertex in the middle of a loop; and n_triangles: (256,).
+    loops: (256, 7), the loop round that vertex.
+    """
+
+    triangles: IntArray
+    n_triangles: IntArray
+    loops: IntArray
 
 
 @compiled()
 def _triangulated(
-    body: Mask,
-    links: tuple[NDArray[np.intp], ...],
-    vertices: FloatArray,
-    triangles: IntArray,
-    n_triangles: IntArray,
-    loops: IntArray,
+    body: Mask, links: tuple[NDArray[np.intp], ...], vertices: FloatArray, table: Table
 ) -> tuple[IntArray, FloatArray]:
     """The (m, 3) faces, sorted by the case of their cubes, and the (k, 3) vertices in the middle of loops."""
+    cases, n_cubes = _cases(body)
+    first_face, first_middle = _firsts(n_cubes, table)
+    faces = np.empty((first_face[256], 3), dtype=np.int32)
+    middles = np.zeros((first_middle[256], 3))
+    done = np.zeros(256, dtype=np.int64)
+    corner = np.empty(MIDDLE + 1, dtype=np.int32)  # vertices of the cube
+    # The numbers of the vertices on the links from the voxels of the layers x and x + 1.
+    number = np.empty((3, 2, body.shape[1], body.shape[2]), dtype=np.int32)
+    begin = np.zeros(3, dtype=np.int64)
+    _number_layer(number, links, begin, 0)
+    for x in range(cases.shape[0]):
+        _number_layer(number, links, begin, x + 1)
+        for y in range(cases.shape[1]):
+            for z in range(cases.shape[2]):
+                case = cases[x, y, z]
+                if table.n_triangles[case] == 0:
+                    continue
+                _set_corners(corner, table, case, number, x, y, z)
+                middle = first_middle[case] + done[case]
+                if table.loops[case, 0] >= 0:
+                    _set_middle(middles[middle], vertices, corner, table.loops[case])
+                    corner[MIDDLE] = len(vertices) + middle
+                # The first triangles of all cubes of a case come before the second ones.
+                face = first_face[case] + done[case]
+                _write_faces(faces[face :: n_cubes[case]], corner, table, case)
+                done[case] += 1
+    return faces, middles
+
+
+@compiled()
+def _cases(body: Mask) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """The case of each cube, one bit for each corner in the set; and the number of cubes of each case."""
     a, b, c = body.shape[0] - 1, body.shape[1] - 1, body.shape[2] - 1
     cases = np.zeros((a, b, c), dtype=np.uint8)
     n_cubes = np.zeros(256, dtype=np.int64)
@@ -107,54 +146,65 @@ def _triangulated(
                     case |= body[x + (k >> 2), y + (k >> 1 & 1), z + (k & 1)] << k
                 cases[x, y, z] = case
                 n_cubes[case] += 1
-    # The number of faces, and of vertices in the middle, before those of each case.
-    n_faces, n_middles = 0, 0
-    first_face, first_middle = np.zeros(256, dtype=np.int64), np.zeros(256, dtype=np.int64)
+    return cases, n_cubes
+
+
+@compiled()
+def _firsts(
+    n_cubes: NDArray[np.int64], table: Table
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(257,) the number of faces, and of vertices in the middle, before those of each case and of all."""
+    first_face, first_middle = np.zeros(257, dtype=np.int64), np.zeros(257, dtype=np.int64)
     for case in range(256):
-        first_face[case], first_middle[case] = n_faces, n_middles
-        n_faces += n_cubes[case] * n_triangles[case]
-        n_middles += n_cubes[case] * (loops[case, 0] >= 0)
-    faces, middles = np.empty((n_faces, 3), dtype=np.int32), np.zeros((n_middles, 3))
-    done = np.zeros(256, dtype=np.int64)
-    corner = np.empty(MIDDLE + 1, dtype=np.int32)  # vertices of the cube
-    # The numbers of the vertices on the links from the voxels of the layers x and x + 1.
-    number = np.empty((3, 2, b + 1, c + 1), dtype=np.int32)
-    begin = np.zeros(3, dtype=np.int64)
+        has_middle = table.loops[case, 0] >= 0
+        first_face[case + 1] = first_face[case] + n_cubes[case] * table.n_triangles[case]
+        first_middle[case + 1] = first_middle[case] + n_cubes[case] * has_middle
+    return first_face, first_middle
+
+
+@compiled()
+def _number_layer(
+    number: IntArray, links: tuple[NDArray[np.intp], ...], begin: NDArray[np.int64], x: int
+) -> None:
+    """Write the numbers of the vertices of layer x, which begin at `begin` of the links of each axis."""
     before = (0, len(links[0]), len(links[0]) + len(links[1]))
-    for x in range(-1, a):
-        for axis in range(3):
-            at, i = links[axis], begin[axis]
-            while i < len(at) and at[i, 0] == x + 1:
-                number[axis, (x + 1) % 2, at[i, 1], at[i, 2]] = before[axis] + i
-                i += 1
-            begin[axis] = i
-        for y in range(b if x >= 0 else 0):
-            for z in range(c):
-                case = cases[x, y, z]
-                if n_triangles[case] == 0:
-                    continue
-                for t in range(n_triangles[case]):
-                    for side in range(3):
-                        edge = triangles[case, t, side]
-                        if edge < MIDDLE:
-                            low = LOWER[edge]
-                            corner[edge] = number[
-                                AXIS[edge], (x + low[0]) % 2, y + low[1], z + low[2]
-                            ]
-                if loops[case, 0] >= 0:
-                    middle = middles[first_middle[case] + done[case]]
-                    length = 0
-                    while length < MOST and loops[case, length] >= 0:
-                        middle += vertices[corner[loops[case, length]]]
-                        length += 1
-                    middle /= length
-                    corner[MIDDLE] = len(vertices) + first_middle[case] + done[case]
-                for t in range(n_triangles[case]):
-                    face = first_face[case] + t * n_cubes[case] + done[case]
-                    for side in range(3):
-                        faces[face, side] = corner[triangles[case, t, side]]
-                done[case] += 1
-    return faces, middles
+    for axis in range(3):
+        at, i = links[axis], begin[axis]
+        while i < len(at) and at[i, 0] == x:
+            number[axis, x % 2, at[i, 1], at[i, 2]] = before[axis] + i
+            i += 1
+        begin[axis] = i
+
+
+@compiled()
+def _set_corners(
+    corner: IntArray, table: Table, case: int, number: IntArray, x: int, y: int, z: int
+) -> None:
+    """Write the vertices on those edges of a cube that its triangles use."""
+    for t in range(table.n_triangles[case]):
+        for side in range(3):
+            edge = table.triangles[case, t, side]
+            if edge < MIDDLE:
+                low = LOWER[edge]
+                corner[edge] = number[AXIS[edge], (x + low[0]) % 2, y + low[1], z + low[2]]
+
+
+@compiled()
+def _set_middle(middle: FloatArray, vertices: FloatArray, corner: IntArray, loop: IntArray) -> None:
+    """Write the mean of the vertices of a loop."""
+    length = 0
+    while length < MOST and loop[length] >= 0:
+        middle += vertices[corner[loop[length]]]
+        length += 1
+    middle /= length
+
+
+@compiled()
+def _write_faces(faces: IntArray, corner: IntArray, table: Table, case: int) -> None:
+    """Write the triangles of a cube into the first of the faces."""
+    for t in range(table.n_triangles[case]):
+        for side in range(3):
+            faces[t, side] = corner[table.triangles[case, t, side]]
 
 
 def crossed(body: Mask) -> list[NDArray[np.intp]]:
@@ -169,8 +219,7 @@ def voxels_of(mask: Mask) -> NDArray[np.intp]:
 
 
 @cache
-def _table() -> tuple[IntArray, IntArray, IntArray]:
-    """The triangles of each case, their number, and the loop round a vertex in the middle; −1 for none."""
+def _table() -> Table:
     triangles = np.full((256, MOST, 3), -1, dtype=np.int32)
     n_triangles = np.zeros(256, dtype=np.int32)
     loops = np.full((256, MOST), -1, dtype=np.int32)
@@ -185,7 +234,7 @@ def _table() -> tuple[IntArray, IntArray, IntArray]:
                 found = found + [[first, last, MIDDLE] for first, last in ends]
         triangles[case, : len(found)] = found
         n_triangles[case] = len(found)
-    return triangles, n_triangles, loops
+    return Table(triangles, n_triangles, loops)
 
 
 def _loops(case: int) -> list[list[int]]:
@@ -268,10 +317,8 @@ def _smooth(
     counts = np.bincount(number[faces.ravel()] + 1, minlength=len(moving) + 1)
     counts[0] = 0
     starts = np.cumsum(counts)
-    fill, near = (
-        starts.copy(),
-        np.empty(starts[-1], dtype=np.int32),
-    )  # the neighbours of each moving vertex
+    fill = starts.copy()
+    near = np.empty(starts[-1], dtype=np.int32)  # the neighbours of each moving vertex
     for f in range(len(faces)):
         for k in range(3):
             i = number[faces[f, k]]

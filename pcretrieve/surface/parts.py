@@ -63,35 +63,44 @@ def walls(
     """
     walls = np.zeros((3, shape[0], shape[1], shape[2]), dtype=np.bool_)
     links = walls.reshape(3, -1)
-    step = (shape[1] * shape[2], shape[2], 1)
     for i in range(len(at)):
         for axis in range(3):
-            lean = normals[i, axis]
-            if abs(lean) < LEAST_LEAN:
-                continue
-            first, second = (axis + 1) % 3, (axis + 2) % 3
-            x, y = at[i, first], at[i, second]
-            rise, slope = -normals[i, first] / lean, -normals[i, second] / lean
-            left, right = (
-                max(0, int(np.ceil(x - radius))),
-                min(shape[first] - 1, int(np.floor(x + radius))),
-            )
-            low, high = (
-                max(0, int(np.ceil(y - radius))),
-                min(shape[second] - 1, int(np.floor(y + radius))),
-            )
-            for a in range(left, right + 1):
-                for b in range(low, high + 1):
-                    da, db = a - x, b - y
-                    along = rise * da + slope * db
-                    c = int(np.floor(at[i, axis] + along))
-                    # Without branches, of which many would be mispredicted.
-                    meets = (da * da + db * db + along * along <= radius * radius) & (
-                        0 <= c < shape[axis]
-                    )
-                    c = min(max(c, 0), shape[axis] - 1)
-                    links[axis, a * step[first] + b * step[second] + c * step[axis]] |= meets
+            if abs(normals[i, axis]) >= LEAST_LEAN:
+                _cross(links[axis], at[i], normals[i], axis, shape, radius)
     return walls
+
+
+@compiled()
+def _cross(
+    links: Mask,
+    at: FloatArray,
+    normal: FloatArray,
+    axis: int,
+    shape: tuple[int, int, int],
+    radius: float,
+) -> None:
+    """Mark the links along an axis that cross a surfel: those that meet its plane within the disk."""
+    step = (shape[1] * shape[2], shape[2], 1)
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    rise, slope = -normal[first] / normal[axis], -normal[second] / normal[axis]
+    columns = _within(at[first], radius, shape[first])
+    rows = _within(at[second], radius, shape[second])
+    for a in range(columns[0], columns[1]):
+        for b in range(rows[0], rows[1]):
+            da, db = a - at[first], b - at[second]
+            along = rise * da + slope * db
+            c = int(np.floor(at[axis] + along))
+            # Without branches, of which many would be mispredicted.
+            meets = da * da + db * db + along * along <= radius * radius
+            meets &= 0 <= c < shape[axis]
+            c = min(max(c, 0), shape[axis] - 1)
+            links[a * step[first] + b * step[second] + c * step[axis]] |= meets
+
+
+@compiled()
+def _within(place: float, radius: float, n: int) -> tuple[int, int]:
+    """The first of n voxels on a line within a radius of a place, and the one after the last."""
+    return max(0, int(np.ceil(place - radius))), min(n, int(np.floor(place + radius)) + 1)
 
 
 def rims(at: FloatArray, normals: FloatArray, to_points: Voxels) -> tuple[FloatArray, FloatArray]:
@@ -239,10 +248,8 @@ def joined(
     support[0] = support[sizes.argmax()] = 0
     bridges = []
     for piece in np.argsort(-support)[: int((support > LEAST_PIECE).sum())]:
-        depth, nearest = distance_transform_edt(~body, return_indices=True)
-        cells = np.argwhere(pieces == piece)
-        start = cells[depth[tuple(cells.T)].argmin()]
-        gap = depth[tuple(start)] * grid.cell
+        start, end, distance = _nearest_voxels(pieces == piece, body)
+        gap = distance * grid.cell
         if gap > options.bridge * np.linalg.norm(np.ptp(points, axis=0)):
             if support[piece] > options.max_discarded:
                 raise ReconstructionError(
@@ -251,7 +258,6 @@ def joined(
                 )
             notes.append(f"dropped a piece with {support[piece]:.1%} of the points, {gap:.3g} away")
             continue
-        end = nearest[:, start[0], start[1], start[2]].astype(np.intp)
         thickness = float(distance_transform_edt(pieces == piece).max())
         tube = _tube(start, end, radius=min(3.0, max(1.5, thickness)))
         bridges.append(tube[~body[tuple(tube.T)] & (pieces[tuple(tube.T)] != piece)])
@@ -264,6 +270,17 @@ def joined(
     hollow, sizes = components(~body, corners=True)
     solid = body if len(sizes) == 2 else hollow != hollow[0, 0, 0]
     return solid, np.concatenate([nowhere, *bridges])
+
+
+def _nearest_voxels(piece: Mask, body: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp], float]:
+    """The voxels of a piece and of the body that are nearest to each other, and their distance in voxels."""
+    from scipy.ndimage import distance_transform_edt
+
+    depth, nearest = distance_transform_edt(~body, return_indices=True)
+    cells = np.argwhere(piece)
+    start = cells[depth[tuple(cells.T)].argmin()]
+    end = nearest[:, start[0], start[1], start[2]].astype(np.intp)
+    return start, end, float(depth[tuple(start)])
 
 
 @compiled()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,20 +137,33 @@ def _meeting(vertices: FloatArray, q: FloatArray, u: int, v: int) -> tuple[float
     dx = vertices[v, 0] - vertices[u, 0]
     dy = vertices[v, 1] - vertices[u, 1]
     dz = vertices[v, 2] - vertices[u, 2]
-    bx, by, bz = _times(q, v, dx, dy, dz)
-    xx, yy, zz = q[u, 0] + q[v, 0], q[u, 1] + q[v, 1], q[u, 2] + q[v, 2]
-    xy, xz, yz = q[u, 3] + q[v, 3], q[u, 4] + q[v, 4], q[u, 5] + q[v, 5]
-    # The inverse of a symmetric 3 × 3 matrix by its cofactors.
+    matrix = (
+        q[u, 0] + q[v, 0],
+        q[u, 1] + q[v, 1],
+        q[u, 2] + q[v, 2],
+        q[u, 3] + q[v, 3],
+        q[u, 4] + q[v, 4],
+        q[u, 5] + q[v, 5],
+    )
+    x, y, z = _solved(matrix, _times(q, v, dx, dy, dz))
+    one, two = _times(q, u, x, y, z), _times(q, v, dx - x, dy - y, dz - z)
+    cost = x * one[0] + y * one[1] + z * one[2]
+    cost = cost + (dx - x) * two[0] + (dy - y) * two[1] + (dz - z) * two[2]
+    return float(cost), (vertices[u, 0] + x, vertices[u, 1] + y, vertices[u, 2] + z)
+
+
+@compiled()
+def _solved(matrix: tuple[float, float, float, float, float, float], right: Point) -> Point:
+    """The solution of a symmetric system xx, yy, zz, xy, xz, yz, by the cofactors of the matrix."""
+    xx, yy, zz, xy, xz, yz = matrix
     cxx, cxy, cxz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     cyy, cyz, czz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
     determinant = xx * cxx + xy * cxy + xz * cxz
-    x = (cxx * bx + cxy * by + cxz * bz) / determinant
-    y = (cxy * bx + cyy * by + cyz * bz) / determinant
-    z = (cxz * bx + cyz * by + czz * bz) / determinant
-    px, py, pz = _times(q, u, x, y, z)
-    qx, qy, qz = _times(q, v, dx - x, dy - y, dz - z)
-    cost = float(x * px + y * py + z * pz + (dx - x) * qx + (dy - y) * qy + (dz - z) * qz)
-    return cost, (vertices[u, 0] + x, vertices[u, 1] + y, vertices[u, 2] + z)
+    return (
+        (cxx * right[0] + cxy * right[1] + cxz * right[2]) / determinant,
+        (cxy * right[0] + cyy * right[1] + cyz * right[2]) / determinant,
+        (cxz * right[0] + cyz * right[1] + czz * right[2]) / determinant,
+    )
 
 
 @compiled()
@@ -167,9 +181,8 @@ def _sink(heap: Keys, size: int, at: int) -> None:
         child = 2 * at + 1
         if child >= size:
             break
-        child += (
-            child + 1 < size and heap[child + 1] < heap[child]
-        )  # branches would be mispredicted
+        # Without a branch, which would be mispredicted.
+        child += child + 1 < size and heap[child + 1] < heap[child]
         if heap[child] >= key:
             break
         heap[at] = heap[child]
@@ -197,18 +210,18 @@ def _keeps_shape(
         g = start
         while True:
             b, c = _at(vertices, corners[_next(g)]), _at(vertices, corners[_previous(g)])
-            ox, oy, oz, before = _normal(old, b, c)
-            poorest_before = min(poorest_before, _quality(old, b, c, before))
+            before = _normal(old, b, c)
+            poorest_before = min(poorest_before, _quality(old, b, c, before[3]))
             following = twin[_previous(g)]
             if following == start:
                 break
-            if (
-                g != start
-            ):  # the first and the last face around each end are removed by the collapse
-                nx, ny, nz, after = _normal(place, b, c)
-                if ox * nx + oy * ny + oz * nz < LEAST_COSINE * before * after:
+            # The first and the last face around each end are removed by the collapse.
+            if g != start:
+                after = _normal(place, b, c)
+                cosine = before[0] * after[0] + before[1] * after[1] + before[2] * after[2]
+                if cosine < LEAST_COSINE * before[3] * after[3]:
                     return False
-                poorest = min(poorest, _quality(place, b, c, after))
+                poorest = min(poorest, _quality(place, b, c, after[3]))
             g = following
     return poorest >= min(poorest_before, LEAST_QUALITY)
 
@@ -258,11 +271,28 @@ def _merge(corners: IntArray, twin: IntArray, edge: IntArray, half: IntArray, h:
     return stays
 
 
+class Edges(NamedTuple):
+    """The edges of a mesh, and the heap of the costs of their collapse.
+
+    of: (3m,) the edge of each half-edge.
+    half: (e,) a half-edge of each edge, −1 once it is removed.
+    heap: (e,) keys of the queued edges, the least first.
+    known: (e,) the step in which the cost of the edge was computed.
+    queued: (e,) whether the edge is in the heap.
+    """
+
+    of: IntArray
+    half: IntArray
+    heap: Keys
+    known: IntArray
+    queued: Mask
+
+
 @compiled()
-def _queue(
+def _edges(
     vertices: FloatArray, corners: IntArray, twin: IntArray, quadrics: FloatArray, area: float
-) -> tuple[IntArray, IntArray, Keys]:
-    """The edge of each half-edge; a half-edge of each edge, −1 once it is removed; and the heap of costs."""
+) -> Edges:
+    """All edges, queued by cost."""
     edge = np.empty(len(corners), dtype=np.int32)
     half = np.empty(len(corners) // 2, dtype=np.int32)
     heap = np.empty(len(half), dtype=np.int64)
@@ -276,19 +306,13 @@ def _queue(
             size += 1
     for at in range(size // 2 - 1, -1, -1):
         _sink(heap, size, at)
-    return edge, half, heap
+    known = np.zeros(len(half), dtype=np.int32)
+    return Edges(edge, half, heap, known, np.ones(len(half), dtype=np.bool_))
 
 
 @compiled()
 def _requeue(
-    corners: IntArray,
-    twin: IntArray,
-    edge: IntArray,
-    start: int,
-    is_rejected: Mask,
-    queued: Mask,
-    heap: Keys,
-    size: int,
+    corners: IntArray, twin: IntArray, edges: Edges, start: int, is_rejected: Mask, size: int
 ) -> int:
     """Queue the rejected edges around a vertex, which may be possible now; return the size of the heap."""
     # They are queued first: their costs were below those of all queued edges, unless an end was moved, and
@@ -298,10 +322,11 @@ def _requeue(
         k = twin[g]
         w = corners[k]
         while is_rejected[w]:
-            if not queued[edge[k]]:
-                queued[edge[k]] = True
-                heap[size] = _key(0.0, edge[k])
-                _rise(heap, size)
+            edge = edges.of[k]
+            if not edges.queued[edge]:
+                edges.queued[edge] = True
+                edges.heap[size] = _key(0.0, edge)
+                _rise(edges.heap, size)
                 size += 1
             k = twin[_previous(k)]
             if k == twin[g]:
@@ -321,58 +346,62 @@ def _collapsed(
     n_faces: int,
 ) -> None:
     """Collapse edges in place; the corners of faces that do not remain become negative."""
-    spent = np.zeros(len(vertices))  # the value of the quadric of each vertex at its position
-    moved = np.zeros(
-        len(vertices), dtype=np.int32
-    )  # the step in which it was moved to its position
+    # The value of the quadric of each vertex at its position, and the step in which it was moved there.
+    spent, moved = np.zeros(len(vertices)), np.zeros(len(vertices), dtype=np.int32)
     mark = np.zeros(len(vertices), dtype=np.int32)
-    edge, half, heap = _queue(vertices, corners, twin, quadrics, area)
-    size = len(heap)
-    known = np.zeros(
-        len(half), dtype=np.int32
-    )  # the step in which the cost of the edge was computed
-    queued = np.ones(len(half), dtype=np.bool_)
-    is_rejected = np.zeros(
-        len(vertices), dtype=np.bool_
-    )  # whether an edge of the vertex may not be queued
-    n_left, step, label = len(corners) // 3, 0, 0
-    while n_left > n_faces and size > 0:
-        e = heap[0] & 0x7FFFFFFF
-        h = half[e]
-        if h >= 0:
-            u, v = corners[h], corners[twin[h]]
-            added, place = _meeting(vertices, quadrics, u, v)
-            cost = added + spent[u] + spent[v]
-            if max(moved[u], moved[v]) > known[e]:
-                # Lazy update: costs never decrease, so that the first edge whose cost is up to date is the
-                # minimum.
-                known[e] = step
-                heap[0] = _key(cost / area, e)
-                _sink(heap, size, 0)
-                continue
-        size -= 1
-        heap[0] = heap[size]
-        _sink(heap, size, 0)
-        queued[e] = False
-        label += 1
+    # Whether an edge of the vertex may not be queued.
+    is_rejected = np.zeros(len(vertices), dtype=np.bool_)
+    edges = _edges(vertices, corners, twin, quadrics, area)
+    size, step, label = len(edges.heap), 0, 0
+    while len(corners) // 3 - 2 * step > n_faces and size > 0:
+        edge = edges.heap[0] & 0x7FFFFFFF
+        h = edges.half[edge]
         if h < 0:
+            size = _popped(edges, size)
             continue
+        u, v = corners[h], corners[twin[h]]
+        cost, place = _meeting(vertices, quadrics, u, v)
+        cost = cost + spent[u] + spent[v]
+        if max(moved[u], moved[v]) > edges.known[edge]:
+            # Lazy update: costs never decrease, so that the first edge whose cost is up to date is the
+            # minimum.
+            edges.known[edge] = step
+            edges.heap[0] = _key(cost / area, edge)
+            _sink(edges.heap, size, 0)
+            continue
+        size = _popped(edges, size)
+        label += 1
         if not _keeps_topology(corners, twin, h, mark, label) or not _keeps_shape(
             vertices, corners, twin, h, place
         ):
             is_rejected[u] = is_rejected[v] = True
             continue
         step += 1
-        n_left -= 2
-        # Numba takes a second to compile the message of an assignment of a row to a row of another length.
-        vertices[u, 0], vertices[u, 1], vertices[u, 2] = place[0], place[1], place[2]
-        for k in range(quadrics.shape[1]):
-            quadrics[u, k] += quadrics[v, k]
+        _join(vertices, quadrics, u, v, place)
         spent[u] = cost
         moved[u] = step
-        start = _merge(corners, twin, edge, half, h)
+        h = _merge(corners, twin, edges.of, edges.half, h)
         is_rejected[u] |= is_rejected[v]
-        size = _requeue(corners, twin, edge, start, is_rejected, queued, heap, size)
+        size = _requeue(corners, twin, edges, h, is_rejected, size)
+
+
+@compiled()
+def _join(vertices: FloatArray, quadrics: FloatArray, u: int, v: int, place: Point) -> None:
+    """Move a vertex to a place, and add the quadric of another to its own."""
+    # Numba takes a second to compile the message of an assignment of a row to a row of another length.
+    vertices[u, 0], vertices[u, 1], vertices[u, 2] = place[0], place[1], place[2]
+    for k in range(quadrics.shape[1]):
+        quadrics[u, k] += quadrics[v, k]
+
+
+@compiled()
+def _popped(edges: Edges, size: int) -> int:
+    """Remove the first edge from a heap of some size; returns the new size."""
+    edges.queued[edges.heap[0] & 0x7FFFFFFF] = False
+    size -= 1
+    edges.heap[0] = edges.heap[size]
+    _sink(edges.heap, size, 0)
+    return size
 
 
 # Surfaces with diagonals in this range are decimated in the caller's unit of length.
