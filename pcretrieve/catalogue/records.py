@@ -48,7 +48,7 @@ TABLES = {
         "n_vertices": "bigint",  # of the first surface, as the next two
         "n_faces": "bigint",
         "euler": "bigint",
-        "judgement": "{text}",  # good or incomplete; NULL: not judged
+        "judgement": "{text}",  # good, poor or incomplete; NULL: not judged
         "uncertainty": "double precision",  # log-signature error that the checks let expect
         "metres_per_unit": "double precision",  # length of the unit of the area; NULL: unknown
         "stamp": "{text}",  # by which an unchanged file is known without reading it; NULL: unknown
@@ -217,7 +217,7 @@ class Record:
 
     @property
     def is_incomplete(self) -> bool:
-        """Whether the verdict is "incomplete"; false if the shape was not judged."""
+        """Whether the scan is poor or incomplete; false if the shape was not judged."""
         return self.verdict is not None and not self.verdict.is_good
 
     @property

@@ -67,6 +67,9 @@ MOSTLY = 0.6
 # The same of what is at the end of the body, beyond which there is nothing, as a crown and a sole are.
 MOSTLY_AT_END = 0.45
 
+# Least share of it that faces the opposite direction. Two legs that were cut off face one direction only.
+OPPOSITE = 0.05
+
 # Largest mean cosine between the axis of a cut limb and the normals round it: round a crown without hair it
 # is .35 and more, round a shallow hole 1.
 TILTED = 0.33
@@ -79,6 +82,9 @@ AT_END = 0.12
 # relative to the length, and the least cosine between their axes.
 ON_GROUND = 0.03
 PARALLEL = 0.85
+
+# Soles are oblong, and cut legs are round: the largest ratio of the width to the length of a sole.
+OBLONG = 0.65
 
 # A face closes a cut limb only if the cosine between its normal and that of the nearest point is smaller: in
 # a smooth hole these agree.
@@ -128,12 +134,14 @@ class End:
     axis: (3,) float64, unit vector out of the limb.
     share: of the area of the surface, weighted by how like the rim is to that of a limb.
     is_lowest: whether nothing of the body lies beyond it.
+    roundness: width of the rim relative to its length, from 0 to 1.
     """
 
     middle: FloatArray
     axis: FloatArray
     share: float
     is_lowest: bool
+    roundness: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,10 +336,13 @@ class Fit:
         """Whether what else was not seen faces the same direction as some faces, or the opposite one."""
         axis = self.axis(faces)
         rest = np.setdiff1d(self.far, faces)
-        is_aligned = np.abs(self.normals[rest] @ axis) > ASIDE
+        if not len(rest):
+            return False
+        cosines = self.normals[rest] @ axis
+        shares = self.areas[rest] / self.areas[rest].sum()
+        opposite, same = shares[cosines < -ASIDE].sum(), shares[cosines > ASIDE].sum()
         least = MOSTLY_AT_END if self.beyond(faces, axis) < ON_GROUND else MOSTLY
-        areas = self.areas[rest]
-        return bool(len(rest) and (areas * is_aligned).sum() > least * areas.sum())
+        return bool(opposite > OPPOSITE and opposite + same > least)
 
     def beyond(self, faces: Faces, axis: FloatArray) -> float:
         """How far the body extends beyond some faces along a unit vector, relative to its length."""
@@ -377,19 +388,26 @@ class Fit:
         if (normals @ axis).mean() > TILTED or is_expected:
             return None
         middle = np.average(self.middles[faces], axis=0, weights=self.areas[faces])
-        likeness = rim_of_limb(normals, self.cloud.points[rim] - middle, axis)
+        offsets = self.cloud.points[rim] - middle
+        likeness = rim_of_limb(normals, offsets, axis)
         closing = far[is_near & is_closing]
         area = np.linalg.norm(self.areas[closing] @ self.normals[closing]) / self.areas.sum()
-        return End(middle, axis, max(likeness, SHEET) * float(area), beyond < ON_GROUND)
+        share = max(likeness, SHEET) * float(area)
+        return End(middle, axis, share, beyond < ON_GROUND, _roundness(offsets, axis))
 
     def _is_sole(self, end: End, ends: list[End]) -> bool:
         """Whether the body stands on an end and on another one."""
-        return end.is_lowest and any(
-            other.is_lowest
-            and end.axis @ other.axis > PARALLEL
-            and abs((other.middle - end.middle) @ end.axis) < ON_GROUND * self.length
-            and float(np.linalg.norm(other.middle - end.middle)) > NEAR_END * self.cloud.diagonal
-            for other in ends
+        return (
+            end.is_lowest
+            and end.roundness < OBLONG
+            and any(
+                other.is_lowest
+                and end.axis @ other.axis > PARALLEL
+                and abs((other.middle - end.middle) @ end.axis) < ON_GROUND * self.length
+                and float(np.linalg.norm(other.middle - end.middle))
+                > NEAR_END * self.cloud.diagonal
+                for other in ends
+            )
         )
 
 
@@ -410,6 +428,13 @@ def rim_of_limb(normals: FloatArray, offsets: FloatArray, axis: FloatArray) -> f
     both[1] /= np.maximum(np.linalg.norm(both[1], axis=1, keepdims=True), np.finfo(np.float64).tiny)
     spread = np.linalg.eigvalsh([2 * np.cov(across.T, bias=True) for across in both])[:, 1].clip(0)
     return float(np.sqrt(spread[0]) * spread[1] * (1 - np.abs(normals @ axis).mean()))
+
+
+def _roundness(offsets: FloatArray, axis: FloatArray) -> float:
+    """Width relative to length of points with offsets (r, 3), across an axis."""
+    across = offsets - np.outer(offsets @ axis, axis)
+    _, narrow, wide = np.linalg.eigvalsh(np.cov(across.T, bias=True)).clip(0)
+    return float(np.sqrt(narrow / wide)) if wide > 0 else 1.0
 
 
 def _barycentric(steps: int) -> FloatArray:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
@@ -18,6 +20,9 @@ from pcretrieve.errors import CatalogueError, InputError
 
 # Largest number of names in the message about names in a label file that match no scan.
 QUOTED = 5
+
+# Share of a batch from which on a reason that its scans have in common is said once.
+COMMON = 1 / 3
 
 
 @opt.command("ingest")
@@ -233,8 +238,13 @@ def _say_summary(summary: pr.Summary, catalogue: str, labels: str | None = None)
         f"duplicates: {catalogue}{'; --retry-failed processes the failed shapes again' if failures else ''}"
     )
     if incomplete := _incomplete(summary):
+        grades = Counter(record.verdict.judgement for record in incomplete if record.verdict)
+        counts = " and ".join(f"{n} {grade}" for grade, n in sorted(grades.items()))
         listed = f"`pcretrieve list --incomplete -c {quote(catalogue)}`"
-        messages.say(f"{len(incomplete)} incomplete: {listed} gives the reasons")
+        messages.say(f"{counts}, which may answer wrongly: {listed} gives the reasons")
+        reason, n = _commonest_reason(incomplete)
+        if n > COMMON * len([*summary.done, *summary.held]):
+            messages.say(f"the same is wrong with {n} of them: {reason}")
 
 
 def _result(
@@ -264,6 +274,12 @@ def _failures(summary: pr.Summary) -> list[pr.Record]:
 
 def _known(summary: pr.Summary) -> list[pr.Record]:
     return [record for record in summary.held if record.status == "done"]
+
+
+def _commonest_reason(records: Sequence[pr.Record]) -> tuple[str, int]:
+    """The most frequent first reason of scans that are not good, without its place; and how often."""
+    reasons = [record.verdict.reasons[0] for record in records if record.verdict]
+    return Counter(reason.partition(", near (")[0] for reason in reasons).most_common(1)[0]
 
 
 def _incomplete(summary: pr.Summary) -> list[pr.Record]:

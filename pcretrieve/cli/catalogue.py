@@ -28,13 +28,13 @@ FAILED = {"STAGE" if name == "VERDICT" else name: kind for name, kind in INCOMPL
 @opt.command("list")
 @opt.catalogue_option
 @opt.option("--failed", "Only shapes that failed, with the reason.")
-@opt.option("--incomplete", "Only incomplete scans, with the reasons.")
+@opt.option("--incomplete", "Only poor and incomplete scans, with the reasons.")
 @opt.option("--limit N", "List at most N shapes.", opt.COUNT)
 @opt.option("--offset N", "Skip N shapes.", opt.NUMBER, default=0)
 def list_command(catalogue: str, failed: bool, **chosen: Any) -> out.Result:
     """List shapes: id, verdict, class, Euler characteristic, seconds, path.
 
-    The verdict is good, incomplete or failed; done means that the shape was not judged.
+    The verdict is good, poor, incomplete or failed; done means that the shape was not judged.
 
     \b
     pcretrieve list --catalogue bodies.sqlite --failed

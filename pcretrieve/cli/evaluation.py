@@ -32,7 +32,7 @@ RARE = ("ST", "E")  # of papers, not needed to judge a collection
 )
 @opt.labels_option
 @opt.matrix_option
-@opt.option("--good-only", "Leave out incomplete scans.")
+@opt.option("--good-only", "Ask for good scans only; the others stay in the gallery.")
 @opt.option("--per-class", "Add the means of each class, and which classes are confused with it.")
 @opt.option(
     "--csv FOLDER",
@@ -167,8 +167,10 @@ def _write_evaluation(
     by = f"scale {how['scale']}" if "scale" in how else f"distances of {how['matrix']}"
     if how.get("size_weight"):
         by += f", size weight {how['size_weight']:g}"
+    n_asked, n_left_out = len(rankings.ids), found.ranked.n_left_out
+    asked = f"{n_asked} of {n_asked + n_left_out}" if n_left_out else f"{n_asked}"
     say(
-        f"{len(rankings.ids)} queries in {rankings.n_gallery} shapes, {found.n_failed} failed shapes "
+        f"{asked} queries in {rankings.n_gallery} shapes, {found.n_failed} failed shapes "
         f"count as misses; {by}"
     )
     if "missed_at" in how:

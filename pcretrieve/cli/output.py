@@ -48,7 +48,7 @@ GAP = "  "
 LEAST_WORDS = 24
 
 # Colours of the words that say that something is wrong.
-COLOURS = {"incomplete": "yellow", "failed": "red"}
+COLOURS = {"poor": "yellow", "incomplete": "yellow", "failed": "red"}
 
 
 def print_text(text: str, *, nl: bool = True, color: bool | None = None) -> None:

@@ -25,6 +25,7 @@ class RankedShapes(NamedTuple):
     """The rankings of some shapes; `plain` without re-ranking.
 
     options: with which the shapes of a catalogue were ranked.
+    n_left_out: number of queries that were left out because their scans are not good.
     """
 
     rankings: Rankings
@@ -32,6 +33,7 @@ class RankedShapes(NamedTuple):
     table: SignatureTable | None = None
     whitening: str = ""
     options: PipelineOptions | None = None
+    n_left_out: int = 0
 
 
 def rank_shapes(
@@ -54,7 +56,18 @@ def rank_shapes(
         return _of_matrix(shapes, classes, {}, PipelineOptions.of(options).retrieval.rerank)
     with Catalogue.opened(shapes) as store:
         chosen = PipelineOptions.of(options, store.options)
-        return _of_catalogue(store, chosen, labels, matrix, good_only)._replace(options=chosen)
+        ranked = _of_catalogue(store, chosen, labels, matrix)._replace(options=chosen)
+        if not good_only:
+            return ranked
+        good = {record.id for record in store.records() if not record.is_incomplete}
+        asked = ranked.rankings.of_queries(good)
+        if not asked.ids:
+            raise BenchmarkError(f"no labelled scan in {store.location} is good")
+        return ranked._replace(
+            rankings=asked,
+            plain=ranked.plain.of_queries(good),
+            n_left_out=len(ranked.rankings.ids) - len(asked.ids),
+        )
 
 
 def _of_catalogue(
@@ -62,11 +75,8 @@ def _of_catalogue(
     options: PipelineOptions,
     labels: str | Path | None,
     matrix: DistanceMatrix | None,
-    good_only: bool,
 ) -> RankedShapes:
-    everything = catalogue.records()
-    left = {record.id for record in everything if good_only and record.is_incomplete}
-    records = {record.id: record for record in everything if record.id not in left}
+    records = {record.id: record for record in catalogue.records()}
     if labels is None:
         classes = {shape_id: record.label for shape_id, record in records.items()}
     else:
@@ -79,16 +89,12 @@ def _of_catalogue(
         raise BenchmarkError(f"no shape in {catalogue.location} has a class: {advice}")
     if matrix is not None:
         check_known(matrix, catalogue)
-        if left:
-            matrix = matrix.select([shape_id for shape_id in matrix.ids if shape_id not in left])
         ranked_ids = set(matrix.ids)
         missing = {
             shape_id: classes[shape_id] for shape_id in records if shape_id not in ranked_ids
         }
         return _of_matrix(matrix, classes, missing, options.retrieval.rerank)
     table = catalogue.signatures(options)
-    if left:
-        table = table.select([shape_id for shape_id in table.ids if shape_id not in left])
     table = replace(table, labels=tuple(classes[shape_id] for shape_id in table.ids))
     failed = {
         record.id: classes[record.id] for record in records.values() if record.status == "failed"

@@ -109,7 +109,7 @@ def evaluate(
     matrix : DistanceMatrix, optional
         Distances that replace the distances of signatures.
     good_only : bool, default False
-        Leave out the shapes of a catalogue whose verdict is "incomplete".
+        Ask for scans that are good only. Poor and incomplete ones stay in the gallery.
 
     Returns
     -------

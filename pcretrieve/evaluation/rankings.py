@@ -13,8 +13,9 @@ after a whitening that was fitted to them.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from itertools import compress
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -80,6 +81,22 @@ class Rankings(Value):
     def n_ranked(self) -> int:
         """Length of each ranked list, which is the gallery without the query."""
         return max(0, self.n_gallery - 1)
+
+    def of_queries(self, asked: Set[str]) -> Rankings:
+        """The same rankings, of some of the queries only; the gallery stays whole."""
+        kept = np.array([shape_id in asked for shape_id in self.ids], dtype=bool)
+        hits = kept[self.hit_query]
+        numbers = np.cumsum(kept) - 1
+        return replace(
+            self,
+            ids=tuple(compress(self.ids, kept)),
+            labels=tuple(compress(self.labels, kept)),
+            n_relevant=self.n_relevant[kept],
+            hit_query=numbers[self.hit_query[hits]],
+            hit_rank=self.hit_rank[hits],
+            nearest=tuple(compress(self.nearest, kept)),
+            nearest_labels=tuple(compress(self.nearest_labels, kept)),
+        )
 
 
 def rank_subsets(

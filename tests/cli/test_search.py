@@ -109,16 +109,31 @@ def test_incomplete_scans_are_counted_and_a_query_says_so(tmp_path: Path) -> Non
         write_mesh(pr.TriangleMesh(mesh.vertices, mesh.faces[first:]), tmp_path / f"{name}.off")
     scans = tmp_path / "open.off", tmp_path / "whole.off"
     done = run("ingest", *scans, "-c", catalogue, "--surface", "keep", "--workers", 1, "--json")
-    assert "1 incomplete: " in done.stderr
+    assert "1 incomplete, which may answer wrongly: " in done.stderr
+    assert "the same is wrong with 1 of them: the mesh has holes" in done.stderr
     advice = done.stderr.split("`")[1].split()
     assert advice == ["pcretrieve", "list", "--incomplete", "-c", str(catalogue)]
-    assert "closed surface: " in run(*advice[1:]).stdout
+    assert "the mesh has holes" in run(*advice[1:]).stdout
     assert json.loads(done.stdout)["result"]["incomplete"] == ["open"]
     asked = run("query", "-c", catalogue, tmp_path / "other.off")
-    assert "other.off is incomplete: closed surface: " in asked.stderr
+    assert "other.off is incomplete, may answer wrongly: the mesh has holes" in asked.stderr
     assert [
         line.split()[4] for line in asked.stdout.splitlines() if line.endswith("  incomplete")
     ] == ["open"]
+
+
+def test_good_only_asks_for_good_scans_in_the_whole_gallery(tmp_path: Path) -> None:
+    catalogue, options = tmp_path / "c.sqlite", pr.PipelineOptions()
+    with pr.Catalogue(catalogue, create=True) as store:
+        for number, (kind, width) in enumerate(product("ab", (1, 1.1))):
+            shape = pr.process(shapes.ellipsoid((width, 1, 1.8 if kind == "a" else 2.3), 3))
+            verdict = pr.Verdict("poor" if number == 3 else "good", 0.5)
+            values = pr.describe(shape, options.signature).values
+            content = Content(replace(shape, verdict=verdict), values)
+            store.put(Record(f"{number}", f"/{number}.off", f"hash {number}", kind), content)
+    assert run("evaluate", "-c", catalogue).stderr.startswith("4 queries in 4 shapes")
+    good = run("evaluate", "-c", catalogue, "--good-only")
+    assert good.stderr.startswith("3 of 4 queries in 4 shapes")
 
 
 def test_a_query_of_another_resolution_is_told(eggs: Path, tmp_path: Path) -> None:

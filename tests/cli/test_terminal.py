@@ -142,7 +142,7 @@ def test_programs_get_whole_values_under_headings(
         *(f"{DEEP}/egg{n}.off" for n in range(3)),
     ]
     row = run("list", "-c", "c.sqlite", "--incomplete").stdout
-    assert row.endswith(f"  incomplete: {REASON}\n")
+    assert row.endswith(f"  incomplete, may answer wrongly: {REASON}\n")
     rows = run("query", "-c", "c.sqlite", "egg0").stdout.splitlines()
     assert rows[0].split() == ["RANK", "DISTANCE", "SCORE", "CLASS", "ID", "FILE", "SCAN"]
     assert [line[line.index("incomplete") :] for line in rows if "incomplete" in line] == [

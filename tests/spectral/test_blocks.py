@@ -18,7 +18,7 @@ def test_products_of_blocks_are_those_of_numpy() -> None:
     block, basis = random.normal(size=(n, BLOCK)), random.normal(size=(12, n))
     matrix = csr_array(random.normal(size=(n, n)) * (random.random((n, n)) < 0.01))
     found = blocks.product(matrix.indptr, matrix.indices, matrix.data, block)
-    np.testing.assert_allclose(found, matrix @ block, atol=1e-12)
+    np.testing.assert_allclose(found, np.asarray(matrix @ block), atol=1e-12)
     parts = blocks.components(basis, block)
     np.testing.assert_allclose(parts, basis @ block, atol=1e-11)
     turn, changed = random.normal(size=(BLOCK, BLOCK)), block.copy()

@@ -97,7 +97,7 @@ def test_a_link_crosses_a_surfel_where_a_line_meets_a_disk() -> None:
         share = np.einsum("ij,ij->i", at - start, normals) / normals[:, axis]
         place = np.array(start) + share[:, np.newaxis] * np.eye(3)[axis]
         near = np.linalg.norm(place - at, axis=1) <= radius
-        expected[(axis, *start)] = (steep & near & (share >= 0) & (share < 1)).any()
+        expected[axis][start] = (steep & near & (share >= 0) & (share < 1)).any()
     np.testing.assert_array_equal(links_across(at, normals, shape, radius), expected)
 
 
