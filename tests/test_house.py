@@ -149,7 +149,6 @@ LARGE = {
     "pages.inspection_pictures.overview",
     "pages.queries_page.query_page",
     "pages.retrieval_page.report",
-    "retrieval.bounds.of",
     "surface.body._body_surface",
     "surface.body._surface",
     "surface.caps.capped",

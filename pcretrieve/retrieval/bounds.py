@@ -105,11 +105,7 @@ class LowerBounds(NamedTuple):
     def of(cls, points: FloatArray) -> LowerBounds:
         """The bounds of the distances to points (N, L), at least one."""
         mean = points.mean(axis=0)
-        variances, directions = np.linalg.eigh(scatter_matrix(points, mean))  # variances ascend
-        small = np.cumsum(variances) < (1 - SHARE) * variances.sum()
-        axes = np.ascontiguousarray(
-            directions[:, ::-1][:, : max(N_LEADING, np.count_nonzero(~small))]
-        )
+        axes = _principal_axes(points, mean)
         leading = np.empty((min(N_DIVIDING, axes.shape[1]), len(points)), np.float32)
         with np.errstate(over="ignore"):
             for start in range(0, len(points), CHUNK):
@@ -127,9 +123,8 @@ class LowerBounds(NamedTuple):
             # Not the difference by 256, because that of the largest numbers is infinite.
             step[block] = high[block] / N_CELLS - low[block] / N_CELLS
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                cells = np.nan_to_num(
-                    (along - low[block]) / step[block]
-                )  # 0 / 0 where all points are equal
+                # 0 / 0 where all points are equal.
+                cells = np.nan_to_num((along - low[block]) / step[block])
             rows[block, : len(members)] = members
             codes[block, :, : len(members)] = np.clip(cells, 0, N_CELLS - 1).T
         return cls(mean, axes, rows, low, high, step, codes)
@@ -236,6 +231,14 @@ def scan(
                 bounds[found] = max(math.sqrt(total[i]) - reach[block], 0.0) ** 2
                 found += 1
     return near[:found], bounds[:found]
+
+
+def _principal_axes(points: FloatArray, mean: FloatArray) -> FloatArray:
+    """(L, D) the principal directions, the largest variance first, that have `SHARE` of the variance."""
+    variances, directions = np.linalg.eigh(scatter_matrix(points, mean))  # variances ascend
+    small = np.cumsum(variances) < (1 - SHARE) * variances.sum()
+    n_axes = max(N_LEADING, np.count_nonzero(~small))
+    return np.ascontiguousarray(directions[:, ::-1][:, :n_axes])
 
 
 def _leaves(leading: NDArray[np.float32], members: Rows) -> Iterator[Rows]:
