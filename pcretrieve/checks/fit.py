@@ -332,8 +332,11 @@ class Fit:
         axis = self.areas[faces] @ self.normals[faces]
         return np.asarray(axis / max(float(np.linalg.norm(axis)), np.finfo(np.float64).tiny))
 
-    def is_beyond_sight(self, faces: Faces) -> bool:
-        """Whether what else was not seen faces the same direction as some faces, or the opposite one."""
+    def is_beyond_sight(self, faces: Faces, *, both: bool = False) -> bool:
+        """Whether what else was not seen faces the same direction as some faces, or the opposite one.
+
+        both: some of it must face the opposite direction.
+        """
         axis = self.axis(faces)
         rest = np.setdiff1d(self.far, faces)
         if not len(rest):
@@ -342,7 +345,8 @@ class Fit:
         shares = self.areas[rest] / self.areas[rest].sum()
         opposite, same = shares[cosines < -ASIDE].sum(), shares[cosines > ASIDE].sum()
         least = MOSTLY_AT_END if self.beyond(faces, axis) < ON_GROUND else MOSTLY
-        return bool(opposite > OPPOSITE and opposite + same > least)
+        has_opposite = opposite > OPPOSITE or not both
+        return bool(has_opposite and opposite + same > least)
 
     def beyond(self, faces: Faces, axis: FloatArray) -> float:
         """How far the body extends beyond some faces along a unit vector, relative to its length."""
@@ -384,7 +388,7 @@ class Fit:
         rim = np.unique(self.to_points[1][far[is_near]])
         normals = np.asarray(self.cloud.normals)[rim]
         beyond = self.beyond(faces, axis)
-        is_expected = beyond < AT_END and self.is_beyond_sight(faces)
+        is_expected = beyond < AT_END and self.is_beyond_sight(faces, both=True)
         if (normals @ axis).mean() > TILTED or is_expected:
             return None
         middle = np.average(self.middles[faces], axis=0, weights=self.areas[faces])
