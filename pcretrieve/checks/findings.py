@@ -8,19 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.checks import stages
-from pcretrieve.checks.fit import Fit
+from pcretrieve.checks.fit import Fit, between
 from pcretrieve.checks.grading import Check
 from pcretrieve.points.grid import joined_by
-from pcretrieve.points.layers import Layers, double_layers
-from pcretrieve.points.neighbors import nearest
+from pcretrieve.points.layers import double_layers
+from pcretrieve.points.neighbors import neighborhoods
 from pcretrieve.surface import SurfaceMarks
 from pcretrieve.values import FloatArray, PointCloud, Shape, TriangleMesh
 
+# Number of neighbours with whose normals the normal of a point is compared.
+N_NEIGHBORS = 8
+
 # Largest distance of voxels that belong to one cut or bridge, relative to the diagonal.
 PLACE = 0.02
-
-# Number of points whose distance to the nearest neighbour is measured.
-MEASURED = 5000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +28,6 @@ class Findings:
     """The checks of one scan, and the places that they name.
 
     spacing: median distance from a point to its nearest neighbour, unit of the file; 0 without points.
-    layers: where points lie in several layers; None without normals.
     filled: (m,) bool, faces of the surface without a point nearby.
     cuts, bridges: (k, 3) float64, places where parts of the surface that touch were separated, and where a
         loose part was connected.
@@ -36,7 +35,6 @@ class Findings:
 
     checks: tuple[Check, ...] = ()
     spacing: float = 0.0
-    layers: Layers | None = None
     filled: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     cuts: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     bridges: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
@@ -56,19 +54,19 @@ def findings_of(
     Returns Findings: lengths are in the unit of the file.
     """
     checks: list[Check] = []
-    spacing, layers = 0.0, None
+    spacing = 0.0
     filled = np.zeros(0 if mesh is None else len(mesh.faces), dtype=np.bool_)
     cuts = bridges = np.zeros((0, 3))
     if cloud is not None:
-        spacing = _spacing(cloud)
+        around = neighborhoods(cloud.points, N_NEIGHBORS + 1, of_some=True)
+        spacing = between(around)
         checks += stages.point_checks(cloud, spacing=spacing)
         if cloud.normals is not None:
-            checks += stages.normal_checks(cloud.points, cloud.normals)
-            layers = double_layers(cloud)
-            checks.append(stages.layers_check(layers, cloud.diagonal))
+            checks += stages.normal_checks(cloud.normals, around)
+            checks.append(stages.layers_check(double_layers(cloud), cloud.diagonal))
         if mesh is not None:
             base = np.zeros((0, 3)) if marks is None else marks.base
-            fit = Fit(cloud, mesh, cloud if scan is None else scan, base)
+            fit = Fit(cloud, around, mesh, cloud if scan is None else scan, base)
             filled = fit.filled
             checks += stages.fit_checks(fit)
             if len(base):
@@ -82,14 +80,7 @@ def findings_of(
         checks += [*stages.surface_checks(mesh), *stages.mesh_check(mesh.provenance)]
     if shape is not None:
         checks += stages.spectrum_checks(shape)
-    return Findings(tuple(checks), spacing, layers, filled, cuts, bridges)
-
-
-def _spacing(cloud: PointCloud) -> float:
-    """Median distance from a point to its nearest neighbour."""
-    step = max(1, len(cloud.points) // MEASURED)
-    some = np.ascontiguousarray(cloud.points[::step])
-    return float(np.median(nearest(cloud.points, some, 2)[0][:, 1]))
+    return Findings(tuple(checks), spacing, filled, cuts, bridges)
 
 
 def _places(cells: FloatArray, reach: float) -> FloatArray:

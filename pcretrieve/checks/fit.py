@@ -15,13 +15,15 @@ from numpy.typing import NDArray
 from pcretrieve.draw.open3d import RayScene
 from pcretrieve.points.density import local_spacings
 from pcretrieve.points.grid import Mask
-from pcretrieve.points.neighbors import SPACING_NEIGHBORS, Neighborhoods, nearest
+from pcretrieve.points.neighbors import (
+    SPACING_NEIGHBORS,
+    Neighborhoods,
+    nearest,
+    neighborhoods,
+)
 from pcretrieve.surface import components
+from pcretrieve.surface.caps import barycentric
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
-
-# Number of points at which normals are compared and distances to the surface measured, at regular steps. The
-# standard error of a fraction of .01 is then .0015.
-MEASURED = 5000
 
 # Number of points of the raw scan by which its density is compared from place to place.
 DENSITY_POINTS = 10_000
@@ -149,12 +151,14 @@ class Fit:
     """How the points of a scan and its surface lie to each other; lengths are in the unit of the file.
 
     cloud: the filtered points, with normals if they were oriented.
+    around: the neighbours of some of them, the places where distances are measured.
     mesh: the surface.
     scan: the points before they were thinned.
     base: (p, 3) float64, points of the base on which the body stands, where no points were measured.
     """
 
     cloud: PointCloud
+    around: Neighborhoods
     mesh: TriangleMesh
     scan: PointCloud
     base: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
@@ -164,13 +168,12 @@ class Fit:
     @cached_property
     def places(self) -> FloatArray:
         """(k, 3) some of the points, at regular steps."""
-        step = max(1, len(self.cloud.points) // MEASURED)
-        return np.ascontiguousarray(self.cloud.points[::step])
+        return np.asarray(self.cloud.points[self.around.near[:, 0]])
 
     @cached_property
     def spacing(self) -> float:
         """Median distance from a point to its nearest neighbour."""
-        return float(np.median(nearest(self.cloud.points, self.places, 2)[0][:, 1]))
+        return between(self.around)
 
     @cached_property
     def length(self) -> float:
@@ -269,8 +272,7 @@ class Fit:
         """Spacing of the scan that three quarters of the surface do not exceed, relative to one quarter."""
         step = max(1, len(self.scan.points) // DENSITY_POINTS)
         points = np.ascontiguousarray(self.scan.points[::step])
-        count = min(SPACING_NEIGHBORS + 1, len(points))
-        spacings = local_spacings(Neighborhoods(*nearest(points, points, count)))
+        spacings = local_spacings(neighborhoods(points, SPACING_NEIGHBORS + 1))
         beside = spacings[nearest(points, self.middles, 1)[1][:, 0]]  # (m,)
         order = np.argsort(beside)
         shares = np.cumsum(self.areas[order]) / self.areas.sum()
@@ -316,7 +318,7 @@ class Fit:
             if reach < LEAST_HOLE * self.length:
                 continue
             corners = self.mesh.vertices[self.mesh.faces[faces]]
-            inner = np.einsum("gk,fkd->fgd", _barycentric(STEPS), corners).reshape(-1, 3)
+            inner = np.einsum("gk,fkd->fgd", barycentric(STEPS), corners).reshape(-1, 3)
             apart = nearest(self.cloud.points, inner, 1)[0][:, 0]
             radius = float(apart.max() / self.length)
             if radius < LEAST_HOLE:
@@ -415,6 +417,11 @@ class Fit:
         )
 
 
+def between(around: Neighborhoods) -> float:
+    """Median distance from a point to its nearest neighbour."""
+    return float(np.median(around.distance[:, 1]))
+
+
 def parts(mesh: TriangleMesh, faces: Faces) -> list[Faces]:
     """The connected components of some faces, in order of descending area."""
     label = components(TriangleMesh(mesh.vertices, mesh.faces[faces]))
@@ -428,20 +435,19 @@ def rim_of_limb(normals: FloatArray, offsets: FloatArray, axis: FloatArray) -> f
     second eigenvalue of the covariance of such directions is 1, and 0 for those of folds and thin sheets.
     Of the normals its root counts, because it is small if the limb is not round.
     """
-    both = [directions - np.outer(directions @ axis, axis) for directions in (normals, offsets)]
+    both = [_across(directions, axis) for directions in (normals, offsets)]
     both[1] /= np.maximum(np.linalg.norm(both[1], axis=1, keepdims=True), np.finfo(np.float64).tiny)
     spread = np.linalg.eigvalsh([2 * np.cov(across.T, bias=True) for across in both])[:, 1].clip(0)
     return float(np.sqrt(spread[0]) * spread[1] * (1 - np.abs(normals @ axis).mean()))
 
 
+def _across(directions: FloatArray, axis: FloatArray) -> FloatArray:
+    """(r, 3) vectors without their part along a unit vector."""
+    return np.asarray(directions - np.outer(directions @ axis, axis))
+
+
 def _roundness(offsets: FloatArray, axis: FloatArray) -> float:
     """Width relative to length of points with offsets (r, 3), across an axis."""
-    across = offsets - np.outer(offsets @ axis, axis)
-    _, narrow, wide = np.linalg.eigvalsh(np.cov(across.T, bias=True)).clip(0)
+    covariance = np.cov(_across(offsets, axis).T, bias=True)
+    _, narrow, wide = np.linalg.eigvalsh(covariance).clip(0)
     return float(np.sqrt(narrow / wide)) if wide > 0 else 1.0
-
-
-def _barycentric(steps: int) -> FloatArray:
-    """(g, 3) barycentric coordinates of a regular grid of a triangle."""
-    i, j = np.nonzero(np.add.outer(np.arange(steps + 1), np.arange(steps + 1)) <= steps)
-    return np.column_stack([i, j, steps - i - j]) / steps

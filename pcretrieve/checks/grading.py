@@ -53,7 +53,8 @@ class Check:
     words: what it means, or what to do.
     error: the log-signature error that is expected from it; dimensionless.
     grade: what the scan is called because of it.
-    says: what is wrong, in words of consequence; empty if passed.
+    says: what is wrong, in words of consequence, if it is named as a reason; a passed check can be, by its
+        error. Empty for a check that has none.
     places: where on the scan, unit of the file.
     """
 
@@ -245,17 +246,23 @@ def graded(
     shown: str,
     *,
     is_good: bool = False,
+    limits: Limits | None = None,
     error: float = 0.0,
     places: Sequence[FloatArray] = (),
 ) -> Check:
-    """The check of a measurement, which is `shown` with its unit; `is_good` counts if there are no limits."""
+    """The check of a measurement, which is `shown` with its unit.
+
+    is_good: counts if there are no limits.
+    limits: of this scan, where they depend on it.
+    """
     measure = MEASURES[name]
+    limits = limits or measure.limits
     outcome: Outcome
-    if measure.limits is None or value is None:
+    if limits is None or value is None:
         outcome = "passed" if is_good else "look"
         is_over = not is_good
     else:
-        outcome = OUTCOMES[-1 - bisect_left(measure.limits, value)]
+        outcome = OUTCOMES[-1 - bisect_left(limits, value)]
         is_over = outcome == "failed"
     if outcome == "passed":
         return Check(name, outcome, value, shown, measure.passed, error, says=measure.says)

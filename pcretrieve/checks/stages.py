@@ -19,7 +19,7 @@ from pcretrieve.checks.grading import (
     percent,
 )
 from pcretrieve.points.layers import Layers
-from pcretrieve.points.neighbors import nearest
+from pcretrieve.points.neighbors import Neighborhoods
 from pcretrieve.surface import defects
 from pcretrieve.values import FloatArray, PointCloud, Shape, Step, TriangleMesh
 
@@ -65,12 +65,6 @@ N_COMPARED = 23
 # Ratio of the deviation of this signature over surfaces to that of the eigenvalues.
 ERROR_OF_DISAGREEMENT = 3.3
 
-# Number of neighbours with whose normals the normal of a point is compared.
-N_NEIGHBORS = 8
-
-# Number of points whose normals are compared. The standard error of a fraction of .01 is then .0015.
-MEASURED = 5000
-
 # A hole that is larger than the others by this factor shows if its radius is at least the second number,
 # relative to the length of the body.
 UNUSUAL = 1.6
@@ -114,17 +108,16 @@ def point_checks(cloud: PointCloud, *, spacing: float) -> list[Check]:
     return [*checks, _sensor_check(cloud)]
 
 
-def normal_checks(points: FloatArray, normals: FloatArray) -> list[Check]:
+def normal_checks(normals: FloatArray, around: Neighborhoods) -> list[Check]:
     """Check the consistency of normals, and whether they point to all sides.
 
-    points, normals: (n, 3) float64.
+    normals: (n, 3) float64, of all points.
+    around: the neighbours of the points whose normals are compared with theirs.
     Returns list of Check: "Normals": fraction of pairs of neighbours whose normals are more than 90 degrees
         apart. "Sides seen": length of the mean normal.
     """
-    step = max(1, len(points) // MEASURED)
-    count = min(N_NEIGHBORS + 1, len(points))
-    neighbors = nearest(points, np.ascontiguousarray(points[::step]), count)[1][:, 1:]
-    cosines = np.einsum("ij,ikj->ik", normals[::step], normals[neighbors])  # (m, k)
+    own, others = around.near[:, 0], around.near[:, 1:]
+    cosines = np.einsum("ij,ikj->ik", normals[own], normals[others])  # (m, k)
     disagreeing = float((cosines <= 0).mean())
     # The mean normal of a closed surface is 0; the mean normal of half a sphere has the length 1/2.
     unbalanced = float(np.linalg.norm(normals.mean(axis=0)))
@@ -243,15 +236,12 @@ def hole_check(fit: Fit) -> Check:
     open_ones = sorted(compress(fit.holes, is_open), key=lambda hole: -hole.radius)
     if not open_ones:
         return graded("Largest hole", 0.0, "none")
-    others = [hole.radius for hole in open_ones[1:]]
-    usual = max(others, default=0.0)
+    usual = open_ones[1].radius if len(open_ones) > 1 else 0.0
     limit = min(LARGE_HOLE, max(SMALL_HOLE, UNUSUAL * usual))
     radius = open_ones[0].radius
-    # The value is compared with one limit, so that of a scan without other holes counts for more.
-    value = radius * LARGE_HOLE / limit
     places = [hole.middle for hole in open_ones if hole.radius > limit]
     shown = f"{2 * radius * fit.length:.2g} wide, {percent(2 * radius)} of the length of the body"
-    return graded("Largest hole", value, shown, places=places)
+    return graded("Largest hole", radius, shown, limits=(limit, limit), places=places)
 
 
 def lost_check(fit: Fit) -> Check:

@@ -278,8 +278,11 @@ def _known(summary: pr.Summary) -> list[pr.Record]:
 
 def _commonest_reason(records: Sequence[pr.Record]) -> tuple[str, int]:
     """The most frequent first reason of scans that are not good, without its place; and how often."""
-    reasons = [record.verdict.reasons[0] for record in records if record.verdict]
-    return Counter(reason.partition(", near (")[0] for reason in reasons).most_common(1)[0]
+    firsts = [
+        reason for record in records if record.verdict for reason in record.verdict.reasons[:1]
+    ]
+    counts = Counter(reason.partition(", near (")[0] for reason in firsts)
+    return counts.most_common(1)[0] if counts else ("", 0)
 
 
 def _incomplete(summary: pr.Summary) -> list[pr.Record]:

@@ -112,11 +112,11 @@ def _turns(it: Inspection) -> dict[str, str]:
     cameras = inspection_cameras(it)
     if not cameras or it.mesh is None:
         return {}
-    found = {}
+    found, centre = {}, Cube.around(it.body).centre
     for check in it.checks:
         if not check.places:
             continue
-        away = np.array(check.places[0]) - Cube.around(it.body).centre
+        away = np.array(check.places[0]) - centre
         across, above, ahead = cameras[0].axes @ away
         right = np.degrees(np.arctan2(across, ahead))
         up = np.degrees(np.arctan2(above, np.hypot(across, ahead)))

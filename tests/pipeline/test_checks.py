@@ -13,9 +13,11 @@ from shapes import icosphere
 
 from pcretrieve import PointCloud, TriangleMesh
 from pcretrieve.checks import Check, findings_of
+from pcretrieve.checks.findings import N_NEIGHBORS
 from pcretrieve.checks.fit import Fit
 from pcretrieve.checks.stages import body_check, hole_check, neck
 from pcretrieve.points.layers import double_layers
+from pcretrieve.points.neighbors import neighborhoods
 from pcretrieve.values import FloatArray
 
 BALL = icosphere(4)
@@ -39,6 +41,12 @@ def checks_of(
     return {check.name: check for check in findings_of(cloud, mesh, None, None, scan=scan).checks}
 
 
+def fit_of(cloud: PointCloud, mesh: TriangleMesh) -> Fit:
+    """How points that are the scan, too, and a surface lie to each other."""
+    around = neighborhoods(cloud.points, N_NEIGHBORS + 1, of_some=True)
+    return Fit(cloud, around, mesh, cloud)
+
+
 def test_a_ball_passes() -> None:
     found = checks_of(cloud_of(on_ball()), BALL)
     assert {check.name for check in found.values() if check.verdict != "passed"} == set()
@@ -55,18 +63,18 @@ def test_a_hole_in_a_ball_shows_at_its_place() -> None:
 def test_the_radius_of_a_hole_is_measured_between_the_vertices() -> None:
     points = on_ball(60_000)
     pierced = points[np.linalg.norm(points - [0.3, 0.5, 0.81], axis=1) > 0.2]
-    (hole,) = Fit(cloud_of(pierced), icosphere(3), cloud_of(pierced)).holes
+    (hole,) = fit_of(cloud_of(pierced), icosphere(3)).holes
     assert hole.radius == pytest.approx(0.1, rel=0.08)  # of the diameter
 
 
 def test_holes_above_and_below_are_expected_of_a_turntable() -> None:
     points = on_ball(80_000)
     seen = points[np.abs(points[:, 2]) < 0.97]
-    fit = Fit(cloud_of(seen), BALL, cloud_of(seen))
+    fit = fit_of(cloud_of(seen), BALL)
     assert [hole.is_expected for hole in fit.holes if hole.radius > 0.05] == [True, True]
     assert hole_check(fit).verdict == "passed"
     and_one_beside = seen[np.linalg.norm(seen - [1, 0, 0], axis=1) > 0.2]
-    fit = Fit(cloud_of(and_one_beside), BALL, cloud_of(and_one_beside))
+    fit = fit_of(cloud_of(and_one_beside), BALL)
     assert hole_check(fit).verdict == "failed"
 
 
@@ -98,16 +106,14 @@ def tube(end: float) -> TriangleMesh:
 def test_a_tube_that_was_cut_off_has_an_end() -> None:
     points, normals = capsule()
     kept = points[:, 0] < 0.5
-    fit = Fit(
-        cloud_of(points[kept], normals[kept]), tube(0.5), cloud_of(points[kept], normals[kept])
-    )
+    fit = fit_of(cloud_of(points[kept], normals[kept]), tube(0.5))
     assert fit.ends[0].share > 0.004
     assert fit.ends[0].middle == pytest.approx([0.5, 0, 0], abs=0.1)
 
 
 def test_a_tube_with_its_end_has_none() -> None:
     points, normals = capsule()
-    fit = Fit(cloud_of(points, normals), tube(9.0), cloud_of(points, normals))
+    fit = fit_of(cloud_of(points, normals), tube(9.0))
     assert sum(end.share for end in fit.ends) < 4e-4
 
 
