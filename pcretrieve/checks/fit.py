@@ -364,7 +364,16 @@ class Fit:
         caps = parts(self.mesh, far[is_closing])[:N_ENDS]
         found = [end for cap in caps if (end := self._end(cap)) is not None]
         cut = [end for end in found if not self._is_sole(end, found)]
-        return tuple(sorted(cut, key=lambda one: -one.share))
+        limbs: list[End] = []
+        for end in sorted(cut, key=lambda one: -one.share):
+            if all(self._are_apart(end, other) for other in limbs):
+                limbs.append(end)
+        return tuple(limbs)
+
+    def _are_apart(self, end: End, other: End) -> bool:
+        """Whether two ends are of two limbs: one cut may be closed in several pieces."""
+        apart = float(np.linalg.norm(other.middle - end.middle))
+        return apart > NEAR_END * self.cloud.diagonal
 
     @cached_property
     def _closing(self) -> tuple[Faces, Mask, Mask]:
@@ -410,8 +419,7 @@ class Fit:
                 other.is_lowest
                 and end.axis @ other.axis > PARALLEL
                 and abs((other.middle - end.middle) @ end.axis) < ON_GROUND * self.length
-                and float(np.linalg.norm(other.middle - end.middle))
-                > NEAR_END * self.cloud.diagonal
+                and self._are_apart(end, other)
                 for other in ends
             )
         )

@@ -14,7 +14,7 @@ from shapes import icosphere
 from pcretrieve import PointCloud, TriangleMesh
 from pcretrieve.checks import Check, findings_of
 from pcretrieve.checks.findings import N_NEIGHBORS
-from pcretrieve.checks.fit import Fit
+from pcretrieve.checks.fit import Fit, parts
 from pcretrieve.checks.stages import body_check, hole_check, neck
 from pcretrieve.points.layers import double_layers
 from pcretrieve.points.neighbors import neighborhoods
@@ -109,6 +109,23 @@ def test_a_tube_that_was_cut_off_has_an_end() -> None:
     fit = fit_of(cloud_of(points[kept], normals[kept]), tube(0.5))
     assert fit.ends[0].share > 0.004
     assert fit.ends[0].middle == pytest.approx([0.5, 0, 0], abs=0.1)
+
+
+def test_one_cut_that_is_closed_in_two_pieces_is_one_end() -> None:
+    slim = np.array([1, 0.2, 0.2])
+    points, normals = capsule()
+    kept = points[:, 0] < 0.5
+    # Points across the cap part what closes it.
+    across = np.column_stack([np.full(200, 0.5), np.zeros(200), np.linspace(-0.35, 0.35, 200)])
+    aside = np.tile([[0, 1.0, 0], [0, -1, 0]], (100, 1))
+    sides = normals[kept] / slim
+    sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+    cloud = cloud_of(slim * np.concatenate([points[kept], across]), np.concatenate([sides, aside]))
+    cap = tube(0.5)
+    fit = fit_of(cloud, TriangleMesh(slim * cap.vertices, cap.faces))
+    far, _, is_closing = fit._closing
+    assert len(parts(fit.mesh, far[is_closing])) > 1
+    assert len(fit.ends) == 1
 
 
 def test_a_tube_with_its_end_has_none() -> None:
