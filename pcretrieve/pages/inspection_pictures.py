@@ -211,7 +211,7 @@ class _Views:
                 (FILLED, f"no point nearby: {', '.join(shares)}"),
                 (CUT, f"cuts: {len(it.cuts)}"),
                 (BRIDGE, f"bridges: {len(it.bridges)}"),
-                (FAULT, f"failed checks: {len(it.rings)}"),
+                (FAULT, f"places of failed checks: {len(it.rings)}"),
             ],
             lambda camera: surface_picture(
                 mesh.vertices, mesh.faces, colours, camera, size=PICTURE_PIXELS, rings=rings
