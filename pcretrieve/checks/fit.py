@@ -28,6 +28,9 @@ from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 # Number of points of the raw scan by which its density is compared from place to place.
 DENSITY_POINTS = 10_000
 
+# Least distance between points, in median spacings, where densities are compared.
+LEAST_APART = 0.01
+
 # Distance to the nearest point beyond which a face was filled in, in median distances between nearest
 # neighbours, and, where points are sparse, in spacings there. If points are distributed uniformly over a
 # surface, their nearest neighbours are half a spacing apart, and the share of the surface beyond is 1e-6.
@@ -53,6 +56,9 @@ N_HOLES = 10
 # hundredth of a body, which a limit on holes must not depend on.
 STEPS = 6
 
+# What is nearer to the middle of a hole, in radii, belongs to it.
+NEAR_HOLE = 2
+
 # Number of faces in the middle of a hole whose light is measured.
 N_MIDDLE = 16
 
@@ -61,24 +67,30 @@ N_MIDDLE = 16
 N_RAYS = 64
 ABOVE = 1e-3
 
-# Cosine of the largest angle between directions that one sensor cannot see, and the share of what was not
-# seen from which on it is called most of it.
-ASIDE = 0.6
-MOSTLY = 0.6
+# Cosine of the largest angle between directions that sensors see equally well.
+FACING = 0.7
 
-# The same of what is at the end of the body, beyond which there is nothing, as a crown and a sole are.
-MOSTLY_AT_END = 0.45
+# Least share of the surface that tells whether sensors see the direction that it faces.
+LEAST_FACING = 0.005
 
-# Least share of it that faces the opposite direction. Two legs that were cut off face one direction only.
-OPPOSITE = 0.05
+# Sensors do not see a direction if points are farther apart on all surface that faces it than on the rest, by
+# this factor: 1.4 to 3 under a body on a turntable, hardly ever more than 1.15 where sensors stood on all
+# sides.
+UNSEEN = 1.2
+
+# All sensors stood beside the body if the density of points, along some axis, is this share of the mean: .6
+# to .88 on a turntable, and .88 or more where they stood on all sides.
+BESIDE = 0.88
+
+# How far the ends of the body along this axis reach, where hair is and soles are; relative to the length.
+AT_END = 0.1
+
+# Largest share of the surface that closes ends in hair, where no limb is missing.
+IN_HAIR = 0.005
 
 # Largest mean cosine between the axis of a cut limb and the normals round it: round a crown without hair it
 # is .35 and more, round a shallow hole 1.
 TILTED = 0.33
-
-# What sensors beside a body do not see is no cut limb if hardly anything of the body lies beyond it; relative
-# to the length.
-AT_END = 0.12
 
 # Soles that nobody saw lie in one plane, beyond which there is nothing: the largest distances from the plane,
 # relative to the length, and the least cosine between their axes.
@@ -117,8 +129,8 @@ class Hole:
     middle: (3,) float64, the place farthest from all points.
     radius: its distance to the nearest point, relative to the length of the body.
     light: share of the light from a uniform sky that reaches the middle, from 0 to 1.
-    is_expected: whether the sensors could not see it, because all that they did not see faces one direction
-        or the opposite one: what stood on a turntable is seen neither from above nor from below.
+    is_expected: whether the sensors could not see it: a body on a turntable is seen neither from above nor
+        from below.
     """
 
     faces: Faces
@@ -268,12 +280,23 @@ class Fit:
         return scene.distance(self.places - self.places.mean(axis=0))
 
     @cached_property
-    def unevenness(self) -> float:
-        """Spacing of the scan that three quarters of the surface do not exceed, relative to one quarter."""
+    def _beside(self) -> tuple[FloatArray, FloatArray]:
+        """(m,) spacing of some points of the scan beside each face, and (m,) distance to the nearest one."""
         step = max(1, len(self.scan.points) // DENSITY_POINTS)
         points = np.ascontiguousarray(self.scan.points[::step])
         spacings = local_spacings(neighborhoods(points, SPACING_NEIGHBORS + 1))
-        beside = spacings[nearest(points, self.middles, 1)[1][:, 0]]  # (m,)
+        distance, near = nearest(points, self.middles, 1)
+        return spacings[near[:, 0]], distance[:, 0]
+
+    @cached_property
+    def apart(self) -> FloatArray:
+        """(m,) how far some points of the scan are apart at each face, which may lie in a hole."""
+        return np.maximum(*self._beside).clip(min=LEAST_APART * self.spacing)
+
+    @cached_property
+    def unevenness(self) -> float:
+        """Spacing of the scan that three quarters of the surface do not exceed, relative to one quarter."""
+        beside = self._beside[0]
         order = np.argsort(beside)
         shares = np.cumsum(self.areas[order]) / self.areas.sum()
         at = np.searchsorted(shares, [0.25, 0.75]).clip(max=len(order) - 1)
@@ -309,10 +332,23 @@ class Fit:
         return np.flatnonzero((self.to_points[0] > far) & (self.areas > 0))
 
     @cached_property
+    def _far_parts(self) -> list[Faces]:
+        """The connected components of `far`, in order of descending area."""
+        return parts(self.mesh, self.far)
+
+    @cached_property
+    def _hole_of(self) -> Faces:
+        """(m,) number of the component of `far` in which each face is; -1 for others."""
+        found = np.full(len(self.areas), -1)
+        for number, faces in enumerate(self._far_parts):
+            found[faces] = number
+        return found
+
+    @cached_property
     def holes(self) -> tuple[Hole, ...]:
         """The large holes of the scan, in order of descending area."""
         found = []
-        for faces in parts(self.mesh, self.far)[:N_HOLES]:
+        for faces in self._far_parts[:N_HOLES]:
             # A face reaches at most its own size beyond its middle.
             reach = 2 * np.sqrt(self.areas[faces].max()) + self.to_points[0][faces].max()
             if reach < LEAST_HOLE * self.length:
@@ -326,7 +362,9 @@ class Fit:
             deepest = faces[np.argsort(-self.to_points[0][faces])[:N_MIDDLE]]
             light = float(np.average(self.light(deepest), weights=self.areas[deepest]))
             middle = inner[apart.argmax()]
-            found.append(Hole(faces, middle, radius, light, self.is_beyond_sight(faces)))
+            reach = NEAR_HOLE * radius * self.length
+            is_expected = self.is_at_end(middle) or self.is_unseen(faces, middle, reach)
+            found.append(Hole(faces, middle, radius, light, is_expected))
         return tuple(found)
 
     def axis(self, faces: Faces) -> FloatArray:
@@ -334,21 +372,42 @@ class Fit:
         axis = self.areas[faces] @ self.normals[faces]
         return np.asarray(axis / max(float(np.linalg.norm(axis)), np.finfo(np.float64).tiny))
 
-    def is_beyond_sight(self, faces: Faces, *, both: bool = False) -> bool:
-        """Whether what else was not seen faces the same direction as some faces, or the opposite one.
+    def is_unseen(self, faces: Faces, middle: FloatArray, radius: float) -> bool:
+        """Whether points are far apart on all surface that faces the way some faces do.
 
-        both: some of it must face the opposite direction.
+        The holes in which these faces lie do not count, nor what is nearer to their middle than the radius.
         """
-        axis = self.axis(faces)
-        rest = np.setdiff1d(self.far, faces)
-        if not len(rest):
+        own = np.isin(self._hole_of, self._hole_of[faces]) & (self._hole_of >= 0)
+        elsewhere = ~own & (np.linalg.norm(self.middles - middle, axis=1) > radius)
+        facing = elsewhere & (self.normals @ self.axis(faces) > FACING)
+        if self.share(facing) < LEAST_FACING:
             return False
-        cosines = self.normals[rest] @ axis
-        shares = self.areas[rest] / self.areas[rest].sum()
-        opposite, same = shares[cosines < -ASIDE].sum(), shares[cosines > ASIDE].sum()
-        least = MOSTLY_AT_END if self.beyond(faces, axis) < ON_GROUND else MOSTLY
-        has_opposite = opposite > OPPOSITE or not both
-        return bool(has_opposite and opposite + same > least)
+        usual = _median(self.apart[elsewhere], self.areas[elsewhere])
+        return _median(self.apart[facing], self.areas[facing]) > UNSEEN * usual
+
+    @cached_property
+    def _blind_axis(self) -> FloatArray | None:
+        """(3,) the direction along which no sensor looked, if all stood beside the body.
+
+        Second moments of the normals, weighted by the density of points and by the area alone, have the
+        smallest ratio along it. Holes do not count, so that one cut limb makes no axis.
+        """
+        from scipy.linalg import eigh
+
+        near = self._hole_of < 0
+        normals, areas = self.normals[near], self.areas[near]
+        weights = areas / self.apart[near] ** 2
+        seen = (normals * weights[:, np.newaxis]).T @ normals / weights.sum()
+        there = (normals * areas[:, np.newaxis]).T @ normals / areas.sum()
+        ratios, axes = eigh(seen, there + np.finfo(np.float64).eps * np.eye(3))
+        return axes[:, 0] / np.linalg.norm(axes[:, 0]) if ratios[0] < BESIDE else None
+
+    def is_at_end(self, place: FloatArray) -> bool:
+        """Whether a place is at an end of the body that sensors beside it see badly: a crown, or a sole."""
+        if self._blind_axis is None:
+            return False
+        along, at = self.places @ self._blind_axis, place @ self._blind_axis
+        return bool(min(along.max() - at, at - along.min()) < AT_END * self.length)
 
     def beyond(self, faces: Faces, axis: FloatArray) -> float:
         """How far the body extends beyond some faces along a unit vector, relative to its length."""
@@ -398,17 +457,19 @@ class Fit:
         axis = self.axis(faces)
         rim = np.unique(self.to_points[1][far[is_near]])
         normals = np.asarray(self.cloud.normals)[rim]
-        beyond = self.beyond(faces, axis)
-        is_expected = beyond < AT_END and self.is_beyond_sight(faces, both=True)
-        if (normals @ axis).mean() > TILTED or is_expected:
-            return None
         middle = np.average(self.middles[faces], axis=0, weights=self.areas[faces])
+        if (normals @ axis).mean() > TILTED:
+            return None
         offsets = self.cloud.points[rim] - middle
         likeness = rim_of_limb(normals, offsets, axis)
         closing = far[is_near & is_closing]
         area = np.linalg.norm(self.areas[closing] @ self.normals[closing]) / self.areas.sum()
         share = max(likeness, SHEET) * float(area)
-        return End(middle, axis, share, beyond < ON_GROUND, _roundness(offsets, axis))
+        is_hair = share < IN_HAIR and self.is_at_end(middle)
+        if is_hair or self.is_unseen(faces, middle, 2 * NEAR_END * self.cloud.diagonal):
+            return None
+        is_lowest = self.beyond(faces, axis) < ON_GROUND
+        return End(middle, axis, share, is_lowest, _roundness(offsets, axis))
 
     def _is_sole(self, end: End, ends: list[End]) -> bool:
         """Whether the body stands on an end and on another one."""
@@ -428,6 +489,13 @@ class Fit:
 def between(around: Neighborhoods) -> float:
     """Median distance from a point to its nearest neighbour."""
     return float(np.median(around.distance[:, 1]))
+
+
+def _median(values: FloatArray, weights: FloatArray) -> float:
+    """The weighted median."""
+    order = np.argsort(values)
+    shares = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(shares, shares[-1] / 2)]])
 
 
 def parts(mesh: TriangleMesh, faces: Faces) -> list[Faces]:

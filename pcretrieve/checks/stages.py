@@ -67,11 +67,15 @@ ERROR_OF_DISAGREEMENT = 3.3
 
 # A hole that is larger than the others by this factor shows if its radius is at least the second number,
 # relative to the length of the body.
-UNUSUAL = 1.6
-SMALL_HOLE = 0.027
+UNUSUAL = 1.5
+SMALL_HOLE = 0.026
+
+# Where a scan has so many holes, one shows only if it is larger than the others, by the second number.
+MANY_HOLES = 3
+LARGER = 1.05
 
 # Share of the light that reaches a hole that a sensor could have seen into.
-OPEN = 0.65
+OPEN = 0.7
 
 
 # --- points -------------------------------------------------------------------------------------------
@@ -238,6 +242,8 @@ def hole_check(fit: Fit) -> Check:
         return graded("Largest hole", 0.0, "none")
     usual = open_ones[1].radius if len(open_ones) > 1 else 0.0
     limit = min(LARGE_HOLE, max(SMALL_HOLE, UNUSUAL * usual))
+    if len(fit.holes) >= MANY_HOLES:
+        limit = max(limit, LARGER * usual)
     radius = open_ones[0].radius
     places = [hole.middle for hole in open_ones if hole.radius > limit]
     shown = f"{2 * radius * fit.length:.2g} wide, {percent(2 * radius)} of the length of the body"

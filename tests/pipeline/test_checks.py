@@ -67,8 +67,15 @@ def test_the_radius_of_a_hole_is_measured_between_the_vertices() -> None:
     assert hole.radius == pytest.approx(0.1, rel=0.08)  # of the diameter
 
 
+def by_turntable(points: FloatArray, normals: FloatArray) -> FloatArray:
+    """(n,) whether a camera beside a turntable with the axis z measures points: seldom at a grazing angle."""
+    beside = np.sqrt(1 - normals[:, 2] ** 2).clip(0)
+    return np.asarray(np.random.default_rng(1).random(len(points)) < beside**2)
+
+
 def test_holes_above_and_below_are_expected_of_a_turntable() -> None:
-    points = on_ball(80_000)
+    points = on_ball(200_000)
+    points = points[by_turntable(points, points)]
     seen = points[np.abs(points[:, 2]) < 0.97]
     fit = fit_of(cloud_of(seen), BALL)
     assert [hole.is_expected for hole in fit.holes if hole.radius > 0.05] == [True, True]
@@ -76,6 +83,22 @@ def test_holes_above_and_below_are_expected_of_a_turntable() -> None:
     and_one_beside = seen[np.linalg.norm(seen - [1, 0, 0], axis=1) > 0.2]
     fit = fit_of(cloud_of(and_one_beside), BALL)
     assert hole_check(fit).verdict == "failed"
+
+
+def test_a_hole_above_shows_if_sensors_stood_on_all_sides() -> None:
+    points = on_ball(80_000)
+    fit = fit_of(cloud_of(points[points[:, 2] < 0.97]), BALL)
+    assert [hole.is_expected for hole in fit.holes] == [False]
+
+
+def test_a_direction_is_unseen_if_other_surface_that_faces_it_is() -> None:
+    points = on_ball(200_000)
+    for kept, is_unseen in ((by_turntable(points, points), True), (slice(None), False)):
+        fit = fit_of(cloud_of(points[kept][:80_000]), BALL)
+        for axis, expected in ((2, is_unseen), (0, False)):
+            place = np.eye(3)[axis]
+            faces = np.array([np.linalg.norm(fit.middles - place, axis=1).argmin()])
+            assert fit.is_unseen(faces, place, 0.2) == expected
 
 
 def test_a_thin_side_is_uneven_however_dense_the_other_is() -> None:
