@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import get_args
 
-import click
 import pytest
 from packages import install
 
-from pcretrieve.cli.search import matrix_command
+from pcretrieve.cli import options as cli_options
 from pcretrieve.descriptors import DESCRIPTORS
 from pcretrieve.errors import InputError, OptionError, ShapeError, Stage
 from pcretrieve.options import RetrievalOptions, SpectralOptions
@@ -55,9 +54,7 @@ def test_names_are_those_of_the_records() -> None:
     assert METHODS.keys() - DESCRIPTORS.own.keys() == COMPARED.keys()
     assert get_args(SpectralOptions.model_fields["element"].annotation) == tuple(ELEMENTS)
     assert get_args(RetrievalOptions.model_fields["distance"].annotation) == tuple(DISTANCES)
-    matcher = next(each for each in matrix_command.params if each.name == "matcher")
-    assert isinstance(matcher.type, click.Choice)
-    assert tuple(matcher.type.choices) == tuple(MATCHERS)
+    assert tuple(MATCHERS) == cli_options.MATCHERS
 
 
 def test_a_package_adds_names_and_takes_none(request: pytest.FixtureRequest) -> None:

@@ -39,7 +39,6 @@ CATALOGUE = {
 LAB = {
     "reconstruct": ("scans", "Turn a scan into a closed surface"),
     "signature": ("scans", "Print the signatures of scans"),
-    "matrix": ("search", "Write the distances of all pairs of shapes"),
     "calibrate": ("evaluation", "Learn from labelled scans what to ignore"),
     "map": ("search", "Plot a 2-D map of shapes"),
     "options": ("options", "Print all settings with their units"),

@@ -318,7 +318,7 @@ def load_options(values: dict[str, Any]) -> pr.PipelineOptions:
 
 matrix_option = rare_option(
     "--matrix FILE",
-    "Rank by the distances in this file, which `pcretrieve lab matrix` writes.",
+    "Rank by the distances in this file, which `write_matrix` in Python writes.",
     PATH,
 )
 method_option = rare_option(
@@ -414,8 +414,8 @@ def changes(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
     signature, retrieval = taken(values, *SIGNATURE_FLAGS), taken(values, *RETRIEVAL_FLAGS)
     if (method := signature.get("method")) in MATCHERS:
         raise click.UsageError(
-            f"{method} compares pairs of surfaces, and has no signatures: write its distances by "
-            f"`pcretrieve lab matrix --matcher {method} -o FILE`, and give `query` or `report` --matrix FILE"
+            f"{method} compares pairs of surfaces, and has no signatures: write its distances in Python by "
+            f"pr.write_matrix(pr.matrix(CATALOGUE, matcher={method!r}), FILE), and give --matrix FILE"
         )
     # A whitening by name replaces a file that the configuration names, and vice versa.
     if "whitening" in retrieval:

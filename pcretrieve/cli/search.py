@@ -1,4 +1,4 @@
-"""Commands that ask a catalogue which shapes are similar: query, matrix, duplicates, map, serve."""
+"""Commands that ask a catalogue which shapes are similar: query, duplicates, map, serve."""
 
 from __future__ import annotations
 
@@ -13,12 +13,10 @@ import click
 
 import pcretrieve as pr
 from pcretrieve.cli import options as opt, output as out
-from pcretrieve.cli.messages import failure_line, say, shown_path
+from pcretrieve.cli.messages import say, shown_path
 from pcretrieve.errors import ShapeError
 
 if TYPE_CHECKING:
-    from pcretrieve.values import Failure
-
     # The name of each query, and its answer or its error.
     Outcome = tuple[str, pr.Answer | ShapeError]
     Outcomes = Iterator[Outcome]
@@ -208,44 +206,6 @@ def _write_csv(outcomes: Outcomes) -> None:
     answers = ((name, answer) for name, answer in outcomes if not isinstance(answer, ShapeError))
     rows = ({"query": name, **row} for name, answer in answers for row in answer.rows())
     out.write_csv(csv_text(CSV_COLUMNS, ([row[column] for column in CSV_COLUMNS] for row in rows)))
-
-
-@opt.command("matrix")
-@opt.catalogue_option
-@opt.option(
-    "--output -o FILE",
-    "Write the distances to this file: .npy, or plain text.",
-    opt.PATH,
-    required=True,
-)
-@opt.option("--matcher", "Compare pairs of surfaces, not signatures.", opt.MATCHERS)
-@opt.on_catalogue
-def matrix_command(
-    store: pr.Catalogue, options: pr.PipelineOptions, output: Path, matcher: str | None
-) -> out.Result:
-    """Write the distances of all pairs of shapes, as the SHREC (Shape Retrieval Contest) tracks ask for them.
-
-    The value in row i and column j is the distance from the query i to the shape j. The ids of the rows are
-    written beside it, to a file of the same name that ends in .ids. Shapes that the matcher cannot compare
-    are named and left out.
-
-    \b
-    pcretrieve lab matrix --catalogue bodies.sqlite -o bodies.txt
-    pcretrieve evaluate --catalogue bodies.sqlite --matrix bodies.txt
-    """
-    if matcher is not None:
-        opt.refuse("a matcher has no signatures", *opt.COMPARISON)
-    opt.refuse("distances are not re-ranked", "rerank")
-    failures: list[Failure] = []
-    found = pr.matrix(store, options=options, matcher=matcher, on_failure=failures.append)
-    pr.write_matrix(found, output)
-    for one in failures:
-        say(failure_line(one.shape_id, one))
-    ids = str(output.with_suffix(".ids"))
-    say(f"{len(found)} shapes: distances in {output}, ids in {ids}")
-    failed = [{"id": one.shape_id} | out.failure_facts(one) for one in failures]
-    document = {"matrix": str(output), "ids": ids, "n_shapes": len(found), "failed": failed}
-    return out.Result(document, options, failed=failures)
 
 
 @opt.command("duplicates")

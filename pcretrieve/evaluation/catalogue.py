@@ -120,7 +120,7 @@ def check_known(matrix: DistanceMatrix, catalogue: Catalogue) -> None:
     if unknown := sorted(set(matrix.ids).difference(record.id for record in catalogue.records())):
         raise InputError(
             f"a distance matrix must be of shapes in {catalogue.location}, got {len(unknown)} others, such "
-            f"as {unknown[0]!r}: make it again with `pcretrieve lab matrix`, or correct its ids"
+            f"as {unknown[0]!r}: make it again with pcretrieve.matrix, or correct its ids"
         )
 
 

@@ -61,7 +61,6 @@ ASKED: dict[str, tuple[str, int, set[str], bool]] = {
     "status": ("-c c.sqlite", 0, {"state", "n_shapes"}, False),
     "query": ("e0 -c c.sqlite -k 2", 0, {"query", "results", "match", "verdict", "distance"}, True),
     "evaluate": ("-c c.sqlite", 0, {"map", "n_queries"}, True),
-    "lab matrix": ("-c c.sqlite -o run.txt", 0, {"matrix", "ids", "n_shapes", "failed"}, True),
     "duplicates": ("-c c.sqlite", 0, set(), True),
     "lab map": ("-c c.sqlite -o map.html", 0, {"page"}, True),
     "lab calibrate": ("-c c.sqlite -o metric.npz", 0, {"whitening", "reason"}, True),

@@ -10,6 +10,7 @@ import pytest
 import shapes
 from packages import install
 
+import pcretrieve as pr
 from pcretrieve.cli.main import main
 from pcretrieve.formats import write_mesh
 from pcretrieve.simulation import write_ply
@@ -41,7 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     write_mesh(shapes.ellipsoid(), place / "egg.off")
     write_mesh(shapes.icosphere(3), place / "ball.off")
     assert run("ingest", place / "egg.off", place / "ball.off", "-c", place / "good.sqlite") == 0
-    assert run("lab", "matrix", "-c", place / "good.sqlite", "-o", place / "m.txt") == 0
+    pr.write_matrix(pr.matrix(place / "good.sqlite"), place / "m.txt")
     (place / "value.toml").write_text("[surface]\npoisson_depth = 80\n")
     (place / "empty").mkdir()
     (place / "folder.ply").mkdir()
@@ -67,11 +68,11 @@ CASES = (
     ("query egg.off", 2, "Missing option"),
     ("query good.sqlite egg", 2, "write -c before a catalogue: -c good.sqlite"),
     ("query egg -c good.sqlite -k 80x", 2, "'80x' is not a valid whole number"),
-    ("matrix -c good.sqlite", 2, "Missing option '--output'"),
+    ("report -c good.sqlite", 2, "Missing option '--output'"),
     (
         "query egg -c good.sqlite --method meshsift",
         2,
-        "pcretrieve lab matrix --matcher meshsift -o FILE",
+        "pr.write_matrix(pr.matrix(CATALOGUE, matcher='meshsift'), FILE)",
     ),
     ("evaluate -c good.sqlite", 1, "give --labels"),
     ("remove egg nobody -c good.sqlite", 1, "holds no shape 'nobody'"),

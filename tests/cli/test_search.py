@@ -96,7 +96,6 @@ def test_sizes_are_compared_in_one_unit_or_not_at_all(tmp_path: Path) -> None:
         ("query", "large"),
         ("evaluate", "--labels", labels),
         ("report", "-o", tmp_path / "page.html"),
-        ("lab", "matrix", "-o", tmp_path / "matrix.txt"),
     ):
         said = refusal(*command, "-c", catalogue, *sized)
         assert "some shapes are in metres, the unit of others is unknown; ingest all" in said
@@ -174,9 +173,8 @@ def test_a_matcher_makes_a_matrix_that_ranks(eggs: Path, tmp_path: Path) -> None
         1,
     )
     run(*ingest, "-c", catalogue, code=3)
-    asked = ("lab", "matrix", "-c", catalogue, "--matcher")
-    run(*asked, "heat-hausdorff", "-o", path)
     made = pr.matrix(catalogue, matcher="heat-hausdorff")
+    pr.write_matrix(made, path)
     with pr.Catalogue(catalogue) as store:
         expected = match_all(MATCHERS["heat-hausdorff"], made.ids, store.shape)
     assert pr.read_matrix(path) == replace(made, labels=()) == expected
@@ -187,28 +185,23 @@ def test_a_matcher_makes_a_matrix_that_ranks(eggs: Path, tmp_path: Path) -> None
         result("query", "-c", catalogue, eggs / "10.off", "--matrix", path)[0]["results"][0]["id"]
         == "10"
     )
-    refused = refusal(*asked, "heat-hausdorff", "--n-values", 9, "-o", tmp_path / "no.txt")
-    assert "a matcher has no signatures: leave out --n-values" in refused
-    assert "'sift' is not one of 'heat-hausdorff', " in refusal(
-        *asked, "sift", "-o", tmp_path / "no.txt"
-    )
-    assert not (tmp_path / "no.txt").exists()
+    with pytest.raises(
+        pr.OptionError, match="there is no matcher 'sift'; there are heat-hausdorff, "
+    ):
+        pr.matrix(catalogue, matcher="sift")
 
 
 def test_re_ranking_is_a_row_more_and_works_by_a_matrix(eggs: Path, tmp_path: Path) -> None:
     catalogue, labels = eggs / "eggs.sqlite", eggs / "labels.csv"
     chosen = ("-c", catalogue, *PLAIN)
-    run("lab", "matrix", *chosen, "-o", tmp_path / "eggs.npy")
+    plain = {"retrieval": {"whitening": "none"}}
+    pr.write_matrix(pr.matrix(catalogue, options=plain), tmp_path / "eggs.npy")
     own = run("evaluate", *chosen, "--rerank", "k-reciprocal").stdout.splitlines()
     assert own[1].endswith("  micro-average, plain")
     assert own[2].endswith("  micro-average, k-reciprocal")
     by_matrix = ("evaluate", "--matrix", tmp_path / "eggs.npy", "--rerank", "k-reciprocal")
     assert run(*by_matrix, "--labels", labels).stdout.splitlines() == own
     assert run(*by_matrix, "-c", catalogue).stdout.splitlines() == own
-    refused = refusal(
-        "lab", "matrix", *chosen, "--rerank", "k-reciprocal", "-o", tmp_path / "x.npy"
-    )
-    assert "distances are not re-ranked: leave out --rerank" in refused
     np.save(tmp_path / "far.npy", np.where(np.eye(16) > 0, 0, np.inf))
     (tmp_path / "far.ids").write_text((tmp_path / "eggs.ids").read_text())
     far = ("evaluate", "--matrix", tmp_path / "far.npy", "--labels", labels)
@@ -219,25 +212,18 @@ def test_re_ranking_is_a_row_more_and_works_by_a_matrix(eggs: Path, tmp_path: Pa
 
 def test_two_settings_matrices_and_files_give_one_comparison(eggs: Path, tmp_path: Path) -> None:
     catalogue = eggs / "eggs.sqlite"
-    settings = {"one": ("--distance", "log"), "two": ("--distance", "d1", "--n-values", "5")}
-    for name, flags in settings.items():
-        run(
-            "lab",
-            "matrix",
-            "-c",
-            catalogue,
-            *PLAIN,
-            *METHOD,
-            *flags,
-            "-o",
-            tmp_path / f"{name}.txt",
-        )
-        run("evaluate", "-c", catalogue, *PLAIN, *METHOD, *flags, "--csv", tmp_path / name)
     plain = {"retrieval": {"whitening": "none"}, "signature": {"method": "r-bihdm"}}
     short = {
         "retrieval": {"whitening": "none", "distance": "d1"},
         "signature": {"method": "r-bihdm", "n_values": 5},
     }
+    settings = {
+        "one": (plain, "--distance", "log"),
+        "two": (short, "--distance", "d1", "--n-values", 5),
+    }
+    for name, (options, *flags) in settings.items():
+        pr.write_matrix(pr.matrix(catalogue, options=options), tmp_path / f"{name}.txt")
+        run("evaluate", "-c", catalogue, *PLAIN, *METHOD, *flags, "--csv", tmp_path / name)
     expected = pr.compare(catalogue, catalogue, options=plain, second_options=short)
     assert (expected.difference != 0).any()
     matrices = (tmp_path / "one.txt", tmp_path / "two.txt")
