@@ -66,7 +66,14 @@ from .pages.inspection_page import inspect as inspect
 from .pages.map_page import draw_map as draw_map
 from .pages.queries_page import query_page as query_page
 from .pages.retrieval_page import report as report
-from .pipeline.process import process as process, reconstruct as reconstruct, signature as signature
+from .pipeline.process import (
+    clean as clean,
+    crop as crop,
+    orient as orient,
+    process as process,
+    reconstruct as reconstruct,
+    signature as signature,
+)
 from .query import (
     Answer as Answer,
     cluster as cluster,

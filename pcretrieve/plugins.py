@@ -134,7 +134,7 @@ class Registry(Generic[Record]):
 
     def called(self, name: str) -> str:
         """The record in a message: ``the descriptor 'diameter' of the package other-package``."""
-        if name in self.names.own:
+        if name in self.names.own or name not in self.names.all():
             return f"the {self.names.kind} {name!r}"
         point = self._point(name)
         package = point.dist.name if point.dist else point.module

@@ -38,9 +38,6 @@ LARGE_HOLE = 0.035
 # Ratio of spacings, over the surface, of which a part was scanned that has hardly any points elsewhere.
 UNEVEN = 2.3
 
-# How sharply a surface turns inwards along a short line between two halves, if two bodies touch there.
-SHARP_NECK = 0.33
-
 # Smallest part in the squared error of a check that is named as a reason.
 REASON = 0.2
 

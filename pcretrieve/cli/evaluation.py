@@ -180,8 +180,6 @@ def _write_evaluation(
         )
     if whitening and is_verbose:
         say(f"whitening: {whitening}")
-    if found.protocol:
-        say(found.protocol)
 
 
 def _numbers(values: Iterable[float], form: str = ".4f") -> list[str]:

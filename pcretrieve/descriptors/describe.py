@@ -10,9 +10,12 @@ Names joined by ``+, such as ``hapt+r-bihdm``, stand for the fusion of these des
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pcretrieve.descriptors.bihdm import BIHDM
 from pcretrieve.descriptors.csd import CSD, WKS
@@ -24,8 +27,11 @@ from pcretrieve.errors import OptionError, ShapeError, Stage
 from pcretrieve.options import SignatureOptions, fused_names
 from pcretrieve.plugins import DESCRIPTOR_NAMES, Registry
 from pcretrieve.spectral import unit_eigenpairs
-from pcretrieve.values import UNIT, Eigenpairs, Shape, Signature, SizeUnit, Surface
+from pcretrieve.values import UNIT, Eigenpairs, Shape, Signature, SizeUnit, Surface, TriangleMesh
 from pcretrieve.values.base import check_type
+
+#: A descriptor of one's own: a function of a surface, in the unit of the file, that returns numbers.
+MeshFunction: TypeAlias = Callable[[TriangleMesh], ArrayLike]
 
 
 def _checked(name: str, added: object) -> Descriptor:
@@ -64,7 +70,9 @@ DESCRIPTORS: Registry[Descriptor] = _Descriptors(
 )
 
 
-def describe(shape: Shape, options: SignatureOptions) -> Signature:
+def describe(
+    shape: Shape, options: SignatureOptions, method: Descriptor | MeshFunction | None = None
+) -> Signature:
     """The signature of a shape by the method and the parameters in `options`.
 
     If several surfaces were reconstructed from one scan, the method describes each surface, and each value is
@@ -77,6 +85,9 @@ def describe(shape: Shape, options: SignatureOptions) -> Signature:
         With the parts that the method needs; eigenvectors that are missing are computed from the mesh.
     options : SignatureOptions
         The method, the number of values and of modes, the scale, and the weight w of the size.
+    method : Descriptor or function, optional
+        A descriptor of your own in place of that of `options`, or a function of a `TriangleMesh` in the unit
+        of the file, whose numbers are compared as they are.
 
     Returns
     -------
@@ -96,20 +107,32 @@ def describe(shape: Shape, options: SignatureOptions) -> Signature:
     """
     check_type("shape", shape, Shape)
     check_type("options", options, SignatureOptions)
-    descriptor = DESCRIPTORS[options.method]
+    if callable(method):
+        return _mean([_measured(method, part.mesh) for part in shape.apart()])
+    descriptor = method or DESCRIPTORS[options.method]
     _check_size(descriptor, options)
     parts = (shape,) if set(descriptor.needs) == {"points"} else shape.apart()
     unit = _unit_of_sizes(shape) if options.compares_sizes else None
-    made = [replace(_described(descriptor, part, options), unit=unit) for part in parts]
+    return _mean([replace(_described(descriptor, part, options), unit=unit) for part in parts])
+
+
+def _mean(made: Sequence[Signature]) -> Signature:
+    """The mean of the signatures of the surfaces of one scan, with its error bar."""
+    first = made[0]
     if len(made) == 1:
-        return made[0]
+        return first
     rows = np.array([signature.values for signature in made])  # (s, L)
-    if descriptor.metric == "logarithms":
+    if first.metric == "logarithms":
         logs = np.log(rows)
-        return replace(
-            made[0], values=np.exp(logs.mean(axis=0)), deviation=logs.std(axis=0, ddof=1)
-        )
-    return replace(made[0], values=rows.mean(axis=0), deviation=rows.std(axis=0, ddof=1))
+        return replace(first, values=np.exp(logs.mean(axis=0)), deviation=logs.std(axis=0, ddof=1))
+    return replace(first, values=rows.mean(axis=0), deviation=rows.std(axis=0, ddof=1))
+
+
+def _measured(function: MeshFunction, mesh: TriangleMesh) -> Signature:
+    """What a function of one's own says of one surface."""
+    name = getattr(function, "__name__", type(function).__name__)
+    with DESCRIPTORS.blamed(name, Stage.SIGNATURE):
+        return Signature(np.atleast_1d(np.asarray(function(mesh))), kind=name, metric="values")
 
 
 def signature_length(options: SignatureOptions) -> int:
@@ -124,11 +147,11 @@ def _unit_of_sizes(shape: Shape) -> SizeUnit:
 def _check_size(descriptor: Descriptor, options: SignatureOptions) -> None:
     if options.scale == "absolute" and not descriptor.has_size:
         raise OptionError(
-            f"scale must be area or relative for {options.method}, which has no size to keep"
+            f"scale must be area or relative for {descriptor.name}, which has no size to keep"
         )
     if options.size_weight and descriptor.metric == "histograms":
         raise OptionError(
-            f"size_weight must be 0 for {options.method}, whose values are a histogram, got "
+            f"size_weight must be 0 for {descriptor.name}, whose values are a histogram, got "
             f"{options.size_weight:g}: a size is no share of it"
         )
 
@@ -136,7 +159,7 @@ def _check_size(descriptor: Descriptor, options: SignatureOptions) -> None:
 def _described(descriptor: Descriptor, part: Shape, options: SignatureOptions) -> Signature:
     """The signature of one surface."""
     needed = _needed(descriptor, part, options)
-    with DESCRIPTORS.blamed(options.method, Stage.SIGNATURE):
+    with DESCRIPTORS.blamed(descriptor.name, Stage.SIGNATURE):
         made = descriptor.make(needed, options)
     length, wrong = descriptor.length(options), None
     if not isinstance(made, Signature) or made.metric != descriptor.metric:
@@ -145,7 +168,7 @@ def _described(descriptor: Descriptor, part: Shape, options: SignatureOptions) -
         wrong = f"{length} values, as its record declares, got {len(made.values)}"
     if wrong:
         raise ShapeError(
-            f"{DESCRIPTORS.called(options.method)} must give {wrong}", stage=Stage.SIGNATURE
+            f"{DESCRIPTORS.called(descriptor.name)} must give {wrong}", stage=Stage.SIGNATURE
         )
     if not options.size_weight:
         return made

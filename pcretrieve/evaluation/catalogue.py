@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pcretrieve.catalogue import Catalogue, CatalogueLike
 from pcretrieve.errors import BenchmarkError, InputError
@@ -17,6 +18,7 @@ from pcretrieve.ingestion.labels import labels_of, match_labels
 from pcretrieve.options import OptionsLike, PipelineOptions, RerankKind
 from pcretrieve.retrieval import DistanceBlock, DistanceMatrix, people, table_whitening
 from pcretrieve.values import SignatureTable
+from pcretrieve.values.base import check_type, numbers
 
 logger = logging.getLogger(__name__)
 
@@ -37,9 +39,9 @@ class RankedShapes(NamedTuple):
 
 
 def rank_shapes(
-    shapes: CatalogueLike | SignatureTable | DistanceMatrix,
+    shapes: CatalogueLike | SignatureTable | DistanceMatrix | ArrayLike,
     options: OptionsLike = None,
-    labels: str | Path | None = None,
+    labels: str | Path | Sequence[object] | None = None,
     *,
     matrix: DistanceMatrix | None = None,
     good_only: bool = False,
@@ -49,11 +51,12 @@ def rank_shapes(
         return RankedShapes(
             *rank_table(shapes, PipelineOptions.of(options).retrieval), table=shapes
         )
-    if isinstance(shapes, DistanceMatrix):
-        if labels is None:
-            raise BenchmarkError("a distance matrix has no classes: give labels, a file of classes")
-        classes = _classes_of_ids(labels, set(shapes.ids))
-        return _of_matrix(shapes, classes, {}, PipelineOptions.of(options).retrieval.rerank)
+    if not isinstance(shapes, (str, Path, Catalogue)):
+        distances = shapes if isinstance(shapes, DistanceMatrix) else _numbered(shapes)
+        classes = _classes_of_rows(distances, labels)
+        return _of_matrix(distances, classes, {}, PipelineOptions.of(options).retrieval.rerank)
+    if labels is not None:
+        check_type("labels of a catalogue", labels, str, Path)
     with Catalogue.opened(shapes) as store:
         chosen = PipelineOptions.of(options, store.options)
         ranked = _of_catalogue(store, chosen, labels, matrix)._replace(options=chosen)
@@ -144,6 +147,28 @@ def _of_matrix(
     return RankedShapes(
         *rank_subsets([everything], matrix.ids, labels, again=again, failed=missing)
     )
+
+
+def _numbered(distances: ArrayLike) -> DistanceMatrix:
+    """A plain array of distances, whose ids are the numbers of its rows, in their order."""
+    rows = numbers("distances", distances)
+    width = len(str(len(rows)))
+    return DistanceMatrix(tuple(f"{row:0{width}}" for row in range(len(rows))), rows)
+
+
+def _classes_of_rows(
+    distances: DistanceMatrix, labels: str | Path | Sequence[object] | None
+) -> Mapping[str, str | None]:
+    """The classes of the rows of distances: those that are given, or those that they have."""
+    if isinstance(labels, (str, Path)):
+        return _classes_of_ids(labels, set(distances.ids))
+    if labels is not None:
+        given = tuple(None if label is None else str(label) for label in labels)
+        distances = replace(distances, labels=given)
+    classes = dict(zip(distances.ids, distances.labels, strict=True))
+    if not any(classes.values()):
+        raise BenchmarkError("no row of the distances has a class: give labels, one for each row")
+    return classes
 
 
 def _classes_of_ids(file: str | Path, ids: Set[str]) -> dict[str, str | None]:

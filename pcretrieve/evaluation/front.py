@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
+
+from numpy.typing import ArrayLike
 
 from pcretrieve.catalogue import Catalogue, CatalogueLike
 from pcretrieve.errors import InputError
@@ -17,11 +19,10 @@ from pcretrieve.evaluation.comparison import (
     result_scores,
     write_evaluation,
 )
-from pcretrieve.ingestion.labels import LAYOUTS
 from pcretrieve.options import OptionsLike, PipelineOptions, describe_options
 from pcretrieve.retrieval import DistanceMatrix, Whitening, people
 from pcretrieve.retrieval.whitening import calibrated_whitening, write_whitening
-from pcretrieve.values import Failure, FloatArray, SignatureTable
+from pcretrieve.values import FloatArray, SignatureTable
 from pcretrieve.values.files import write_file
 
 if TYPE_CHECKING:
@@ -33,7 +34,6 @@ class Evaluation(measures.RetrievalMeasures):
     """Means of the measures over all queries, and what else is known of the same rankings."""
 
     ranked: RankedShapes = field(repr=False)
-    layout: str = field(default="", repr=False)
     level: ClassVar[float] = measures.LEVEL
 
     @property
@@ -54,13 +54,7 @@ class Evaluation(measures.RetrievalMeasures):
     @property
     def classes(self) -> tuple[measures.ClassMeasures, ...]:
         """The measures of each class, and the classes that it is mistaken for."""
-        return tuple(measures.class_measures(self.ranked.rankings))
-
-    @property
-    def protocol(self) -> str:
-        """How others measure on this set; empty, unless the labels are a layout."""
-        layout = LAYOUTS.get(self.layout)
-        return f"{layout.name}: {layout.protocol}" if layout else ""
+        return measures.class_measures(self.ranked.rankings)
 
     @property
     def scores(self) -> measures.QueryScores:
@@ -88,10 +82,10 @@ class Evaluation(measures.RetrievalMeasures):
 
 
 def evaluate(
-    shapes: CatalogueLike | SignatureTable | DistanceMatrix,
+    shapes: CatalogueLike | SignatureTable | DistanceMatrix | ArrayLike,
+    labels: str | Path | Sequence[object] | None = None,
     *,
     options: OptionsLike = None,
-    labels: str | Path | None = None,
     matrix: DistanceMatrix | None = None,
     good_only: bool = False,
 ) -> Evaluation:
@@ -99,13 +93,14 @@ def evaluate(
 
     Parameters
     ----------
-    shapes : Catalogue, str, Path, SignatureTable or DistanceMatrix
+    shapes : Catalogue, str, Path, SignatureTable, DistanceMatrix or (N, N) array
         A catalogue, whose failed shapes count as misses; a table of signatures with labels; or distances,
-        which need `labels`.
+        with the distances from one query to all shapes in each row.
+    labels : str, Path or sequence of length N, optional
+        A label file or the name of a layout, whose classes replace those of the catalogue or of the matrix;
+        or the class of each row of distances, None if it is unknown.
     options : OptionsLike, optional
         Signature, distance and whitening. By default the options of the catalogue.
-    labels : str or Path, optional
-        A label file or the name of a layout, whose classes replace the classes of the catalogue.
     matrix : DistanceMatrix, optional
         Distances that replace the distances of signatures.
     good_only : bool, default False
@@ -124,13 +119,11 @@ def evaluate(
         If no shape has a class, or no class two shapes.
     CatalogueError
         If the options require other spectra than the catalogue has.
+    InputError
+        If distances are not square, or labels are not as many as rows.
     """
     ranked = rank_shapes(shapes, options, labels, matrix=matrix, good_only=good_only)
-    return Evaluation(
-        **asdict(measures.evaluate_rankings(ranked.rankings)),
-        ranked=ranked,
-        layout=str(labels or ""),
-    )
+    return Evaluation(**asdict(measures.evaluate_rankings(ranked.rankings)), ranked=ranked)
 
 
 def compare(
@@ -243,21 +236,18 @@ def matrix(
     *,
     options: OptionsLike = None,
     matcher: str | Matcher | None = None,
-    on_failure: Callable[[Failure], None] = lambda failure: None,
 ) -> DistanceMatrix:
     """All distances between the shapes of a catalogue that did not fail.
 
     Parameters
     ----------
     catalogue : Catalogue, str or Path
-        The shapes. Shapes to which the matcher cannot be applied are left out.
+        The shapes. Shapes to which the matcher cannot be applied are left out, with a warning in the log.
     options : OptionsLike, optional
         Signature, distance and whitening. By default the options of the catalogue.
     matcher : str or Matcher, optional
         A method, one's own or by a name such as ``heat-hausdorff``, which compares pairs of shapes without
         signatures.
-    on_failure : function, optional
-        Called with the failure of each shape to which the matcher cannot be applied.
 
     Returns
     -------
@@ -284,7 +274,5 @@ def matrix(
             from pcretrieve.shrec.matcher import known_matcher, match_all
 
             method = known_matcher(matcher)
-            made = match_all(
-                method, labels, lambda name: store.shape(name, method.needs), on_failure
-            )
+            made = match_all(method, labels, lambda name: store.shape(name, method.needs))
         return replace(made, labels=tuple(labels[shape_id] for shape_id in made.ids))

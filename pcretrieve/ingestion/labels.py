@@ -6,19 +6,15 @@ label file beside them. Label files are looked for in the folder of the scans, a
 
 from __future__ import annotations
 
-import logging
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.formats import split_member
 from pcretrieve.ingestion.discover import discover, read_table, read_text
-
-logger = logging.getLogger(__name__)
 
 NAME_COLUMNS = ("file", "path", "filename", "name", "id", "shape")
 LABEL_COLUMNS = ("class", "label", "category", "subject")
@@ -30,24 +26,17 @@ TRAILING_NUMBER = re.compile(r"(\d+)$")
 # Number of folders in which a label file is looked for: that of the scans, and those above it.
 N_FOLDERS = 3
 
-# Number of poses of each person in FAUST, whose files are numbered person after person.
-POSES_OF_FAUST = 10
-
 
 class Layout(NamedTuple):
-    """How a set names the classes of its shapes: in their paths, or in label files of some names."""
+    """How a set, as it is published, names the classes of its shapes.
 
-    name: str
-    place: Callable[[Path], str | None] | tuple[str, ...]
-    n_shapes: int
-    n_classes: int
-    details: str
+    files: patterns of the names of its label files, or none.
+    path: otherwise a regular expression of the end of a path; its group is the class.
+    """
+
     published: str = ""
-
-    @property
-    def protocol(self) -> str:
-        """How the set is evaluated."""
-        return f"each shape is a query in all others{self.details}"
+    files: tuple[str, ...] = ()
+    path: str = ""
 
     @property
     def source(self) -> str:
@@ -55,72 +44,29 @@ class Layout(NamedTuple):
         return f" (published at {self.published})" if self.published else ""
 
 
-def _before_number(path: Path) -> str | None:
-    """The name of a file without the number at its end: ``cat`` for ``cat10.off``."""
-    found = re.fullmatch(r"(.*\D)\d+", path.stem)
-    return found[1] if found else None
-
-
-def _person(path: Path) -> str | None:
-    """The person of FAUST: ``person1`` for ``tr_scan_012.ply`` and ``tr_reg_012.ply``."""
-    found = re.fullmatch(r"tr_(?:scan|reg)_(\d{3})", path.stem)
-    return f"person{int(found[1]) // POSES_OF_FAUST}" if found else None
-
-
-def _folder(path: Path) -> str | None:
-    return path.parent.name or None
-
+SHREC11 = "https://www.itl.nist.gov/iad/vug/sharp/contest/2011/NonRigid/"
+SHREC14 = "http://www.cs.cf.ac.uk/shaperetrieval/shrec14/"
+FAUST = "https://faust-leaderboard.is.tuebingen.mpg.de/"
+TOSCA = "http://tosca.cs.technion.ac.il/book/resources_data.html"
+PSB = "https://shape.cs.princeton.edu/benchmark/"
 
 BESIDE = ("test.cla", "labels.csv")
-NIST = "https://www.itl.nist.gov/iad/vug/sharp/contest/2011/NonRigid/"
-CARDIFF = "http://www.cs.cf.ac.uk/shaperetrieval/shrec14/"
-TUEBINGEN = "https://faust-leaderboard.is.tuebingen.mpg.de/"
-TECHNION = "http://tosca.cs.technion.ac.il/book/resources_data.html"
-PRINCETON = "https://shape.cs.princeton.edu/benchmark/"
-OF_FAUST = ", 10 people in 10 poses: the training scans, or their registrations"
-OF_PSB = "; 907 models of the base classification, for training or for test"
+# Person after person, each in ten poses: the last digit is the pose.
+SCAN_OF_FAUST = r"tr_(?:scan|reg)_(\d\d)\d\.\w+"
+NAME_AND_NUMBER = r"([^/]*[^/\d])\d+\.\w+"
+IN_FOLDER = r"([^/]+)/[^/]+"
 
-#: The layouts by name.
-LAYOUTS: Mapping[str, Layout] = MappingProxyType(
-    {
-        layout.name: layout
-        for layout in (
-            Layout(
-                "shrec11",
-                BESIDE,
-                600,
-                30,
-                ", 20 of each class; watertight meshes, --surface keep",
-                NIST,
-            ),
-            Layout(
-                "shrec14-real", BESIDE, 400, 40, ", 40 people in 10 poses; --surface keep", CARDIFF
-            ),
-            Layout(
-                "shrec14-synthetic",
-                BESIDE,
-                300,
-                15,
-                ", 15 people in 20 poses; --surface keep",
-                CARDIFF,
-            ),
-            Layout("faust", _person, 100, 10, OF_FAUST, TUEBINGEN),
-            Layout(
-                "tosca",
-                _before_number,
-                80,
-                9,
-                "; high-resolution meshes, some of which are open",
-                TECHNION,
-            ),
-            Layout("psb", ("*.cla",), 0, 0, OF_PSB, PRINCETON),
-            Layout("folders", _folder, 0, 0, "; the class is the folder"),
-            Layout(
-                "csv", ("labels.csv",), 0, 0, "; the classes are in labels.csv beside the scans"
-            ),
-        )
-    }
-)
+#: The layouts by name. The guide says what each set has, and how it is evaluated.
+LAYOUTS: Mapping[str, Layout] = {
+    "shrec11": Layout(SHREC11, files=BESIDE),
+    "shrec14-real": Layout(SHREC14, files=BESIDE),
+    "shrec14-synthetic": Layout(SHREC14, files=BESIDE),
+    "faust": Layout(FAUST, path=SCAN_OF_FAUST),
+    "tosca": Layout(TOSCA, path=NAME_AND_NUMBER),
+    "psb": Layout(PSB, files=("*.cla",)),
+    "folders": Layout(path=IN_FOLDER),
+    "csv": Layout(files=("labels.csv",)),
+}
 
 
 def discover_labelled(
@@ -134,17 +80,12 @@ def discover_labelled(
     files = [*beside]
     if layout is None:
         files += [labels] if labels is not None else []
-    elif isinstance(layout.place, tuple):
+    else:
         folders = [Path(argument) for argument in arguments if Path(argument).is_dir()]
         files += [
-            file for folder in folders for name in layout.place for file in folder.rglob(name)
+            file for folder in folders for name in layout.files for file in folder.rglob(name)
         ]
-    try:
-        scans = discover(arguments, files, limits)
-    except InputError as error:
-        if layout is None:
-            raise
-        raise InputError(f"{error.message}{layout.source}") from error
+    scans = discover(arguments, files, limits)
     return scans, {} if labels is None else labels_of(labels, scans)
 
 
@@ -153,50 +94,46 @@ def labels_of(labels: str | Path, scans: Iterable[str | Path]) -> dict[str, str]
     layout = LAYOUTS.get(str(labels))
     if layout is None:
         return read_labels(labels)
-    paths = [str(path) for path in scans]
-    if isinstance(layout.place, tuple):
-        found = _from_files(layout, layout.place, paths)
+    paths = {str(path): split_member(Path(path))[0] for path in scans}
+    if layout.files:
+        found = _from_files(str(labels), layout, paths)
     else:
-        classes = {path: layout.place(split_member(Path(path))[0]) for path in paths}
-        found = {path: label for path, label in classes.items() if label is not None}
+        fits = {path: re.search(f"/{layout.path}$", f"/{file}") for path, file in paths.items()}
+        found = {path: fit[1] for path, fit in fits.items() if fit}
     if not found:
         raise BenchmarkError(
-            f"no path is one of the layout {layout.name}{layout.source}; give a label file, a CSV file with "
+            f"no path is one of the layout {labels}{layout.source}; give a label file, a CSV file with "
             "the columns file and class"
         )
-    here, whole = (len(found), len({*found.values()})), (layout.n_shapes, layout.n_classes)
-    if layout.n_shapes and here != whole:
-        words = "%s has %d shapes in %d classes, of which %d in %d are here%s"
-        logger.warning(words, layout.name, *whole, *here, layout.source)
     return found
 
 
-def _from_files(layout: Layout, names: tuple[str, ...], paths: list[str]) -> dict[str, str]:
-    """The classes in label files, of which each names scans in its own folder and below."""
-    label_file = cache(partial(_label_file, layout, names))
+def _from_files(name: str, layout: Layout, paths: Mapping[str, Path]) -> dict[str, str]:
+    """The classes in label files; each names the scans in its own folder and below."""
+    label_file = cache(partial(_label_file, name, layout))
     of_file: dict[Path, dict[str, str]] = {}
-    for path in paths:
-        of_file.setdefault(label_file(split_member(Path(path))[0].parent), {})[path] = path
+    for path, scan in paths.items():
+        of_file.setdefault(label_file(scan.parent), {})[path] = path
     found: dict[str, str] = {}
     for file, own in of_file.items():
         found |= match_labels(read_labels(file), own)[0]
     return found
 
 
-def _label_file(layout: Layout, names: tuple[str, ...], folder: Path) -> Path:
+def _label_file(name: str, layout: Layout, folder: Path) -> Path:
     for place in (folder, *folder.parents)[:N_FOLDERS]:
-        for pattern in names:
+        for pattern in layout.files:
             files = sorted(place.glob(pattern))
             if len(files) > 1:
                 named = ", ".join(file.name for file in files)
                 raise BenchmarkError(
-                    f"the layout {layout.name} needs one label file in {place}, got {named}"
+                    f"the layout {name} needs one label file in {place}, got {named}"
                 )
             if files:
                 return files[0]
     raise BenchmarkError(
-        f"the layout {layout.name} has its classes in {' or '.join(names)}, which is not in {folder}, nor in "
-        f"the two folders above{layout.source}"
+        f"the layout {name} has its classes in {' or '.join(layout.files)}, which is not in "
+        f"{folder}, nor in the two folders above{layout.source}"
     )
 
 

@@ -12,7 +12,7 @@ import hashlib
 import logging
 import pickle
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache
@@ -24,8 +24,10 @@ from scipy.sparse import csc_array
 from scipy.sparse.csgraph import connected_components
 from threadpoolctl import threadpool_limits
 
+from pcretrieve import points
 from pcretrieve.checks import findings_of, verdict_of
-from pcretrieve.descriptors import describe
+from pcretrieve.descriptors import Descriptor, describe
+from pcretrieve.descriptors.describe import MeshFunction
 from pcretrieve.errors import (
     DegenerateMeshError,
     PcretrieveError,
@@ -37,10 +39,9 @@ from pcretrieve.errors import (
 )
 from pcretrieve.formats import ScanLike, as_scan
 from pcretrieve.formats.identity import content_hash
-from pcretrieve.options import OptionsLike, PipelineOptions, SurfaceOptions
+from pcretrieve.options import OptionsLike, PipelineOptions, ScanOptions, SurfaceOptions
 from pcretrieve.pipeline import log_steps
-from pcretrieve.points import clean, crop, oriented_normals
-from pcretrieve.points.neighbors import Neighborhoods
+from pcretrieve.points.neighbors import Neighborhoods, plane_neighborhoods
 from pcretrieve.spectral import ELEMENTS, eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
 from pcretrieve.surface import SurfaceMarks, defects, reduced, remesh, sampled, sound_mesh, surfaces
 from pcretrieve.values import (
@@ -55,7 +56,8 @@ from pcretrieve.values import (
     Surface,
     TriangleMesh,
 )
-from pcretrieve.values.conversion import as_geometry
+from pcretrieve.values.conversion import as_cloud, as_geometry
+from pcretrieve.values.geometry import with_others
 
 V = TypeVar("V", PointCloud, TriangleMesh)
 
@@ -64,7 +66,10 @@ N_REMEMBERED = 200
 
 
 def signature(
-    scan: ScanLike, options: OptionsLike = None, *, method: str | None = None
+    scan: ScanLike,
+    options: OptionsLike = None,
+    *,
+    method: str | Descriptor | MeshFunction | None = None,
 ) -> Signature:
     """The signature of one scan, whose quality `process` and `inspect` check.
 
@@ -74,25 +79,29 @@ def signature(
         A path, an array, or geometry of this package, Open3D, trimesh or PyVista; see `as_geometry`.
     options : OptionsLike, optional
         Options, a preset's name, a TOML file, or a mapping; see `PipelineOptions.of`.
-    method : str, optional
-        The descriptor, or several joined by ``+``; by default that of `options`.
+    method : str, Descriptor or function, optional
+        The name of a descriptor, or several joined by ``+``; a descriptor of your own; or a function of a
+        `TriangleMesh` that returns numbers. By default that of `options`.
 
     Returns
     -------
     Signature
-        The signature; with the default options dimensionless and independent of the unit of the scan.
+        The signature; with the default options dimensionless and independent of the unit of the scan. Of a
+        function, its numbers as they are, and its name.
 
     Raises
     ------
     ShapeError
-        If the scan cannot be read or has no usable surface.
+        If the scan cannot be read or has no usable surface, or the function fails.
     """
-    options = PipelineOptions.of(options).changed(signature={"method": method} if method else {})
+    own = method if isinstance(method, Descriptor) or callable(method) else None
+    named = {"method": method} if method and own is None else {}
+    options = PipelineOptions.of(options).changed(signature=named)
     with threadpool_limits(limits=1), placed(scan):
         *_, last = stages(scan, options)
         shape = shape_of(last, options)
         log_steps(scan_name(scan), shape.provenance[-1:])
-        return signature_of(shape, options, scan)
+        return signature_of(shape, options, scan, own)
 
 
 def reconstruct(scan: ScanLike, options: OptionsLike = None) -> TriangleMesh:
@@ -112,7 +121,8 @@ def reconstruct(scan: ScanLike, options: OptionsLike = None) -> TriangleMesh:
     -------
     TriangleMesh
         The surface; unit of the scan. Its `provenance` has a step for each stage, with a note for each repair
-        and each fallback.
+        and each fallback. Its `others` are further surfaces of the scan, so that its `signature` is that of
+        the scan.
 
     Raises
     ------
@@ -120,11 +130,103 @@ def reconstruct(scan: ScanLike, options: OptionsLike = None) -> TriangleMesh:
         If the scan cannot be read or has no usable surface.
     """
     with placed(scan):
-        options = PipelineOptions.of(options)
         # No spectrum is computed; the element is set, because with some elements there is no surface.
-        alone = options.changed(surface={"reconstructions": 1}, spectral={"element": "linear"})
-        *_, last = stages(scan, alone)
-    return last.surface
+        options = PipelineOptions.of(options).changed(spectral={"element": "linear"})
+        *_, last = stages(scan, options)
+    first = last.surface
+    return with_others(first.vertices, first.faces, first.provenance, last.others)
+
+
+def crop(cloud: ScanLike, options: OptionsLike = None) -> PointCloud:
+    """The points of a scan that are of the body, without background, ground and strays.
+
+    `reconstruct` and `signature` do not crop its result again, so that filters of your own can follow.
+
+    Parameters
+    ----------
+    cloud : ScanLike
+        A path, an array, or geometry of this package, Open3D, trimesh or PyVista; of a mesh its vertices.
+    options : OptionsLike, optional
+        Options, of which those of the table ``scan`` count; see `PipelineOptions.of`.
+
+    Returns
+    -------
+    PointCloud
+        The points that are left, unchanged; unit of the scan. `PointCloud.up` is the normal of the ground.
+
+    Raises
+    ------
+    ShapeError
+        If the scan cannot be read, or too few points are left.
+    """
+    return _filtered(Stage.CROP, cloud, options, points.crop)
+
+
+def clean(cloud: ScanLike, options: OptionsLike = None) -> PointCloud:
+    """The mean of the points in each voxel, without outliers.
+
+    `reconstruct` and `signature` do not clean its result again.
+
+    Parameters
+    ----------
+    cloud : ScanLike
+        A path, an array, or geometry of this package, Open3D, trimesh or PyVista; of a mesh its vertices.
+    options : OptionsLike, optional
+        Options, of which those of the table ``scan`` count; see `PipelineOptions.of`.
+
+    Returns
+    -------
+    PointCloud
+        The points that are left; unit of the scan.
+
+    Raises
+    ------
+    ShapeError
+        If the scan cannot be read, or too few points are left.
+    """
+    return _filtered(Stage.CLEAN, cloud, options, lambda *given: points.clean(*given)[0])
+
+
+def orient(cloud: ScanLike, options: OptionsLike = None) -> PointCloud:
+    """The points of a scan with normals that point out of the body.
+
+    Parameters
+    ----------
+    cloud : ScanLike
+        A path, an array, or geometry of this package, Open3D, trimesh or PyVista; of a mesh its vertices.
+    options : OptionsLike, optional
+        Options, of which those of the table ``scan`` count; see `PipelineOptions.of`.
+
+    Returns
+    -------
+    PointCloud
+        The same points; unit of the scan.
+
+    Raises
+    ------
+    ShapeError
+        If the scan cannot be read, or ``scan.orientation`` needs normals or sensors that it does not have.
+    """
+    return _filtered(Stage.ORIENT, cloud, options, _oriented)
+
+
+def _filtered(
+    stage: str,
+    scan: ScanLike,
+    options: OptionsLike,
+    of: Callable[[PointCloud, ScanOptions], PointCloud],
+) -> PointCloud:
+    """The result of one stage for the points of a scan."""
+    chosen = PipelineOptions.of(options).scan
+    with placed(scan):
+        cloud = as_cloud(as_scan(scan, chosen.unit))
+        with in_stage(stage):
+            return of(cloud, chosen)
+
+
+def _oriented(cloud: PointCloud, options: ScanOptions) -> PointCloud:
+    origin = cloud.points.mean(axis=0)
+    return moved(points.oriented_normals(moved(cloud, -origin), options), origin)
 
 
 def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
@@ -187,10 +289,15 @@ def remembered(scan: ScanLike, options: PipelineOptions) -> Shape:
     return _remembered[key]
 
 
-def signature_of(shape: Shape, options: PipelineOptions, scan: ScanLike | None = None) -> Signature:
+def signature_of(
+    shape: Shape,
+    options: PipelineOptions,
+    scan: ScanLike | None = None,
+    method: Descriptor | MeshFunction | None = None,
+) -> Signature:
     """The signature of the shape of a scan, by the same options."""
     with placed(scan), in_stage(Stage.SIGNATURE):
-        return replace(describe(shape, options.signature), digest=options.signature_digest)
+        return replace(describe(shape, options.signature, method), digest=options.signature_digest)
 
 
 def signature_of_surfaces(meshes: Sequence[TriangleMesh], options: PipelineOptions) -> Signature:
@@ -226,11 +333,12 @@ class Seen:
     @property
     def steps(self) -> tuple[Step, ...]:
         """The steps of all stages so far, in order."""
-        cloud = self.cloud if self.cloud is not None else self.scan
-        before = () if cloud is None else cloud.provenance
-        first = before if self.mesh is None else self.mesh.provenance
-        further = (mesh.provenance[len(before) :] for mesh in self.others)
-        return (*first, *(step for steps in further for step in steps))
+        latest = next(
+            (each for each in (self.mesh, self.cloud, self.scan) if each is not None), None
+        )
+        first = () if latest is None else latest.provenance
+        further = (step for mesh in self.others for step in mesh.provenance if step not in first)
+        return (*first, *further)
 
 
 def stages(scan: ScanLike, options: PipelineOptions) -> Iterator[Seen]:
@@ -247,6 +355,9 @@ def _stages(scan: ScanLike, options: PipelineOptions) -> Iterator[Seen]:
         value = as_scan(scan, options.scan.unit)
     if isinstance(value, TriangleMesh):
         yield Seen(scan=PointCloud(value.vertices, provenance=value.provenance))
+        if value.others and options.surface.mode != "reconstruct":
+            yield Seen(mesh=value, others=value.others)
+            return
         with in_stage(Stage.SURFACE):
             of_points = ELEMENTS[options.spectral.element].needs == "points"
             kept = None if of_points else sound_mesh(value, options.surface)
@@ -265,18 +376,22 @@ def _stages(scan: ScanLike, options: PipelineOptions) -> Iterator[Seen]:
 
 def _of_scan(value: PointCloud, options: PipelineOptions) -> Iterator[Seen]:
     yield (seen := Seen(scan=value))
+    done = {step.stage for step in value.provenance}
     # Normals of a file are not shown before they are oriented, because they need not point outwards.
     with in_stage(Stage.CROP):
-        cloud = crop(value, options.scan)
+        cloud = value if "crop" in done else points.crop(value, options.scan)
         bare = replace(cloud, normals=None)
     yield (seen := replace(seen, cropped=bare, cloud=bare))
     with in_stage(Stage.CLEAN):
-        cloud, neighbors = clean(cloud, options.scan)
+        if "clean" in done:
+            neighbors = plane_neighborhoods(cloud.points, options.scan)
+        else:
+            cloud, neighbors = points.clean(cloud, options.scan)
         bare = replace(cloud, normals=None)
     yield (seen := replace(seen, cleaned=bare, cloud=bare))
     with in_stage(Stage.ORIENT):
         origin = cloud.points.mean(axis=0)
-        cloud = oriented_normals(moved(cloud, -origin), options.scan, neighbors)
+        cloud = points.oriented_normals(moved(cloud, -origin), options.scan, neighbors)
     yield (seen := replace(seen, cloud=moved(cloud, origin)))
     if ELEMENTS[options.spectral.element].needs != "points":
         yield from _of_surfaces(seen, cloud, neighbors, origin, options)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.arrays import bounds
+from pcretrieve.options import ScanOptions
 from pcretrieve.values import FloatArray
 from pcretrieve.values.compiled import compiled
 
@@ -415,6 +416,11 @@ def neighborhoods(points: FloatArray, k: int, *, of_some: bool = False) -> Neigh
     """The nearest neighbours of all points among themselves, or of some of them."""
     places = np.ascontiguousarray(points[:: max(1, len(points) // MEASURED)]) if of_some else points
     return Neighborhoods(*nearest(points, places, min(k, len(points))))
+
+
+def plane_neighborhoods(points: FloatArray, options: ScanOptions) -> Neighborhoods:
+    """The neighbours that normals and all later stages need."""
+    return neighborhoods(points, max(options.normal_neighbors, PLANE_NEIGHBORS + 1))
 
 
 def among(

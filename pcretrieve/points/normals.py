@@ -15,10 +15,9 @@ from pcretrieve.options import ScanOptions
 from pcretrieve.points.density import SAME_SIDE, disks, local_spacings, sparse_points
 from pcretrieve.points.grid import joined_by
 from pcretrieve.points.neighbors import (
-    PLANE_NEIGHBORS,
     Neighborhoods,
     guided_planes,
-    neighborhoods,
+    plane_neighborhoods,
     spacing,
 )
 from pcretrieve.points.outside import Outside, flood
@@ -88,7 +87,7 @@ def oriented_normals(
         "tangent-plane": _by_tangent_planes,
     }
     if neighbors is None:
-        neighbors = neighborhoods(cloud.points, max(options.normal_neighbors, PLANE_NEIGHBORS + 1))
+        neighbors = plane_neighborhoods(cloud.points, options)
     oriented, notes = orientations[method](cloud, neighbors, options)
     step = Step("orient", time.perf_counter() - started, {"points": len(oriented)}, notes)
     return replace(cloud, normals=oriented).after(step)

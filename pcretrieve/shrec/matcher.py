@@ -15,7 +15,7 @@ from pcretrieve.retrieval.matrix import DistanceMatrix
 from pcretrieve.shrec.cm_bof import clock_distance, view_descriptors, view_words
 from pcretrieve.shrec.heat import heat_distance, heat_points, heat_set, word_frequencies
 from pcretrieve.shrec.meshsift import match_distance, mesh_features
-from pcretrieve.values import Failure, Need, Shape
+from pcretrieve.values import Need, Shape
 
 _log = logging.getLogger(__name__)
 
@@ -24,7 +24,7 @@ _log = logging.getLogger(__name__)
 class Matcher:
     """The declaration of a method that compares two shapes and has no vector for a single one.
 
-    name: value of the option `--matcher`.
+    name: the argument `matcher` of `pcretrieve.matrix`.
     prepare: called once for each shape, with a shape that holds the parts in `needs`; returns its features.
     distance: from the features of a query to those of a shape of the gallery: not NaN, not negative, may be
         infinite.
@@ -72,7 +72,6 @@ def match_all(
     matcher: Matcher,
     ids: Iterable[str],
     shape_of: Callable[[str], Shape],
-    on_failure: Callable[[Failure], None] = lambda failure: None,
 ) -> DistanceMatrix:
     """All distances between some shapes by a matcher; shapes to which it cannot be applied are left out."""
     features: dict[str, Any] = {}
@@ -81,9 +80,7 @@ def match_all(
             features[shape_id] = _called(matcher.name, matcher.prepare, shape_of(shape_id))
             _log.info("prepared: %d shapes", len(features))
         except ShapeError as error:
-            on_failure(
-                Failure(shape_id, str(error.stage or ""), type(error).__name__, error.message)
-            )
+            _log.warning("left out %s: %s", shape_id, error.message)
     compared = list(features.values())
     if matcher.learn and compared:
         learned = _called(matcher.name, matcher.learn, compared)

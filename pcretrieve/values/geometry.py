@@ -158,13 +158,21 @@ class TriangleMesh(_Processed):
         Vertex numbers of each triangle, counter-clockwise seen from outside.
     provenance : tuple of Step
         The stages that made the surface, in order.
+
+    Attributes
+    ----------
+    others : tuple of TriangleMesh
+        The further surfaces that `reconstruct` made of the same scan, over which `signature` takes the mean.
+        A changed copy, as by `dataclasses.replace`, has none, because they are not changed with it.
     """
 
     vertices: FloatArray
     faces: IntArray
     provenance: tuple[Step, ...] = field(default=(), compare=False)
+    others: tuple[TriangleMesh, ...] = field(init=False, compare=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "others", ())
         vertices, faces = (
             self._lock("vertices", (None, 3)),
             self._lock("faces", (None, 3), np.int32),
@@ -173,6 +181,9 @@ class TriangleMesh(_Processed):
             raise InputError(
                 f"faces must name vertices 0 to {len(vertices) - 1}, got {faces.min()} to {faces.max()}"
             )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return with_others, (self.vertices, self.faces, self.provenance, self.others)
 
     @property
     def diagonal(self) -> float:
@@ -257,6 +268,18 @@ class TriangleMesh(_Processed):
 
         drawn = thumbnail(self.vertices, self.faces, up=self.up)
         return picture_html(None if drawn is None else drawn.png, repr(self))
+
+
+def with_others(
+    vertices: FloatArray,
+    faces: IntArray,
+    provenance: tuple[Step, ...],
+    others: tuple[TriangleMesh, ...],
+) -> TriangleMesh:
+    """The first surface of a scan, which carries the others."""
+    mesh = TriangleMesh(vertices, faces, provenance)
+    object.__setattr__(mesh, "others", others)
+    return mesh
 
 
 def adjacency(mesh: TriangleMesh) -> csr_array:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy.stats import bootstrap
 
-from pcretrieve.errors import InputError
+import pcretrieve as pr
+from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation.comparison import compare_scores, read_scores, write_evaluation
 from pcretrieve.evaluation.measures import (
     MEASURES,
@@ -52,6 +53,45 @@ def by_rows(distances: FloatArray) -> Iterator[DistanceBlock]:
     """One row at a time, the last one first."""
     for row in range(len(distances))[::-1]:
         yield DistanceBlock(np.array([row]), distances[row : row + 1])
+
+
+def test_distances_and_labels_may_be_plain() -> None:
+    places = np.array([0, 1, 2, 10, 11, 30])
+    distances = abs(places[:, None] - places)
+    labels = ["a", "a", "b", "b", "b", None]
+    found = pr.evaluate(distances, labels)
+    ids = tuple("012345")
+    kept = pr.DistanceMatrix(ids, distances, tuple(labels))
+    assert (found.nn, found.n_queries) == (4 / 5, 5)
+    for same in (
+        pr.evaluate(kept),
+        pr.evaluate(pr.DistanceMatrix(ids, distances), np.array(labels, dtype=object)),
+        pr.evaluate(distances.tolist(), labels),
+    ):
+        assert (same.map, same.scores) == (found.map, found.scores)
+    numbered = pr.evaluate(distances, [1, 1, 2, 2, 2, 3])
+    assert numbered.map == found.map and numbered.scores.labels[0] == "1"
+
+
+def test_rows_of_plain_distances_are_in_order() -> None:
+    """Equal distances are ranked by id: of eleven rows, row 2 comes before row 10."""
+    found = pr.evaluate(np.ones((11, 11)), ["a", *10 * "b"])
+    assert found.scores.ids == tuple(f"{row:02}" for row in range(1, 11))
+    assert found.ranked.rankings.nearest[0] == "00"
+
+
+def test_distances_that_fit_no_labels_are_refused() -> None:
+    square = np.ones((3, 3))
+    with pytest.raises(BenchmarkError, match="no row of the distances has a class: give labels"):
+        pr.evaluate(square)
+    with pytest.raises(InputError, match=r"labels must be as many as ids \(3\), got 2"):
+        pr.evaluate(square, ["a", "a"])
+    with pytest.raises(
+        InputError, match=r"a distance matrix must have shape \(2, 2\), got \(2, 3\)"
+    ):
+        pr.evaluate(square[:2], ["a", "a"])
+    with pytest.raises(InputError, match="labels of a catalogue must be of the type str or Path"):
+        pr.evaluate("bodies.sqlite", ["a", "a"])
 
 
 def test_hand_worked_scores() -> None:

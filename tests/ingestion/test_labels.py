@@ -92,8 +92,8 @@ def test_classes_in_names() -> None:
     for layout, path, label in (
         ("tosca", "/sets/tosca/cat10.off", "cat"),
         ("tosca", "/sets/tosca/victoria0.mat", "victoria"),
-        ("faust", "/MPI-FAUST/training/scans/tr_scan_009.ply", "person0"),
-        ("faust", "/MPI-FAUST/training/registrations/tr_reg_090.ply", "person9"),
+        ("faust", "/MPI-FAUST/training/scans/tr_scan_009.ply", "00"),
+        ("faust", "/MPI-FAUST/training/registrations/tr_reg_090.ply", "09"),
         ("folders", "/bodies/ann/stand.ply", "ann"),
         ("folders", "/bodies/ann/parts.glb#left", "ann"),
     ):

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import logging
+import pickle
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import shapes
 from commands import run
 
+import pcretrieve as pr
 from pcretrieve import Catalogue, PipelineOptions, PointCloud, TriangleMesh, reconstruct, signature
-from pcretrieve.errors import ReconstructionError, ScanReadError
+from pcretrieve.errors import InputError, ReconstructionError, ScanReadError, ShapeError
 from pcretrieve.formats import ScanLike, write_mesh
 from pcretrieve.options import PRESETS
 from pcretrieve.pipeline.process import moved, process
@@ -28,6 +33,80 @@ def test_a_mesh_has_one_signature_in_any_unit_and_place() -> None:
     for scale, shift in ((1e-3, 0), (1e3, 0), (1, 1e6)):
         other = TriangleMesh(scale * body.vertices + shift, body.faces)
         np.testing.assert_allclose(signature(other).values, values, rtol=1e-6)
+
+
+def test_the_signature_of_the_surface_of_a_scan_is_that_of_the_scan() -> None:
+    surface, expected = reconstruct(POINTS), signature(POINTS)
+    assert expected.deviation is not None
+    assert len(surface.others) == 1
+    assert signature(surface) == expected
+    sent = pickle.loads(pickle.dumps(surface))
+    assert sent == surface and sent.others == surface.others
+    assert signature(sent) == expected
+    stages = [step.stage for step in process(surface).provenance]
+    assert stages == [step.stage for step in process(POINTS).provenance]
+
+
+def test_a_changed_surface_carries_none_of_the_scan() -> None:
+    assert replace(reconstruct(POINTS), provenance=()).others == ()
+
+
+def test_a_scan_that_passed_some_stages_passes_the_others_only() -> None:
+    scattered = PointCloud(np.vstack([POINTS, [[40, 40, 40]]]))
+    expected, cloud = signature(scattered), scattered
+    for stage, name in ((pr.crop, "crop"), (pr.clean, "clean"), (pr.orient, "orient")):
+        cloud = stage(cloud)
+        assert cloud.provenance[-1].stage == name
+        assert signature(cloud).distance(expected) < 1e-3, name
+    assert len(cloud.points) < len(POINTS) and cloud.normals is not None
+    outwards = cloud.points - POINTS.mean(axis=0)
+    assert ((cloud.normals * outwards).sum(axis=1) > 0).mean() > 0.8
+
+
+def test_filters_take_clouds_of_open3d_and_say_what_they_cannot_take() -> None:
+    cloud = pr.crop(POINTS)
+    given: tuple[Callable[[], Any], ...]
+    given = cloud.to_open3d, lambda: cloud.to_open3d(tensor=True)
+    for made in given:
+        np.testing.assert_allclose(pr.crop(made()).points, cloud.points, rtol=1e-6)
+    with pytest.raises(InputError, match="a scan must be a path, an \\(n, 3\\) array"):
+        pr.crop(5)  # type: ignore[arg-type]
+    with pytest.raises(ReconstructionError, match=r"\[clean\] a scan needs at least 100 points"):
+        pr.clean(POINTS[:50])
+    with pytest.raises(ReconstructionError, match="needs a scan with normals"):
+        pr.orient(POINTS, {"scan": {"orientation": "given"}})
+
+
+def compactness(mesh: TriangleMesh) -> tuple[float, float]:
+    return mesh.volume / mesh.area**1.5, mesh.euler_characteristic
+
+
+def test_a_function_of_a_mesh_is_a_descriptor() -> None:
+    made = signature(POINTS, method=compactness)
+    assert (made.kind, made.metric, len(made)) == ("compactness", "values", 2)
+    surface = reconstruct(POINTS)
+    each = np.array([compactness(mesh) for mesh in (surface, *surface.others)])
+    np.testing.assert_allclose(made.values, each.mean(axis=0))
+    assert made.deviation is not None and made.deviation[1] == 0
+    with pytest.raises(ShapeError, match="the descriptor 'no_mesh' failed, AttributeError"):
+
+        def no_mesh(mesh: TriangleMesh) -> float:
+            return float(mesh.nothing)  # type: ignore[attr-defined]
+
+        signature(shapes.body(), method=no_mesh)
+
+
+def test_a_descriptor_of_ones_own_needs_no_package() -> None:
+    own = pr.Descriptor(
+        "heat-trace",
+        lambda shape, options: pr.Signature(np.exp(-shape.spectrum.eigenvalues[:9]), "heat-trace"),
+        needs=("spectrum",),
+        length=lambda options: 9,
+    )
+    body = shapes.body()
+    assert signature(body, method=own).kind == "heat-trace"
+    with pytest.raises(ShapeError, match="the descriptor 'heat-trace' must give 8 values"):
+        signature(body, method=replace(own, length=lambda options: 8))
 
 
 @pytest.mark.parametrize("scan", [POINTS, shapes.body(4)], ids=["cloud", "mesh"])
