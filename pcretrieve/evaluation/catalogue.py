@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping, Set
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from pcretrieve.ingestion.labels import labels_of, match_labels
 from pcretrieve.options import OptionsLike, PipelineOptions, RerankKind
 from pcretrieve.retrieval import DistanceBlock, DistanceMatrix, people, table_whitening
 from pcretrieve.values import SignatureTable
-from pcretrieve.values.base import check_type, numbers
+from pcretrieve.values.base import numbers
 
 logger = logging.getLogger(__name__)
 
@@ -41,7 +41,7 @@ class RankedShapes(NamedTuple):
 def rank_shapes(
     shapes: CatalogueLike | SignatureTable | DistanceMatrix | ArrayLike,
     options: OptionsLike = None,
-    labels: str | Path | Sequence[object] | None = None,
+    labels: str | Path | Iterable[object] | None = None,
     *,
     matrix: DistanceMatrix | None = None,
     good_only: bool = False,
@@ -55,8 +55,8 @@ def rank_shapes(
         distances = shapes if isinstance(shapes, DistanceMatrix) else _numbered(shapes)
         classes = _classes_of_rows(distances, labels)
         return _of_matrix(distances, classes, {}, PipelineOptions.of(options).retrieval.rerank)
-    if labels is not None:
-        check_type("labels of a catalogue", labels, str, Path)
+    if not isinstance(labels, (str, Path, type(None))):
+        raise InputError("labels of a catalogue must be a label file or a layout, not a list")
     with Catalogue.opened(shapes) as store:
         chosen = PipelineOptions.of(options, store.options)
         ranked = _of_catalogue(store, chosen, labels, matrix)._replace(options=chosen)
@@ -157,7 +157,7 @@ def _numbered(distances: ArrayLike) -> DistanceMatrix:
 
 
 def _classes_of_rows(
-    distances: DistanceMatrix, labels: str | Path | Sequence[object] | None
+    distances: DistanceMatrix, labels: str | Path | Iterable[object] | None
 ) -> Mapping[str, str | None]:
     """The classes of the rows of distances: those that are given, or those that they have."""
     if isinstance(labels, (str, Path)):

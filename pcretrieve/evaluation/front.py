@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -83,7 +83,7 @@ class Evaluation(measures.RetrievalMeasures):
 
 def evaluate(
     shapes: CatalogueLike | SignatureTable | DistanceMatrix | ArrayLike,
-    labels: str | Path | Sequence[object] | None = None,
+    labels: str | Path | Iterable[object] | None = None,
     *,
     options: OptionsLike = None,
     matrix: DistanceMatrix | None = None,

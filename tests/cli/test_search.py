@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -217,11 +218,11 @@ def test_two_settings_matrices_and_files_give_one_comparison(eggs: Path, tmp_pat
         "retrieval": {"whitening": "none", "distance": "d1"},
         "signature": {"method": "r-bihdm", "n_values": 5},
     }
-    settings = {
-        "one": (plain, "--distance", "log"),
-        "two": (short, "--distance", "d1", "--n-values", 5),
+    settings: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
+        "one": (plain, ("--distance", "log")),
+        "two": (short, ("--distance", "d1", "--n-values", "5")),
     }
-    for name, (options, *flags) in settings.items():
+    for name, (options, flags) in settings.items():
         pr.write_matrix(pr.matrix(catalogue, options=options), tmp_path / f"{name}.txt")
         run("evaluate", "-c", catalogue, *PLAIN, *METHOD, *flags, "--csv", tmp_path / name)
     expected = pr.compare(catalogue, catalogue, options=plain, second_options=short)

@@ -90,7 +90,7 @@ def test_distances_that_fit_no_labels_are_refused() -> None:
         InputError, match=r"a distance matrix must have shape \(2, 2\), got \(2, 3\)"
     ):
         pr.evaluate(square[:2], ["a", "a"])
-    with pytest.raises(InputError, match="labels of a catalogue must be of the type str or Path"):
+    with pytest.raises(InputError, match="labels of a catalogue must be a label file or a layout"):
         pr.evaluate("bodies.sqlite", ["a", "a"])
 
 
