@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
 import shapes
+from benchmarks.__main__ import BENCHMARKS
 from benchmarks.paper.shapes import drifts, noisy, perturbed, planar_mesh
 from benchmarks.paper.spectra import (
     FIGURE_6,
@@ -28,11 +31,47 @@ from pcretrieve.surface import defects
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 
 
-def printed(script: str, *arguments: object) -> str:
-    command = [sys.executable, str(SCRIPTS / script), *map(str, arguments)]
-    ended = subprocess.run(command, capture_output=True, text=True)
+def printed(name: str, *arguments: object) -> str:
+    command = [sys.executable, "-m", "benchmarks", name, *map(str, arguments)]
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=SCRIPTS)
     assert ended.returncode == 0, ended.stderr
     return ended.stdout
+
+
+def test_every_benchmark_that_a_document_names_is_there() -> None:
+    documents = [*SCRIPTS.parent.glob("*.md"), *(SCRIPTS.parent / "docs").rglob("*.md")]
+    text = " ".join(path.read_text("utf-8") for path in documents)
+    shown = re.findall(r"`scripts/benchmark\s([a-z_]+)([^`]*)`", text)
+    assert {name for name, _ in shown} >= BENCHMARKS.keys() - {
+        *("house", "make_people", "make_scans", "sample")  # which have scripts of their own
+    }
+    for name, words in shown:
+        found = find_spec(f"benchmarks.{BENCHMARKS[name][0]}")
+        assert found is not None and found.origin is not None, name
+        source = Path(found.origin).read_text("utf-8")
+        source += (SCRIPTS / "benchmarks" / "measuring.py").read_text("utf-8")
+        assert [flag for flag in re.findall(r"--[a-z-]+", words) if f'"{flag}"' not in source] == []
+
+
+def test_a_benchmark_finds_its_environment(tmp_path: Path) -> None:
+    """From another folder, without an active environment; here nothing is installed."""
+    (tmp_path / "scripts").mkdir()
+    for name in ("benchmark", "house"):
+        shutil.copy(SCRIPTS / name, tmp_path / "scripts")
+    (tmp_path / "scripts" / "setup").write_text("#!/bin/sh\n")
+    (tmp_path / "scripts" / "setup").chmod(0o755)
+    (tmp_path / "scripts" / "benchmarks").symlink_to(SCRIPTS / "benchmarks")
+    (tmp_path / ".venv").symlink_to(sys.prefix)
+    for words, printed_line in (
+        (["benchmark"], "usage: scripts/benchmark NAME"),
+        (["house", "--help"], "usage: benchmark house"),
+    ):
+        command = [str(tmp_path / "scripts" / words[0]), *words[1:]]
+        ended = subprocess.run(
+            command, cwd="/", env={"PATH": "/usr/bin:/bin"}, capture_output=True, text=True
+        )
+        assert ended.returncode == 0, ended.stderr
+        assert ended.stdout.startswith(printed_line)
 
 
 def test_drums_sound_alike_and_have_different_signatures_as_printed_in_figure_6() -> None:
@@ -113,7 +152,7 @@ def test_every_script_prints_its_figures(tmp_path: Path) -> None:
     parts = [
         word for part in ("figure1", "figure6", "table4", "figure7") for word in ("--only", part)
     ]
-    paper = printed("reproduce_paper", "--data", tmp_path, "--output", tmp_path / "out", *parts)
+    paper = printed("paper", "--data", tmp_path, "--output", tmp_path / "out", *parts)
     assert "Figure 6, drums of 969 and 969 vertices" in paper
     page = (tmp_path / "out" / "paper.html").read_text("utf-8")
     assert "Figure 1: 15 meshes of shrec11, of 5 classes" in page
@@ -123,19 +162,17 @@ def test_every_script_prints_its_figures(tmp_path: Path) -> None:
     assert len(systems) == 16
     # Values by area tell lengths of 1.5 and 3 apart without an error; girths, which are alike, do not help.
     assert systems[-2].endswith(" 1.000") and float(systems[-1].split()[-1]) > 0.9
-    assert re.search(r"median \d+\.\d{3} s", printed("benchmark_spectral", "--part", "signature"))
-    squares = printed("benchmark_spectral", "--part", "square")
+    assert re.search(r"median \d+\.\d{3} s", printed("spectral", "--part", "signature"))
+    squares = printed("spectral", "--part", "square")
     assert len(re.findall(r" order (5\.9|6\.0)\d\n", squares)) == 6
     assert [float(error) < 1e-5 for error in re.findall(r" 36 vertices  error (\S+)", squares)] == [
         True
     ] * 2
-    searched = printed(
-        "benchmark_catalogue", "--shapes", "10000", "--meshes", "2", "--merged", "1000"
-    )
+    searched = printed("catalogue", "--shapes", "10000", "--meshes", "2", "--merged", "1000")
     assert searched.count("5 of 5 as by brute force") >= 6
-    assert "shrec11" in printed("benchmark_retrieval", "--data", tmp_path, "--only", "shrec11")
-    assert "cold command" in printed("benchmark_speed", "--part", "command")
-    assert "scans" in printed("benchmark_batch", "--scans", "4", "--rounds", "1")
+    assert "shrec11" in printed("retrieval", "--data", tmp_path, "--only", "shrec11")
+    assert "cold command" in printed("speed", "--part", "command")
+    assert "scans" in printed("batch", "--scans", "4", "--rounds", "1")
     small = ("--shapes", "100", "--clients", "2", "--seconds", "1", "--meshes", "400")
-    served = printed("benchmark_serve", *small)
+    served = printed("serve", *small)
     assert len(re.findall(r"^/.* ms +0$", served, re.MULTILINE)) == 9

@@ -37,7 +37,7 @@ from pcretrieve.values import FloatArray
 
 # mean (105,), within and total (105, 105), scale (105,): the moments of the coordinates of hapt, of 59 values
 # of r-bihdm and of log area, divided by the scale of each; network (137, H): A, a and B one above the other,
-# of hapt and N_VALUES of r-bihdm, with H hidden units. Written by scripts/benchmark_people --learn.
+# of hapt and N_VALUES of r-bihdm, with H hidden units. Written by scripts/benchmark people --learn.
 SAMPLE = "people.npz"
 N_VALUES = 23
 
@@ -109,7 +109,7 @@ def people(
 ) -> People | None:
     """The moments of the coordinates of signatures by some options; None if they are not known.
 
-    arrays: those of `SAMPLE`, by default; or others that scripts/benchmark_people has learned.
+    arrays: those of `SAMPLE`, by default; or others that scripts/benchmark people has learned.
     """
     names = fused_names(options.method)
     is_known = set(names) <= set(BEGINS) and len(set(names)) == len(names)

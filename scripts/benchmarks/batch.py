@@ -1,6 +1,6 @@
 """Rates of an ingest: in one process, isolated, with two workers, and by a Dask cluster of this computer.
 
-    .venv/bin/python scripts/benchmark_batch
+    scripts/benchmark batch
 
 Scans of simulated people are ingested by each executor in turn, several rounds, so that other load on the
 machine slows all alike. A rate is that of the scans after the first outcome: the time until then, in which

@@ -1,6 +1,6 @@
 """Print times, memory and disk space of large catalogues, and the rate at which small meshes are ingested.
 
-    .venv/bin/python scripts/benchmark_catalogue
+    scripts/benchmark catalogue
 
 Catalogues of 100,000 and of a million shapes are made in a temporary folder from the seed 0: records and
 signatures of 45 values, by `r-bihdm`, but neither spectra nor meshes. Queries ask for ten shapes; those of

@@ -3,7 +3,8 @@
 The clean mesh is the ground truth for the normals, the surface and the signature of its scan. Every run
 prints the same numbers, except for times, because every scan has a random generator. A scan takes
 about 4 seconds, a third of them for the measurements: 13 minutes for the 176 meshes of both sets under one
-condition, on one core.
+condition, on one core. With --changes, meshes are not scanned but changed, by another resolution, noise or
+lost faces, and are queries in the clean meshes: each column is the mean average precision by one descriptor.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
+from benchmarks.changes import lines_of_changes
 from benchmarks.measuring import (
     Column,
     Table,
@@ -69,9 +71,9 @@ from pcretrieve.values import FloatArray, PointCloud, Shape, SignatureTable, Tri
 from pcretrieve.values.files import write_file
 
 EPILOG = """example:
-  scripts/benchmark_fidelity --set humans --limit 10
-  scripts/benchmark_fidelity --conditions typical-uniform harsh-rig --config mine.toml --name mine --csv f.csv
-  scripts/benchmark_fidelity --bodies 30000 1000000
+  scripts/benchmark fidelity --set humans --limit 10
+  scripts/benchmark fidelity --conditions typical-uniform harsh-rig --config mine.toml --name mine --csv f.csv
+  scripts/benchmark fidelity --bodies 30000 1000000
 
 --conditions:
   easy|typical|harsh - uniform|rig          points only, uniform or seen by nine cameras
@@ -107,9 +109,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given.workers == 1:
         use_one_core()
     try:
-        print_lines(
-            _of_bodies(given.bodies) if given.bodies else _run(given, _configurations(given))
-        )
+        if given.bodies:
+            print_lines(_of_bodies(given.bodies))
+        elif given.changes:
+            print_lines(lines_of_changes(given.data, given.limit, given.set or [*SETS]))
+        else:
+            print_lines(_run(given, _configurations(given)))
     except PcretrieveError as error:
         sys.exit(str(error))
 
@@ -146,6 +151,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         help="only scan analytic bodies, with N points",
     )
+    add("--changes", action="store_true", help="only change the meshes, and print the rankings")
     add(
         "--textbook",
         type=positive,

@@ -1,6 +1,6 @@
 """Write meshes of TOSCA whose parts touch by trimesh in each format, and print what is read.
 
-    .venv/bin/python scripts/benchmark_formats --data FOLDER
+    scripts/benchmark formats --data FOLDER
 
 Parts touch where six pairs of vertices, near each other in space and far along the surface, lie at one
 position. Printed are the defects, the verdict, and the largest change of a log-value of `r-bihdm`.

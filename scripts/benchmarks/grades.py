@@ -1,8 +1,8 @@
 """Print what scans of many kinds of bodies by many sensors are called, whole and damaged.
 
-    scripts/benchmark_grades --scans scans --anny bodies --data data       # makes the scans, once
-    scripts/benchmark_grades --scans scans --run before.jsonl              # examines them, and prints
-    scripts/benchmark_grades --scans scans --run before.jsonl --leave-out turntable     # only prints
+    scripts/benchmark grades --scans scans --anny bodies --data data       # makes the scans, once
+    scripts/benchmark grades --scans scans --run before.jsonl              # examines them, and prints
+    scripts/benchmark grades --scans scans --run before.jsonl --leave-out turntable     # only prints
 
 Kinds: people of Anny (bodies: make_people --bodies), animals, hands, bones and parts of machines. Sensors:
 nine cameras; uniform points with noise, six holes and strays; one depth camera beside a turntable, with hair

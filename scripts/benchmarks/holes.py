@@ -1,8 +1,8 @@
 """Print how far the signature moves if a scan of a person has one hole, by its place and its radius.
 
-    scripts/benchmark_holes --people people --anny bodies        # bodies: make_people --bodies
-    scripts/benchmark_holes --people simulated --limit 4 --places crown shin --radii 3 4
-    scripts/benchmark_holes --people tosca-people --output holes --worst 4
+    scripts/benchmark holes --people people --anny bodies        # bodies: make_people --bodies
+    scripts/benchmark holes --people simulated --limit 4 --places crown shin --radii 3 4
+    scripts/benchmark holes --people tosca-people --output holes --worst 4
 
 Each person is scanned whole, by uniform points with noise, and again with all points but those in a ball,
 of which the radius is relative to the diagonal. "moved" is the distance of the default signatures of both

@@ -1,8 +1,8 @@
 """Print the size of the house: tokens, lines, modules, arrows between rooms, options, tests, prose.
 
-    .venv/bin/python scripts/house            # counts, in seconds
-    .venv/bin/python scripts/house --tests    # and the cases, by collecting them
-    .venv/bin/python scripts/house --path     # and the way of a query to the solver, by running one
+    scripts/house            # counts, in seconds
+    scripts/house --tests    # and the cases, by collecting them
+    scripts/house --path     # and the way of a query to the solver, by running one
 
 A room is a package or a module at the top of `pcretrieve/`. An arrow leads from a room to a room that it
 imports, also in a function or for type checkers only. Templates, styles and scripts of pages are lines too.

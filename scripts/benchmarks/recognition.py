@@ -2,9 +2,9 @@
 
     scripts/make_people --out seen --people 1500 --seed 1     # and others of other seeds
     pcretrieve ingest seen --labels seen/labels.csv -c seen.sqlite
-    scripts/benchmark_people seen.sqlite --unseen 1000        # learns from the others, and prints the curve
-    scripts/benchmark_people seen.sqlite --learn              # writes pcretrieve/retrieval/people.npz
-    scripts/benchmark_people others.sqlite --coarser          # adds what coarser meshes of scans change
+    scripts/benchmark people seen.sqlite --unseen 1000        # learns from the others, and prints the curve
+    scripts/benchmark people seen.sqlite --learn              # writes pcretrieve/retrieval/people.npz
+    scripts/benchmark people others.sqlite --coarser          # adds what coarser meshes of scans change
 
 Each scan is a query in all other scans. Rank-1 is the share of queries whose nearest scan is of the same
 person; rank-5, of which one of the nearest five people is this person. They are the expected values over all

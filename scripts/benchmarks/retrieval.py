@@ -1,6 +1,6 @@
 """Print retrieval measures of labelled sets with every whitening and re-ranking.
 
-    .venv/bin/python scripts/benchmark_retrieval --data FOLDER --keep FOLDER
+    scripts/benchmark retrieval --data FOLDER --keep FOLDER
 
 FOLDER of --data has the subfolders shrec11, tosca and shrec14_csd, as far as they are there; simulated people
 and the scans in scans/ need no data. With --keep, the catalogues stay in a folder, so that the next run
@@ -81,7 +81,7 @@ WHITENINGS = ("none", "pca", "neighbours", "unsupervised", "within-class")
 CALIBRATIONS = (3, 10)
 PEOPLE = ("people-scans", *VECTORS)
 
-# The condition of benchmark_fidelity under which the meshes of a set are scanned.
+# The condition of `scripts/benchmark fidelity` under which the meshes of a set are scanned.
 CONDITIONS = {
     "tosca-scans": "typical-uniform",
     "tosca-sensors": "typical-uniform-sensors",

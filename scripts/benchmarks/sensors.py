@@ -29,8 +29,8 @@ from pcretrieve.values.geometry import edge_graph
 # Noise, relative to the diagonal; strays, relative to the points; rays that look for the outside.
 NOISE, STRAYS, N_RAYS = 0.001, 0.003, 48
 
-# Number of points, of holes, and their least and largest radius, of the scans that `benchmark_fidelity` calls
-# typical.
+# Number of points, of holes, and their least and largest radius, of the scans that the benchmark calls
+# typical (benchmarks.fidelity).
 N_TYPICAL, N_HOLES, HOLES = 30_000, 6, (0.01, 0.03)
 
 

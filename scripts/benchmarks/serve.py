@@ -1,8 +1,8 @@
 """Print how many requests a second the search page of a large catalogue answers, and how long they take.
 
-    .venv/bin/python scripts/benchmark_serve
+    scripts/benchmark serve
 
-A catalogue of 100,000 shapes is made in a temporary folder from the seed 0, as by `benchmark_catalogue`:
+A catalogue of 100,000 shapes is made in a temporary folder from the seed 0, as by the benchmark catalogue:
 records and signatures, but neither spectra nor meshes. `pcretrieve serve` runs in a process of its own, and
 50 clients, each with one connection, ask for one page after the other without a pause: for the first page of
 the collection, for the same as JSON, and for others; first alone, and then beside `pcretrieve ingest` of

@@ -1,13 +1,13 @@
 """Compute the arrays that the package ships, and write them into it.
 
-    .venv/bin/python scripts/sample heat          # half a minute
-    .venv/bin/python scripts/sample dictionary    # a quarter of an hour
+    scripts/sample heat          # half a minute
+    scripts/sample dictionary    # a quarter of an hour
 
 heat: hks_sample.npy, (2, s, 6) heat kernel signatures, plain and scale-invariant, and wavelet_sample.npy,
 (s, 3) spectral graph wavelet signatures, of the same points of simulated bodies, from which the vocabularies
 of the bags of features are clustered; those of the package are of bodies with other triangles. dictionary:
 the atoms of the descriptors dl and dl-supervised, learned without labels and with them. The
-metric of people is learned by scripts/benchmark_people.
+metric of people is learned by scripts/benchmark people.
 """
 
 from __future__ import annotations

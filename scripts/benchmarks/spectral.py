@@ -1,7 +1,7 @@
 """Time the spectral core on one thread, against LaPy, on the same meshes in the same run.
 
     .venv/bin/pip install -e '.[benchmark]'
-    .venv/bin/python scripts/benchmark_spectral --data FOLDER
+    scripts/benchmark spectral --data FOLDER
 
 needs the set `tosca` in the folder; without it, all meshes are bumpy spheres. Runs of pcretrieve and of LaPy
 alternate, so that other load on the machine affects both. It takes about 5 minutes.

@@ -1,9 +1,9 @@
 """Print how fast pcretrieve is, beside the textbook's chain, LaPy and faiss, in one run.
 
     .venv/bin/pip install -e '.[benchmark]'
-    .venv/bin/python scripts/benchmark_speed
+    scripts/benchmark speed
 
-A scan of a simulated person has 40,000 points. The textbook's chain is that of `benchmark_fidelity`: normals
+A scan of a simulated person has 40,000 points. The textbook chain is that of benchmarks.fidelity: normals
 and Poisson reconstruction by Open3D, fTetWild, and LaPy. What is compared runs by turns, on one thread; times
 are medians of wall-clock time. The shapes that are searched are drawn with the covariances within and between
 people, and have the default length and whitening; or they are isotropic, as PCA leaves signatures of R-BiHDM.

@@ -1,6 +1,6 @@
 """Repeat the experiments of the paper, and print the figures beside those of the paper.
 
-    .venv/bin/python scripts/reproduce_paper --data FOLDER --output paper
+    scripts/benchmark paper --data FOLDER --output paper
 
 needs the sets `shrec11`, `tosca` and `mpeg7` in the folder; parts whose set is missing are left out, with a
 line of output. Table 5 takes the meshes of SHREC'14 from the folders `shrec14-synthetic` and `shrec14-real`,

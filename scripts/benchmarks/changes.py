@@ -1,4 +1,4 @@
-"""Print what resolution, noise, missing faces, motions and scanning do to rankings, by several descriptors.
+"""What resolution, noise, missing faces, motions and scanning do to rankings, by several descriptors.
 
 The gallery are the clean meshes of a set, used as they are. Each mesh is changed in one way, and is then a
 query; all meshes of its class are relevant, its own among them. The whitening is `unsupervised`, fitted to
@@ -16,14 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.measuring import (
-    Column,
-    Table,
-    add_data,
-    all_in_workers,
-    argument_parser,
-    print_lines,
-)
+from benchmarks.measuring import Column, Table, all_in_workers
 from benchmarks.paper.shapes import noisy, without_faces
 from benchmarks.recognition import fused_points
 from benchmarks.sets import SETS, Item, left_out, to_faces
@@ -74,19 +67,8 @@ TABLE = Table(
 )
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the table."""
-    parser = argument_parser(__doc__)
-    add_data(parser)
-    parser.add_argument("--limit", type=int, default=None, help="bodies of each set (default: all)")
-    parser.add_argument(
-        "--only", nargs="+", choices=SETS, default=list(SETS), help="some sets only"
-    )
-    given = parser.parse_args(arguments)
-    print_lines(_lines(given.data, given.limit, given.only))
-
-
-def _lines(data: Path, limit: int | None, only: Sequence[str]) -> Iterator[str]:
+def lines_of_changes(data: Path, limit: int | None, only: Sequence[str]) -> Iterator[str]:
+    """Lines of each change of the meshes of some sets, as soon as they are known."""
     yield TABLE.head
     for name, items in ((name, SETS[name]) for name in only):
         if name == "tosca" and (missing := left_out(name, data / name)):
