@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import shlex
 import subprocess
 from functools import partial
@@ -65,6 +66,12 @@ def test_every_page_is_in_one_table_of_contents() -> None:
 def test_the_reference_has_the_public_names_and_no_others() -> None:
     names = re.findall(r"^   (\w+)$", (ROOT / "docs" / "reference.rst").read_text("utf-8"), re.M)
     assert sorted(names) == sorted({*pcretrieve.__all__} - {"__version__"})
+
+
+def test_the_page_of_options_is_that_of_the_code() -> None:
+    """Written by docs/option_tables.py."""
+    written = runpy.run_path(str(ROOT / "docs" / "option_tables.py"))["page"]()
+    assert (ROOT / "docs" / "options.md").read_text("utf-8") == written
 
 
 def test_the_dockerfile_says_what_the_project_says() -> None:
