@@ -17,7 +17,7 @@ HEAD = """\
 # Options
 
 All options with their defaults. `docs/option_tables.py` writes this page from the texts that `pcretrieve lab
-options` prints: change these in `pcretrieve/options/tables.py`. `--config` takes a TOML file with some of them:
+options` prints: change these in `pcretrieve/options/tables.py`. `--config` takes a TOML file with some:
 
 ```toml
 [signature]

@@ -145,7 +145,7 @@ def test_lying_shapes_are_turned_by_a_click(browser: Browser, eggs: Path, tmp_pa
     with running(lying) as server, opened(browser, server.address) as page:
         seen = {"If-None-Match": server.ask("/shapes/Egg20/thumbnail.png").headers["etag"]}
         assert server.ask("/shapes/Egg20/thumbnail.png", headers=seen).status == 304
-        page.get_by_text("Does anything lie?").click()
+        page.get_by_text("Turn upright").click()
         page.get_by_role("button", name="-x").click()
         page.get_by_text("The axis -x is up").wait_for()
         assert server.ask("/shapes/Egg20/thumbnail.png", headers=seen).status == 200
