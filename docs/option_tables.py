@@ -20,6 +20,7 @@ All options with their defaults. `docs/option_tables.py` writes this page from t
 options` prints: change these in `pcretrieve/options/tables.py`. `--config` takes a TOML file with some:
 
 ```toml
+# mine.toml
 [signature]
 size_weight = 6.0
 ```
