@@ -26,7 +26,7 @@ ROOT = Path(__file__).parents[1]
 COPYLEFT = re.compile(r"\bA?GPL|GNU (Affero )?General Public", re.IGNORECASE)
 
 # What a checkout alone has a use for: the gates of the repository, and the settings of version control.
-ONLY_IN_A_CHECKOUT = (".ci/", ".gitignore", ".pre-commit-config.yaml")
+ONLY_IN_A_CHECKOUT = (".ci/", ".github/", ".gitignore", ".pre-commit-config.yaml")
 
 
 def tracked_files() -> list[str]:

@@ -22,6 +22,8 @@ DOCKERFILE = (ROOT / "Dockerfile").read_text(encoding="utf-8")
 DOCUMENTS = sorted(
     [*ROOT.glob("*.md"), ROOT / "scans" / "README.md", *(ROOT / "docs").rglob("*.md")]
 )
+# Workflows that have passed once; the others say in their first line that they have not.
+RUN: set[str] = set()
 ALL = "".join(path.read_text(encoding="utf-8") for path in DOCUMENTS if path.name != "CHANGELOG.md")
 
 
@@ -87,6 +89,25 @@ def test_the_dockerfile_says_what_the_project_says() -> None:
     assert all((ROOT / name).exists() for name in copied)
     (command,) = re.findall(r'^ENTRYPOINT \["(.+?)"', text, re.M)
     assert f"\n{command} = " in project
+
+
+def test_workflows_run_what_is_there_and_say_whether_they_ever_ran() -> None:
+    yaml = pytest.importorskip("yaml")
+    project = (ROOT / "pyproject.toml").read_text("utf-8")
+    commands: set[str] = set()
+    for path in sorted((ROOT / ".github" / "workflows").glob("*.yml")):
+        text = path.read_text("utf-8")
+        assert text.startswith("# Never run yet") or path.stem in RUN, path.name
+        for job in yaml.safe_load(text)["jobs"].values():
+            for python in job.get("strategy", {}).get("matrix", {}).get("python", ()):
+                assert f'"Programming Language :: Python :: {python}"' in project, path.name
+            commands |= {step["run"] for step in job["steps"] if "run" in step}
+    called = {script for command in commands for script in re.findall(r"^scripts/\w+", command)}
+    assert called == {"scripts/check", "scripts/test", "scripts/docs"}
+    assert {"scripts/test", "scripts/test --all"} <= commands
+    for form in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"):
+        fields = yaml.safe_load(form.read_text("utf-8"))
+        assert form.stem == "config" or {"name", "description", "body"} <= fields.keys(), form.name
 
 
 def test_the_image_has_locked_packages_and_no_root() -> None:
