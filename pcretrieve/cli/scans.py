@@ -192,7 +192,8 @@ def reconstruct_command(
 
 def _reconstructed(scan: Path, file: Path, options: pr.PipelineOptions) -> dict[str, Any]:
     """Write the surface of a scan, in a worker process, and measure it."""
-    mesh = pr.reconstruct(scan, options)
+    # A file has the first surface alone.
+    mesh = pr.reconstruct(scan, options.changed(surface={"reconstructions": 1}))
     pr.write_mesh(mesh, file)
     return {
         "mesh": str(file),

@@ -26,7 +26,6 @@ logger = logging.getLogger(__name__)
 class RankedShapes(NamedTuple):
     """The rankings of some shapes; `plain` without re-ranking.
 
-    options: with which the shapes of a catalogue were ranked.
     n_left_out: number of queries that were left out because their scans are not good.
     """
 
@@ -34,7 +33,6 @@ class RankedShapes(NamedTuple):
     plain: Rankings
     table: SignatureTable | None = None
     whitening: str = ""
-    options: PipelineOptions | None = None
     n_left_out: int = 0
 
 
@@ -59,7 +57,7 @@ def rank_shapes(
         raise InputError("labels of a catalogue must be a label file or a layout, not a list")
     with Catalogue.opened(shapes) as store:
         chosen = PipelineOptions.of(options, store.options)
-        ranked = _of_catalogue(store, chosen, labels, matrix)._replace(options=chosen)
+        ranked = _of_catalogue(store, chosen, labels, matrix)
         if not good_only:
             return ranked
         good = {record.id for record in store.records() if not record.is_incomplete}

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ from pcretrieve.errors import InputError
 from pcretrieve.evaluation import measures
 from pcretrieve.evaluation.catalogue import rank_shapes
 from pcretrieve.evaluation.rankings import Rankings
-from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.options import OptionsLike
 from pcretrieve.retrieval import DistanceMatrix, ids_path, read_matrix
 from pcretrieve.values import FloatArray
 from pcretrieve.values.base import Value
@@ -58,9 +58,6 @@ class Comparison(Value):
     changes: tuple[Change, ...]
     only_first: tuple[str, ...]
     only_second: tuple[str, ...]
-    # With which options each result was computed; None for a file of distances or measures.
-    first_options: PipelineOptions | None = field(default=None, compare=False, repr=False)
-    second_options: PipelineOptions | None = field(default=None, compare=False, repr=False)
 
 
 def compare_scores(first: measures.QueryScores, second: measures.QueryScores) -> Comparison:
@@ -168,14 +165,13 @@ def result_scores(
     result: CatalogueLike | DistanceMatrix,
     options: OptionsLike = None,
     labels: str | Path | None = None,
-) -> tuple[measures.QueryScores, PipelineOptions | None]:
-    """The measures of each query, and the options by which a catalogue was ranked; None for files."""
+) -> measures.QueryScores:
+    """The measures of each query of a catalogue, a distance matrix or a file."""
     if isinstance(result, (str, Path)) and Path(result).suffix.lower() == ".csv":
-        return read_scores(result), None
+        return read_scores(result)
     if isinstance(result, (str, Path)) and _is_matrix(Path(result)):
         result = read_matrix(result)
-    ranked = rank_shapes(result, options, labels)
-    return measures.query_scores(ranked.rankings), ranked.options
+    return measures.query_scores(rank_shapes(result, options, labels).rankings)
 
 
 def _is_matrix(path: Path) -> bool:

@@ -164,14 +164,12 @@ def compare(
     InputError
         If a file cannot be read, or the results have no query in common.
     """
-    (one, one_options), (two, two_options) = (
-        (one.scores, None) if isinstance(one, Evaluation) else result_scores(one, chosen, labels)
-        for one, chosen in (
-            (first, options),
-            (second, options if second_options is None else second_options),
-        )
+    others = options if second_options is None else second_options
+    one, two = (
+        result.scores if isinstance(result, Evaluation) else result_scores(result, chosen, labels)
+        for result, chosen in ((first, options), (second, others))
     )
-    return replace(compare_scores(one, two), first_options=one_options, second_options=two_options)
+    return compare_scores(one, two)
 
 
 def calibrate(
