@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import takewhile
 from pathlib import Path
 from typing import TypeVar
 
@@ -63,6 +64,9 @@ V = TypeVar("V", PointCloud, TriangleMesh)
 
 _remembered: dict[tuple[str, str], Shape] = {}
 N_REMEMBERED = 200
+
+# The stages of points. A cloud that has passed some of them last does not pass these again.
+FILTERS = ("crop", "clean", "orient")
 
 
 def signature(
@@ -355,11 +359,14 @@ def _stages(scan: ScanLike, options: PipelineOptions) -> Iterator[Seen]:
         value = as_scan(scan, options.scan.unit)
     if isinstance(value, TriangleMesh):
         yield Seen(scan=PointCloud(value.vertices, provenance=value.provenance))
-        if value.others and options.surface.mode != "reconstruct":
-            yield Seen(mesh=value, others=value.others)
+        of_points = ELEMENTS[options.spectral.element].needs == "points"
+        if value.others and not of_points and options.surface.mode != "reconstruct":
+            mesh, *others = (
+                _with_few_faces(each, options.surface) for each in (value, *value.others)
+            )
+            yield Seen(mesh=mesh, others=tuple(others))
             return
         with in_stage(Stage.SURFACE):
-            of_points = ELEMENTS[options.spectral.element].needs == "points"
             kept = None if of_points else sound_mesh(value, options.surface)
             used = (
                 sampled(value, options.surface)
@@ -376,7 +383,8 @@ def _stages(scan: ScanLike, options: PipelineOptions) -> Iterator[Seen]:
 
 def _of_scan(value: PointCloud, options: PipelineOptions) -> Iterator[Seen]:
     yield (seen := Seen(scan=value))
-    done = {step.stage for step in value.provenance}
+    latest = (step.stage for step in reversed(value.provenance))
+    done = set(takewhile(FILTERS.__contains__, latest))
     # Normals of a file are not shown before they are oriented, because they need not point outwards.
     with in_stage(Stage.CROP):
         cloud = value if "crop" in done else points.crop(value, options.scan)

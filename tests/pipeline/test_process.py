@@ -19,7 +19,7 @@ from pcretrieve import Catalogue, PipelineOptions, PointCloud, TriangleMesh, rec
 from pcretrieve.errors import InputError, ReconstructionError, ScanReadError, ShapeError
 from pcretrieve.formats import ScanLike, write_mesh
 from pcretrieve.options import PRESETS
-from pcretrieve.pipeline.process import moved, process
+from pcretrieve.pipeline.process import moved, process, stages
 from pcretrieve.surface import defects
 
 POINTS = shapes.points_on(shapes.body(), 8000)
@@ -35,29 +35,49 @@ def test_a_mesh_has_one_signature_in_any_unit_and_place() -> None:
         np.testing.assert_allclose(signature(other).values, values, rtol=1e-6)
 
 
-def test_the_signature_of_the_surface_of_a_scan_is_that_of_the_scan() -> None:
-    surface, expected = reconstruct(POINTS), signature(POINTS)
-    assert expected.deviation is not None
+@pytest.fixture(scope="module")
+def surface() -> TriangleMesh:
+    return reconstruct(POINTS)
+
+
+def test_the_signature_of_the_surface_of_a_scan_is_that_of_the_scan(surface: TriangleMesh) -> None:
     assert len(surface.others) == 1
+    expected = signature(POINTS)
+    assert expected.deviation is not None
     assert signature(surface) == expected
+
+
+def test_a_surface_carries_the_others_of_its_scan_to_other_processes(surface: TriangleMesh) -> None:
     sent = pickle.loads(pickle.dumps(surface))
     assert sent == surface and sent.others == surface.others
-    assert signature(sent) == expected
-    stages = [step.stage for step in process(surface).provenance]
-    assert stages == [step.stage for step in process(POINTS).provenance]
 
 
-def test_a_changed_surface_carries_none_of_the_scan() -> None:
-    assert replace(reconstruct(POINTS), provenance=()).others == ()
+def test_each_step_of_a_surface_with_others_is_told_once(surface: TriangleMesh) -> None:
+    told = [step.stage for step in process(surface).provenance]
+    assert told == ["crop", "clean", "orient", "surface", "surface", "spectrum", "checks"]
+
+
+def test_options_of_surfaces_hold_for_those_of_a_scan_too(surface: TriangleMesh) -> None:
+    few = reconstruct(surface, {"surface": {"max_faces": 2000}})
+    assert [len(mesh.faces) <= 2000 for mesh in (few, *few.others)] == [True, True]
+    # Points that are sampled from the surface are those of a new cloud, which passes all stages.
+    *_, last = stages(surface, PipelineOptions().changed(spectral={"element": "points"}))
+    assert last.mesh is None and last.cloud is not None
+    assert [step.stage for step in last.cloud.provenance].count("clean") == 2
+
+
+def test_a_changed_surface_carries_none_of_the_scan(surface: TriangleMesh) -> None:
+    assert replace(surface, provenance=()).others == ()
 
 
 def test_a_scan_that_passed_some_stages_passes_the_others_only() -> None:
     scattered = PointCloud(np.vstack([POINTS, [[40, 40, 40]]]))
-    expected, cloud = signature(scattered), scattered
-    for stage, name in ((pr.crop, "crop"), (pr.clean, "clean"), (pr.orient, "orient")):
-        cloud = stage(cloud)
-        assert cloud.provenance[-1].stage == name
-        assert signature(cloud).distance(expected) < 1e-3, name
+    expected = signature(scattered)
+    cropped = pr.crop(scattered)
+    assert signature(cropped).distance(expected) < 1e-3
+    cloud = pr.orient(pr.clean(cropped))
+    assert [step.stage for step in cloud.provenance] == ["crop", "clean", "orient"]
+    assert signature(cloud).distance(expected) < 1e-3
     assert len(cloud.points) < len(POINTS) and cloud.normals is not None
     outwards = cloud.points - POINTS.mean(axis=0)
     assert ((cloud.normals * outwards).sum(axis=1) > 0).mean() > 0.8
@@ -81,10 +101,9 @@ def compactness(mesh: TriangleMesh) -> tuple[float, float]:
     return mesh.volume / mesh.area**1.5, mesh.euler_characteristic
 
 
-def test_a_function_of_a_mesh_is_a_descriptor() -> None:
+def test_a_function_of_a_mesh_is_a_descriptor(surface: TriangleMesh) -> None:
     made = signature(POINTS, method=compactness)
     assert (made.kind, made.metric, len(made)) == ("compactness", "values", 2)
-    surface = reconstruct(POINTS)
     each = np.array([compactness(mesh) for mesh in (surface, *surface.others)])
     np.testing.assert_allclose(made.values, each.mean(axis=0))
     assert made.deviation is not None and made.deviation[1] == 0
@@ -114,9 +133,9 @@ def test_points_need_no_surface(scan: ScanLike) -> None:
     form = {"method": "r-bihdm"}
     options = PipelineOptions().changed(spectral={"element": "points"}, signature=form)
     shape = process(scan, options)
-    stages = [step.stage for step in shape.provenance]
-    assert stages[-2:] == ["spectrum", "checks"]
-    assert "surface" not in stages
+    passed = [step.stage for step in shape.provenance]
+    assert passed[-2:] == ["spectrum", "checks"]
+    assert "surface" not in passed
     body = shapes.body(4)
     assert shape.area == pytest.approx(body.area, rel=0.03)
     assert shape.mesh.area == pytest.approx(shape.area, rel=0.03)
@@ -205,11 +224,11 @@ def test_each_stage_is_logged_once_with_its_repairs(
     with caplog.at_level(logging.INFO, logger="pcretrieve.pipeline"):
         shape = process(scan, PipelineOptions())
     records = [record for record in caplog.records if record.name == "pcretrieve.pipeline"]
-    stages = [
+    logged = [
         record.getMessage().split()[1] for record in records if record.levelno == logging.INFO
     ]
-    assert stages == [step.stage for step in shape.provenance]
-    assert stages[-4:] == ["surface", "surface", "spectrum", "checks"]
+    assert logged == [step.stage for step in shape.provenance]
+    assert logged[-4:] == ["surface", "surface", "spectrum", "checks"]
     repairs = [record.getMessage() for record in records if record.levelno == logging.WARNING]
     assert repairs == [
         f"body.xyz: {step.stage}: {note}" for step in shape.provenance for note in step.notes
