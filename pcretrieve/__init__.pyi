@@ -54,6 +54,21 @@ from .formats import (
     write_mesh as write_mesh,
     write_signatures as write_signatures,
 )
+from .gallery.answers import (
+    Answer as Answer,
+    search as search,
+    search_many as search_many,
+)
+from .gallery.fitted import (
+    index as index,
+    signatures as signatures,
+    stored_signature as stored_signature,
+)
+from .gallery.groups import (
+    cluster as cluster,
+    duplicates as duplicates,
+    places as places,
+)
 from .ingestion.cluster import DaskExecutor as DaskExecutor
 from .ingestion.problems import report_problem as report_problem
 from .ingestion.progress import BatchStatus as BatchStatus, status as status
@@ -73,13 +88,6 @@ from .pipeline.process import (
     process as process,
     reconstruct as reconstruct,
     signature as signature,
-)
-from .query import (
-    Answer as Answer,
-    cluster as cluster,
-    duplicates as duplicates,
-    search as search,
-    search_many as search_many,
 )
 from .retrieval import (
     DistanceMatrix as DistanceMatrix,

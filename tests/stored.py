@@ -8,6 +8,8 @@ from typing import Any
 
 from pcretrieve import Catalogue
 from pcretrieve.catalogue import Record
+from pcretrieve.catalogue.records import Status
+from pcretrieve.catalogue.rows import Rows
 
 Everything = dict[str, tuple[Any, ...]]
 
@@ -15,7 +17,7 @@ Everything = dict[str, tuple[Any, ...]]
 def content(location: str | Path) -> list[tuple[Record, dict[str, bytes], dict[Any, bytes]]]:
     """The record, the signatures and the payloads of each shape, in ascending order of id."""
     with Catalogue(location) as store:
-        entries = store.entries([origin.id for origin in store.origins()])
+        entries = store.rows.entries([origin.id for origin in store.rows.origins()])
         return [(one.record, dict(one.signatures), dict(one.payloads)) for one in entries]
 
 
@@ -26,3 +28,8 @@ def everything(location: str) -> Everything:
         steps = tuple(replace(step, seconds=0.0) for step in record.steps)
         found[record.id] = (replace(record, steps=steps, added="", stamp=None), *rest)
     return found
+
+
+def records(rows: Rows, status: Status | None = None) -> list[Record]:
+    """The records of all shapes, or of those of one status."""
+    return [record for page in rows.pages(status=status) for record in page]

@@ -38,11 +38,12 @@ from pcretrieve import (
     ingest,
     status,
 )
-from pcretrieve.catalogue import cache
 from pcretrieve.evaluation import evaluate
 from pcretrieve.evaluation.comparison import read_scores, write_evaluation
 from pcretrieve.formats import missing_extra, read_scan, write_cloud, write_mesh
 from pcretrieve.formats.registry import FORMATS
+from pcretrieve.gallery import fitted
+from pcretrieve.gallery.fitted import index, signatures
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import read_labels
 from pcretrieve.retrieval import DistanceMatrix, read_matrix, write_matrix
@@ -171,7 +172,7 @@ def read_catalogue(path: Path) -> object:
         done = [record.id for record in records if record.status == "done"]
         meshes = [store.mesh(shape_id) for shape_id in done]
         whole = [store.shape(shape_id, ("spectrum", "overlaps")) for shape_id in done]
-        return records, store.signatures(), store.areas(), meshes, whole, status(store)
+        return records, signatures(store), store.rows.areas(), meshes, whole, status(store)
 
 
 def read_index(path: Path) -> object:
@@ -180,7 +181,7 @@ def read_index(path: Path) -> object:
         assert store.cache.folder is not None
         (folder,) = store.cache.folder.iterdir()
         path.replace(folder / path.name.partition("-")[2])
-        nearest = store.index().nearest("egg0", k=3).ids
+        nearest = index(store).nearest("egg0", k=3).ids
     assert nearest == ("egg0", "egg1", "egg2")
     return nearest
 
@@ -242,18 +243,18 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         "path,x\n" + "".join(f"scans/egg{k}.off,\n" for k in range(6))
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cache, "SMALLEST_KEPT", 1)
+        patch.setattr(fitted, "SMALLEST_KEPT", 1)
         for name in ("c.sqlite", "indexed.sqlite"):
             with Catalogue(folder / name, create=True) as store:
                 ingest(discover([scans]), store, labels=labels)
                 if name == "indexed.sqlite":
-                    store.index()
+                    index(store)
                     assert store.cache.folder is not None
                     arrays = sorted(store.cache.folder.glob("*/*.npy"))
                 else:
                     options = store.options.changed(retrieval={"whitening": "none"})
                     write_evaluation(evaluate(store, options=options).ranked.rankings, folder)
-                    table = store.signatures(options)
+                    table = signatures(store, options=options)
                     calibrate(store, folder / "metric.npz", options=store.options)
         distances = np.abs(table.values[:, :1] - table.values[:, 0])
         for suffix in ("txt", "npy"):

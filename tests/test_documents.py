@@ -76,6 +76,14 @@ def test_the_page_of_options_is_that_of_the_code() -> None:
     assert (ROOT / "docs" / "options.md").read_text("utf-8") == written
 
 
+def test_the_reference_has_the_verbs_of_a_catalogue_and_no_others() -> None:
+    text = (ROOT / "docs" / "reference.rst").read_text("utf-8")
+    verbs = [name for name in dir(pcretrieve.Catalogue) if not name.startswith("_")]
+    assert re.findall(r"^   Catalogue\.(\w+)$", text, re.M) == verbs
+    assert len(verbs) <= 16
+    assert all(getattr(pcretrieve.Catalogue, name).__doc__ for name in verbs)
+
+
 def test_the_dockerfile_says_what_the_project_says() -> None:
     """Where no Docker builds it: what it names is what the project has."""
     text, project = DOCKERFILE.replace("\\\n", ""), (ROOT / "pyproject.toml").read_text("utf-8")

@@ -36,7 +36,7 @@ ROOMS = (
     "checks",
     "pipeline",
     "ingestion",
-    "query",
+    "gallery",
     "evaluation",
     "estimators",
     "pages",
@@ -50,11 +50,11 @@ ROOMS = (
 # that can be read, for which this limit was raised once, from 228,000; it comes down to 205,000.
 MOST_TOKENS = 232_000
 MOST_MODULES = 180
-MOST_ARROWS = 115
+MOST_ARROWS = 112
 MOST_OPTIONS = 45
 
 # Rooms that faces use beside the front door, and no more than these: `demo` writes simulated scans.
-BEHIND = {"cli": {"simulation"}, "pages": {"pipeline"}, "web": {"ingestion", "query"}}
+BEHIND = {"cli": {"simulation"}, "pages": {"pipeline"}, "web": {"gallery", "ingestion"}}
 
 # Where each compiled loop is compared with a few lines of NumPy or SciPy, or with a known answer.
 REFERENCES = {

@@ -253,7 +253,7 @@ class Orders(RuleBasedStateMachine):
         for name in NAMES:
             (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
         self.patch = pytest.MonkeyPatch()
-        self.patch.setattr("pcretrieve.catalogue.cache.SMALLEST_KEPT", 1)
+        self.patch.setattr("pcretrieve.gallery.fitted.SMALLEST_KEPT", 1)
         self.patch.setenv("XDG_CACHE_HOME", str(self.root))
         self.patch.setenv("PYTHONPATH", os.pathsep.join(sys.path))  # of the server that forks
         self.readers: list[Catalogue] = []
@@ -273,7 +273,7 @@ class Orders(RuleBasedStateMachine):
     def close(self) -> None:
         for reader in self.readers:
             if isinstance(reader.database, PostgresqlDatabase):
-                reader.database.execute(
+                reader.rows.database.execute(
                     f'DROP SCHEMA "{reader.location.partition("=")[2]}" CASCADE'
                 )
             reader.close()
@@ -533,20 +533,20 @@ class Orders(RuleBasedStateMachine):
         ids = tuple(sorted(done))
         for reader in self.readers:
             assert self.seen(reader) == self.table
-            table = reader.signatures()
+            table = pr.signatures(reader)
             assert (len(reader), table.ids, table.labels) == (
                 len(ids),
                 ids,
                 tuple(done[i].label for i in ids),
             )
-            assert reader.labelled(["cat"]) == [one for one in ids if done[one].label == "cat"]
+            assert reader.rows.labelled(["cat"]) == [one for one in ids if done[one].label == "cat"]
             for one, values in zip(ids, table.values, strict=True):
                 whole = MADE[contents()[done[one].content or 0]]
                 assert (values == whole.signature).all()
                 assert (reader.signature(one) == whole.signature).all()
                 assert (reader.mesh(one).vertices == whole.shape.mesh.vertices).all()
             if ids:
-                nearest = reader.index().nearest(ids[0], k=len(ids))
+                nearest = pr.index(reader).nearest(ids[0], k=len(ids))
                 assert (sorted(nearest.ids), nearest.distances[0]) == ([*ids], 0)
 
 

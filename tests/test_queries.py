@@ -100,17 +100,17 @@ def test_signatures_that_were_computed_are_kept(catalogue: Path, tmp_path: Path)
     shutil.copy(catalogue, tmp_path / "c.sqlite")
     with pr.Catalogue(tmp_path / "c.sqlite") as first, pr.Catalogue(tmp_path / "c.sqlite") as other:
         options = first.options.changed(signature={"method": "wks"})
-        table = first.signatures(options)
+        table = pr.signatures(first, options=options)
         statements: list[str] = []
-        other.database._connection.set_trace_callback(statements.append)
-        assert other.signatures(options) == table
+        other.rows.database._connection.set_trace_callback(statements.append)
+        assert pr.signatures(other, options=options) == table
         assert not [text for text in statements if "arrays" in text]
         new = pr.process(egg(3, 0))
         content = Content(new, describe(new, other.options.signature).values)
         other.put(Record("new", "/new.off", "h"), content)
         other.put(replace(other.record("00"), content_hash="other content"), content)
         statements.clear()
-        again = other.signatures(options)
+        again = pr.signatures(other, options=options)
         read = [
             text for text in statements if text.startswith('SELECT shape, "spectra", "moments"')
         ]
@@ -199,9 +199,9 @@ def test_a_scan_that_fails_does_not_stop_the_others(catalogue: Path, folder: Pat
 def test_scores_come_with_distances_and_least_ones_leave_no_match(catalogue: Path) -> None:
     found = pr.search(catalogue, "11", k=12)
     with pr.Catalogue(catalogue) as store:
-        scores = store.index().scores
+        scores = pr.index(store).scores
         plain = pr.search(store, "11", k=12, options={"retrieval": {"whitening": "none"}})
-        made = {record.id: store.described(record.id, store.options) for record in store}
+        made = {shape_id: pr.stored_signature(store, shape_id) for shape_id in store}
         assert repr(store) == f"Catalogue({catalogue}: {len(made)} shapes)"
     assert [made["11"].distance(made[one]) for one in plain.ids] == plain.distances.tolist()
     assert scores is not None and found.scores is not None
@@ -261,7 +261,7 @@ def test_measures_are_the_same_numbers(catalogue: Path, tmp_path: Path) -> None:
         assert [one["label"] for one in printed["classes"]] == [one.label for one in found.classes]
         assert list(printed["interval"]["low"].values()) == found.interval[0].tolist()
     with pr.Catalogue(catalogue) as store:
-        assert pr.evaluate(store.signatures(), options=store.options) == pr.evaluate(store)
+        assert pr.evaluate(pr.signatures(store), options=store.options) == pr.evaluate(store)
     page = pr.report(catalogue, tmp_path / "bodies.html", k=2)
     run("report", "-c", catalogue, "-o", tmp_path / "same.html", "-k", 2)
     assert page.read_text(encoding="utf-8") == (tmp_path / "same.html").read_text(encoding="utf-8")
@@ -280,7 +280,7 @@ def test_a_metric_of_labelled_scans_is_used_in_another_catalogue(
     assert (tmp_path / "again.npz").read_bytes() == metric.read_bytes()
     chosen = {"retrieval": {"calibration": str(metric)}}
     with pr.Catalogue(other) as store:
-        used = store.whitening(store.options.changed(**chosen))
+        used = pr.index(store, options=store.options.changed(**chosen)).whitening
     np.testing.assert_array_equal(used.matrix, learnt.matrix)
     assert (used.kind, used.reason) == ("calibrated", f"{reason}, from {metric}")
     (found,) = result("query", "new0", "-c", other, "--whitening", metric)
@@ -317,8 +317,12 @@ def test_atoms_of_labelled_scans_are_used_in_another_catalogue(
     assert pr.PipelineOptions.of(file) == learnt
     pr.ingest(folder / "new", other, options=file, workers=2)
     with pr.Catalogue(catalogue) as store:
-        stored = store.described("11", pr.PipelineOptions.of(file, store.options)).values
-        plain = store.described("11", pr.PipelineOptions.of(shipped, store.options)).values
+        stored = pr.stored_signature(
+            store, "11", options=pr.PipelineOptions.of(file, store.options)
+        ).values
+        plain = pr.stored_signature(
+            store, "11", options=pr.PipelineOptions.of(shipped, store.options)
+        ).values
     assert result("lab", "signature", "--config", file, egg)[0]["values"] == pytest.approx(
         stored, abs=1e-9
     )
@@ -371,7 +375,7 @@ def test_what_atoms_cannot_be_learned_from(folder: Path, tmp_path: Path) -> None
 
 def test_signatures_are_exported(catalogue: Path, tmp_path: Path) -> None:
     with pr.Catalogue(catalogue) as store:
-        wanted = store.signatures().select(["11", "00"])
+        wanted = pr.signatures(store).select(["11", "00"])
     for suffix in (".npz", ".parquet", ".csv"):
         path = tmp_path / f"bodies{suffix}"
         run("catalogue", "export", "--signatures", "-c", catalogue, "-o", path, "11", "00")

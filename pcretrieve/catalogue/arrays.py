@@ -155,9 +155,6 @@ def intact(location: str, what: str) -> Iterator[None]:
 
 def payloads_of(shape: Shape, options: PipelineOptions) -> dict[Payload, bytes]:
     """The arrays of all surfaces that a catalogue stores, by name."""
-    # Imported here, because queries do not need this slow import.
-    from pcretrieve.spectral import ELEMENTS
-
     keep, parts = options.catalogue.keep, shape.apart()
     spectra = [part.spectrum for part in parts]
     areas = np.array([part.area for part in parts])
@@ -166,7 +163,7 @@ def payloads_of(shape: Shape, options: PipelineOptions) -> dict[Payload, bytes]:
         "moments": packed([np.stack([s.moments for s in spectra])]),
     }
     # The overlaps of a point cloud cannot be computed from the mesh: its operator is that of the points.
-    if "overlaps" in keep or ELEMENTS[options.spectral.element].needs == "points":
+    if "overlaps" in keep or options.spectral.of_points:
         stored["overlaps"] = packed_symmetric(np.stack([s.known_overlaps() for s in spectra]))
     if "meshes" in keep:
         meshes = [array for part in parts for array in (part.mesh.vertices, part.mesh.faces)]

@@ -88,9 +88,11 @@ def merge_catalogues(parts: Sequence[CatalogueLike], output: CatalogueLike) -> M
         sources = [stack.enter_context(Catalogue.opened(part)) for part in parts]
         for part in sources:
             check_options(part.location, part.options, sources[0].options)
-        _chosen(sources)  # conflicts are an error before there is a new file
+        _chosen(
+            [part.rows for part in sources]
+        )  # conflicts are an error before there is a new file
         target = stack.enter_context(Catalogue.opened(output, sources[0].options, create=True))
-        return _merge([target, *sources])
+        return _merge([one.rows for one in (target, *sources)])
 
 
 def backup(catalogue: CatalogueLike, file: str | Path, *, names: bool = True) -> int:
@@ -136,7 +138,7 @@ def backup(catalogue: CatalogueLike, file: str | Path, *, names: bool = True) ->
             if source is not None:
                 _copy_file(source, unfinished)
             elif isinstance(catalogue, Catalogue):  # whose location has no password
-                copy_rows(catalogue, unfinished)
+                copy_rows(catalogue.rows, unfinished)
             else:
                 with Rows(location, {}, create=False) as rows:
                     copy_rows(rows, unfinished)

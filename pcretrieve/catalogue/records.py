@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar
 from uuid import uuid4
 
-from pcretrieve.errors import CatalogueError, OptionError
+from pcretrieve.errors import CatalogueError, InputError, OptionError
 from pcretrieve.options import NUMBERS_VERSION, PipelineOptions, options_difference
 from pcretrieve.values import UNIT, FloatArray, Shape, Step, Verdict
 
@@ -133,6 +133,10 @@ def damaged(location: str, how: str) -> CatalogueError:
     return CatalogueError(
         f"{location} is damaged ({how}): restore a copy, or ingest into a new catalogue"
     )
+
+
+class UnknownShape(InputError, KeyError):
+    """An id that a catalogue does not have, which is a mapping."""
 
 
 class ChangedRow(CatalogueError):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 from operator import lt
@@ -19,6 +18,7 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.catalogue.arrays import intact, packed, unpacked
 from pcretrieve.catalogue.records import (
     PAYLOADS,
     PROVENANCE_COLUMNS,
@@ -28,6 +28,7 @@ from pcretrieve.catalogue.records import (
     Payload,
     Record,
     Status,
+    UnknownShape,
     check_version,
     checksum,
     damaged,
@@ -38,7 +39,8 @@ from pcretrieve.catalogue.records import (
     row_of,
 )
 from pcretrieve.catalogue.sqlite import SqliteDatabase
-from pcretrieve.errors import CatalogueError, InputError, OptionError, did_you_mean
+from pcretrieve.errors import CatalogueError, OptionError, did_you_mean
+from pcretrieve.values import FloatArray
 from pcretrieve.values.base import check_type
 
 if TYPE_CHECKING:
@@ -161,16 +163,6 @@ class Rows:
 
     # --- records ----------------------------------------------------------------------------------------
 
-    def __iter__(self) -> Iterator[Record]:
-        """Yield the records of the shapes that did not fail, in ascending order of id."""
-        for page in self.pages(status="done"):
-            yield from page
-
-    def __repr__(self) -> str:
-        with suppress(CatalogueError):
-            return f"{type(self).__name__}({self.location}: {len(self)} shapes)"
-        return f"{type(self).__name__}({self.location})"  # closed, or not readable any more
-
     def __len__(self) -> int:
         return int(self._all("SELECT count(*) FROM shapes WHERE status = 'done'")[0][0])
 
@@ -198,10 +190,6 @@ class Rows:
             after, offset = rows[-1][1], 0
             left = None if left is None else left - size
 
-    def records(self, *, status: Status | None = None) -> list[Record]:
-        """All records, or those of one status, in ascending order of id."""
-        return [record for page in self.pages(status=status) for record in page]
-
     def origins(self) -> list[Record]:
         """All records without their provenance, in ascending order of id, which are read much faster."""
         rows = self._all(
@@ -212,10 +200,6 @@ class Rows:
     def labels(self) -> dict[str, str | None]:
         """The class of each shape, including failed ones, by id in ascending order."""
         return dict(self._all("SELECT id, label FROM shapes ORDER BY id"))
-
-    def times(self) -> dict[str, str]:
-        """When each shape, or its failure, was stored, by id: UTC, as 2026-01-31T12:00:00+00:00."""
-        return dict(self._all("SELECT id, added FROM shapes JOIN provenance ON shape = number"))
 
     def classes(self, most: int) -> list[str]:
         """The names of some classes, in no order: all, if they are at most so many."""
@@ -265,19 +249,15 @@ class Rows:
         """The records of some ids, in ascending order of id; unknown ids are ignored."""
         return self._records("id", shape_ids)
 
-    def get(self, shape_id: str) -> Record | None:
-        """The record of a shape; None if there is no shape of this id."""
-        return next(iter(self.several([shape_id])), None)
-
     def record(self, shape_id: str) -> Record:
         """The record of a shape; InputError if there is no shape of this id."""
         for record in self.several([shape_id]):
             return record
         raise self.unknown(shape_id)
 
-    def unknown(self, shape_id: str) -> InputError:
+    def unknown(self, shape_id: str) -> UnknownShape:
         """The error for an id that the catalogue does not have."""
-        return InputError(
+        return UnknownShape(
             f"{self.location} holds no shape {shape_id!r}; `pcretrieve list` names them"
             f"{self.suggested(shape_id)}"
         )
@@ -337,6 +317,21 @@ class Rows:
             for number, record in records.items()
         )
         return sorted(entries, key=lambda entry: entry.record.id)
+
+    def entry(self, shape_id: str, payloads: Collection[Payload] = PAYLOADS) -> Entry:
+        """What is stored of one shape, with some payloads; InputError if there is no shape of this id."""
+        for entry in self.entries([shape_id], payloads=payloads):
+            return entry
+        raise self.unknown(shape_id)
+
+    def stored_bytes(self, shape_id: str) -> dict[str, int]:
+        """The sizes in bytes of a shape's record, signatures and arrays; InputError if there is no shape."""
+        entry = self.entry(shape_id)
+        texts = (str(value) for value in row_of(entry.record).values() if value is not None)
+        sizes = dict.fromkeys(("record", "signatures", *PAYLOADS), 0)
+        sizes["record"] = sum(len(text.encode()) for text in texts)
+        sizes["signatures"] = sum(map(len, entry.signatures.values()))
+        return sizes | {name: len(arrays) for name, arrays in entry.payloads.items()}
 
     @repeated
     def store(self, entry: Entry) -> Record:
@@ -409,7 +404,7 @@ class Rows:
             values = ((stamp, path) for path, stamp in (stamps or {}).items())
             self.database.each("UPDATE shapes SET stamp = ? WHERE path = ?", values)
 
-    # --- signatures and pictures ------------------------------------------------------------------------
+    # --- signatures -------------------------------------------------------------------------------------
 
     @repeated
     def listed(self, digest: str) -> Listed:
@@ -454,6 +449,50 @@ class Rows:
                 "ON CONFLICT (digest, shape) DO UPDATE SET value = excluded.value",
                 ((digest, value, record.id, record.content_hash) for record, value in signatures),
             )
+
+    # --- pictures ---------------------------------------------------------------------------------------
+
+    def direction_upwards(self, shape_id: str) -> FloatArray | None:
+        """(3,) the direction upwards in the picture of a shape, in the frame of its file."""
+        stored = self.entry(shape_id, ["up"]).payloads.get("up")
+        with intact(self.location, f"the thumbnail of {shape_id!r}"):
+            return None if stored is None else np.asarray(unpacked(stored, 1)[0], np.float64)
+
+    def keep_thumbnail(self, record: Record, picture: bytes, up: FloatArray) -> bool:
+        """Store the picture of a shape, and what is up in it, unless the shape has been replaced meanwhile.
+
+        Returns whether it could be written. No error is raised, because a picture can be drawn again.
+        """
+        if not self.database.is_writable:
+            return False
+        drawn = packed([up]), packed([np.frombuffer(picture, np.uint8)])
+        try:
+            with self.database.writing():
+                self.database.execute(
+                    "UPDATE arrays SET up = ?, thumbnails = ? WHERE shape = "
+                    "(SELECT number FROM shapes WHERE id = ? AND content_hash = ? AND status = 'done')",
+                    [*drawn, record.id, record.content_hash],
+                )
+        except CatalogueError:  # another process has locked it, or the disk is full
+            return False
+        return True
+
+    @property
+    def up(self) -> str | None:
+        """The axis of the files that points upwards, such as ``-y``, if it was said."""
+        return self.settings().get("up")
+
+    @repeated
+    def keep_up(self, axis: str | None) -> None:
+        """Store which axis points upwards, or with None that pictures show it for each shape, drawn again."""
+        if not self.database.is_writable:
+            return
+        with self.database.writing():
+            self.keep_setting("up", axis)
+            if axis is None:
+                self.database.execute(
+                    "UPDATE arrays SET up = NULL, thumbnails = NULL WHERE meshes IS NOT NULL"
+                )
 
     # --- inside -----------------------------------------------------------------------------------------
 

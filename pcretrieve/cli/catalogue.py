@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import asdict
-from datetime import date
+from datetime import date, timedelta
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -40,7 +40,7 @@ def list_command(catalogue: str, failed: bool, **chosen: Any) -> out.Result:
     pcretrieve list --catalogue bodies.sqlite --failed
     """
     store = opt.opened(catalogue, any_numbers=True)
-    pages = store.pages(status="failed" if failed else None, **chosen)
+    pages = store.rows.pages(status="failed" if failed else None, **chosen)
     records = (record for page in pages for record in page)
 
     def show() -> None:
@@ -89,7 +89,7 @@ def show_command(shape_id: str, catalogue: str) -> out.Result:
     pcretrieve show cat0 --catalogue bodies.sqlite
     """
     store = opt.opened(catalogue, any_numbers=True)
-    record, stored = store.record(shape_id), store.stored_bytes(shape_id)
+    record, stored = store.record(shape_id), store.rows.stored_bytes(shape_id)
     return out.Result(_facts(record) | {"stored_bytes": stored}, show=lambda: _show(record, stored))
 
 
@@ -139,13 +139,12 @@ def remove_command(shape_ids: tuple[str, ...], catalogue: str, before: str | Non
     chosen = dict.fromkeys(shape_ids)
     with pr.Catalogue(catalogue) as store:
         if before is not None:
-            # A copy without names has no times.
-            times = store.times().items()
-            chosen = dict.fromkeys(one for one, added in times if "" < added < before)
-        files = [record.path for record in store.several(chosen)]
+            days = (date.min.isoformat(), (date.fromisoformat(before) - timedelta(1)).isoformat())
+            chosen = dict.fromkeys(store.rows.wanted(days=days)[1])
+        files = [record.path for record in store.rows.several(chosen)]
         if chosen:
             store.remove(*chosen)
-        is_file = store.database.is_file
+        is_file = store.rows.database.is_file
     say(f"removed {len(chosen)} from {catalogue}")
     files = [file for file in files if Path(file).exists()]
     if chosen:
@@ -205,7 +204,7 @@ def check_command(catalogue: str, sample: int, repair: bool, remote: bool) -> ou
             for _ in range(n_shapes):
                 shown.advance({})
 
-        shown.start(len(store) + sum(store.failures().values()))
+        shown.start(len(store) + sum(store.rows.failures().values()))
         allowed = remote or may_fetch
         result = pr.check(store, sample=sample, repair=repair, remote=allowed, on_shapes=advance)
         options = store.options
@@ -285,7 +284,7 @@ def export_command(
     store = opt.opened(catalogue, any_numbers=not signatures)
     options = opt.compared(store, comparison)
     if signatures:
-        table = store.signatures(options)
+        table = pr.signatures(store, options=options)
         pr.write_signatures(table.select(shape_ids) if shape_ids else table, output)
         files = [output]
     else:

@@ -399,7 +399,7 @@ def compared(store: pr.Catalogue, values: dict[str, Any]) -> pr.PipelineOptions:
     """The options with which a command compares shapes, taken from its values."""
     options = pr.PipelineOptions.of(values.pop("config"), store.options).changed(**changes(values))
     smallest, largest = (
-        store.areas().get(None, (1.0, 1.0)) if options.signature.compares_sizes else (1.0, 1.0)
+        store.rows.areas().get(None, (1.0, 1.0)) if options.signature.compares_sizes else (1.0, 1.0)
     )
     if largest > MIXED_UNITS * smallest:
         say(

@@ -298,7 +298,7 @@ def _of_catalogue(
         facts: dict[str, Any] = {"id": record.id, "path": record.path}
         if failure is None:
             try:
-                facts |= _facts(store.described(record.id, options))
+                facts |= _facts(pr.stored_signature(store, record.id, options=options))
             except ShapeError as error:
                 failure = error
         if failure is not None:

@@ -121,8 +121,8 @@ def query_command(
             if not isinstance(answer, ShapeError):
                 _write_table(answer, None if is_alone else name)
         if is_verbose and asked["matrix"] is None:
-            index = store.index(options)
-            say(f"whitening: {store.whitening(options).reason}")
+            index = pr.index(store, options=options)
+            say(f"whitening: {index.whitening.reason}")
             score = (
                 index.scores.reason
                 if index.scores
@@ -173,7 +173,8 @@ def _documents(
     """The outcome of each query, for JSON, with how shapes are compared: by no distance if by a matrix."""
     how: dict[str, str | None] = {"distance": None, "whitening": None}
     if matrix is None:
-        how = {"distance": options.retrieval.distance, "whitening": store.whitening(options).reason}
+        whitening = pr.index(store, options=options).whitening.reason
+        how = {"distance": options.retrieval.distance, "whitening": whitening}
     for name, outcome in outcomes:
         if isinstance(outcome, ShapeError):
             yield {"query": name} | out.failure_facts(outcome)

@@ -27,7 +27,16 @@ from pcretrieve.errors import OptionError, ShapeError, Stage
 from pcretrieve.options import SignatureOptions, fused_names
 from pcretrieve.plugins import DESCRIPTOR_NAMES, Registry
 from pcretrieve.spectral import unit_eigenpairs
-from pcretrieve.values import UNIT, Eigenpairs, Shape, Signature, SizeUnit, Surface, TriangleMesh
+from pcretrieve.values import (
+    UNIT,
+    Eigenpairs,
+    ModalSpectrum,
+    Shape,
+    Signature,
+    SizeUnit,
+    Surface,
+    TriangleMesh,
+)
 from pcretrieve.values.base import check_type
 
 #: A descriptor of one's own: a function of a surface, in the unit of the file, that returns numbers.
@@ -154,6 +163,23 @@ def _check_size(descriptor: Descriptor, options: SignatureOptions) -> None:
             f"size_weight must be 0 for {descriptor.name}, whose values are a histogram, got "
             f"{options.size_weight:g}: a size is no share of it"
         )
+
+
+def with_overlaps(shape: Shape, element: str) -> Shape:
+    """The shape with the overlaps of its eigenfunctions, from its meshes as far as it has some."""
+    return replace(shape, surfaces=tuple(_with_overlaps(one, element) for one in shape.surfaces))
+
+
+def _with_overlaps(surface: Surface, element: str) -> Surface:
+    spectrum = surface.spectrum
+    if surface.mesh is None or spectrum is None or spectrum.overlaps is not None:
+        return surface
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=1):  # as in the pipeline, so that rounding errors are the same
+        pairs = unit_eigenpairs(surface.mesh, len(spectrum.eigenvalues), element)
+        overlaps = ModalSpectrum.of(pairs).overlaps
+    return replace(surface, spectrum=replace(spectrum, overlaps=overlaps))
 
 
 def _described(descriptor: Descriptor, part: Shape, options: SignatureOptions) -> Signature:

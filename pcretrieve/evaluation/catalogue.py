@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from pcretrieve.catalogue import Catalogue, CatalogueLike
 from pcretrieve.errors import BenchmarkError, InputError
 from pcretrieve.evaluation.rankings import Rankings, Subset, rank_subsets, rank_table
+from pcretrieve.gallery.fitted import calibrated, signatures
 from pcretrieve.ingestion.labels import labels_of, match_labels
 from pcretrieve.options import OptionsLike, PipelineOptions, RerankKind
 from pcretrieve.retrieval import DistanceBlock, DistanceMatrix, people, table_whitening
@@ -95,7 +96,7 @@ def _of_catalogue(
             shape_id: classes[shape_id] for shape_id in records if shape_id not in ranked_ids
         }
         return _of_matrix(matrix, classes, missing, options.retrieval.rerank)
-    table = catalogue.signatures(options)
+    table = signatures(catalogue, options=options)
     table = replace(table, labels=tuple(classes[shape_id] for shape_id in table.ids))
     failed = {
         record.id: classes[record.id] for record in records.values() if record.status == "failed"
@@ -107,8 +108,9 @@ def _of_catalogue(
         if retrieval.rerank != "none":
             reason += ", and the gallery is the fold"
     else:
-        made = catalogue.whitening(options) if retrieval.calibration is not None else None
-        whitening = made or table_whitening(table, retrieval, people=people(options.signature))
+        whitening = calibrated(options) or table_whitening(
+            table, retrieval, people=people(options.signature)
+        )
         reason = whitening.reason
         if options.retrieval.whitening == "auto" and whitening.kind in ("none", "neighbours"):
             reason += ", without labels"

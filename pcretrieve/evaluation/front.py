@@ -19,6 +19,7 @@ from pcretrieve.evaluation.comparison import (
     result_scores,
     write_evaluation,
 )
+from pcretrieve.gallery.fitted import index, shape_with, signatures
 from pcretrieve.options import OptionsLike, PipelineOptions, describe_options
 from pcretrieve.retrieval import DistanceMatrix, Whitening, people
 from pcretrieve.retrieval.whitening import calibrated_whitening, write_whitening
@@ -224,7 +225,9 @@ def calibrate(
             return learned
         labelled = chosen.changed(retrieval={"whitening": "within-class", "calibration": None})
         known = people(labelled.signature)
-        fitted = calibrated_whitening(store.signatures(labelled), labelled.retrieval, known)
+        fitted = calibrated_whitening(
+            signatures(store, options=labelled), labelled.retrieval, known
+        )
     write_whitening(fitted, Path(path))
     return fitted
 
@@ -266,11 +269,11 @@ def matrix(
         if not labels:
             raise InputError(f"{store.location} holds no shapes: ingest some first")
         if matcher is None:
-            index = store.index(PipelineOptions.of(options, store.options))
-            made = DistanceMatrix(tuple(index.ids), index.between(index.ids))
+            known = index(store, options=options)
+            made = DistanceMatrix(tuple(known.ids), known.between(known.ids))
         else:
             from pcretrieve.shrec.matcher import known_matcher, match_all
 
             method = known_matcher(matcher)
-            made = match_all(method, labels, lambda name: store.shape(name, method.needs))
+            made = match_all(method, labels, lambda name: shape_with(store, name, method.needs))
         return replace(made, labels=tuple(labels[shape_id] for shape_id in made.ids))

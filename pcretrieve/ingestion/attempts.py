@@ -72,14 +72,12 @@ class Work:
 
 def content_of(path: Path, options: PipelineOptions) -> Content:
     """Process one scan."""
-    from pcretrieve.draw.thumbnail import thumbnail
     from pcretrieve.pipeline.process import process, signature_of
 
     shape = process(path, options)
     signature = signature_of(shape, options, path).values
-    drawn = None
-    if shape.surfaces[0].mesh is not None:
-        drawn = thumbnail(shape.mesh.vertices, shape.mesh.faces, up=shape.mesh.up)
+    mesh = shape.surfaces[0].mesh
+    drawn = None if mesh is None else mesh.thumbnail()
     # Points and eigenvectors are not stored, and are not sent to the process that stores the content.
     surfaces = tuple(replace(surface, eigenpairs=None) for surface in shape.surfaces)
     stored = replace(shape, surfaces=surfaces, cloud=None)

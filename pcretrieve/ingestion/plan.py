@@ -98,11 +98,11 @@ class Plan:
     def apply(self, catalogue: Catalogue) -> None:
         """Write the changes to the records of a catalogue, and complete those of skipped scans by its own."""
         if self.moved or self.removed or self.labels or self.stamps:
-            catalogue.revise(
+            catalogue.rows.revise(
                 moved=self.moved, removed=self.removed, labels=self.labels, stamps=self.stamps
             )
         known = [*self.held, *(original for _, original in self.duplicates)]
-        stored = catalogue.several({record.id for record in known})
+        stored = catalogue.rows.several({record.id for record in known})
         whole = {(record.path, record.content_hash): record for record in stored}
 
         def completed(record: Record) -> Record:

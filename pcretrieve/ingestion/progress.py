@@ -111,7 +111,7 @@ def status(catalogue: CatalogueLike) -> BatchStatus:
     with Catalogue.opened(catalogue) as store:
         counts = _stored(store)
         kinds = Counter(
-            {f"{error} in {stage}": n for (stage, error), n in store.failures().items()}
+            {f"{error} in {stage}": n for (stage, error), n in store.rows.failures().items()}
         )
         n_shapes = len(store)
     is_running = counts.state == "running" and _is_running(counts)
@@ -152,7 +152,7 @@ class Progress:
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._counts.state = "finished" if kind is None else "stopped"
         if kind is not None:
-            self._catalogue.answer_at_once()
+            self._catalogue.rows.answer_at_once()
         self._write()
 
     def skip(self, n: int) -> None:
@@ -183,15 +183,15 @@ class Progress:
 
     @repeated
     def _keep(self, is_first: bool) -> None:
-        with self._catalogue.database.writing():
+        with self._catalogue.rows.database.writing():
             if is_first or _stored(self._catalogue).started == self._counts.started:
-                self._catalogue.keep_setting(SETTING, self._counts.model_dump_json())
+                self._catalogue.rows.keep_setting(SETTING, self._counts.model_dump_json())
 
 
 def _stored(catalogue: Catalogue) -> _Counts:
     """The counts in a catalogue; those of no ingest if there are none."""
     try:
-        return _Counts.model_validate_json(catalogue.settings()[SETTING])
+        return _Counts.model_validate_json(catalogue.rows.settings()[SETTING])
     except (KeyError, ValueError):
         return _Counts(state="none")
 

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import random
+import struct
+import zlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from sqlite3 import sqlite_version
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from pcretrieve.catalogue import (
-    Catalogue,
-    CatalogueLike,
-    Defect,
-    Record,
-    find_defects,
-)
-from pcretrieve.catalogue.check import REMOVED
+from pcretrieve.catalogue import Catalogue, CatalogueLike, Record
+from pcretrieve.catalogue.arrays import stored_shape, unpacked, unpacked_values
+from pcretrieve.catalogue.cache import remove_kept
+from pcretrieve.catalogue.records import OWN, ChangedRow, Entry, Payload, repeated
 from pcretrieve.errors import CatalogueError, InputError, PcretrieveError, ShapeError
 from pcretrieve.formats.identity import content_hash
 from pcretrieve.formats.remote import Remote, check_remote
@@ -32,6 +30,19 @@ from pcretrieve.values import FloatArray, TriangleMesh
 # Largest relative difference of a value that is computed again. Other processors and libraries move values by
 # less than .001; other poses of a body by .1.
 TOLERANCE = 0.01
+
+# The repair of a damaged shape.
+REMOVED = "removed: ingest its file again"
+
+
+@dataclass(frozen=True, slots=True)
+class Defect:
+    """Something that is wrong in a catalogue."""
+
+    kind: Literal["database", "log", "orphan", "shape", "signature", "index"]
+    shape_id: str | None
+    message: str
+    repair: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,10 +126,10 @@ def check(
                 n_recomputed += 1
                 if (fault := _fault(task, outcome)) is not None:
                     if repair:
-                        store.forget("id", task.record.id)
+                        store.rows.forget("id", task.record.id)
                     done = REMOVED if repair else None
                     defects.append(Defect("signature", task.record.id, fault, done))
-        n_failed = sum(store.failures().values())
+        n_failed = sum(store.rows.failures().values())
         return Check(len(store), n_failed, n_recomputed, tuple(defects))
 
 
@@ -144,17 +155,13 @@ def _sample(store: Catalogue, number: int, seed: int | None) -> Iterator[Record]
     n_shapes = len(store)
     for offset in sorted(random.Random(seed).sample(range(n_shapes), min(number, n_shapes))):
         with suppress(CatalogueError):
-            for page in store.pages(status="done", offset=offset, limit=1):
-                yield from page
+            yield from store.records(status="done", offset=offset, limit=1)
 
 
 def _has_meshes(catalogue: Catalogue) -> bool:
     """Whether signatures are computed again from stored surfaces."""
-    # Imported here, because other functions do not need this slow import.
-    from pcretrieve.spectral import ELEMENTS
-
-    of_points = ELEMENTS[catalogue.options.spectral.element].needs == "points"
-    return "meshes" in catalogue.options.catalogue.keep and not of_points
+    options = catalogue.options
+    return "meshes" in options.catalogue.keep and not options.spectral.of_points
 
 
 def _tasks(catalogue: Catalogue, records: Iterable[Record]) -> Iterator[_Task]:
@@ -185,3 +192,112 @@ def _again(options: PipelineOptions, task: _Task) -> FloatArray | None:
     except ShapeError:
         is_same = False
     return content_of(path, options).signature if is_same else None
+
+
+# --- what is stored -------------------------------------------------------------------------------------
+
+
+def find_defects(
+    catalogue: Catalogue,
+    *,
+    repair: bool = False,
+    on_shapes: Callable[[int], None] = lambda number: None,
+) -> list[Defect]:
+    """The defects of the database, of each shape, and of the stored indexes, as `pcretrieve.check` says."""
+    found = _database_defects(catalogue, repair=repair)
+    if lost := catalogue.rows.database.lost:
+        done = "dropped: run the last ingest again" if repair else None
+        found.append(Defect("log", None, lost, done))
+    # A file with damaged pages is neither read further nor changed, because that may damage it further.
+    if all(defect.repair or defect.kind != "database" for defect in found):
+        for (number,) in catalogue.rows.database.execute("SELECT number FROM shapes ORDER BY id"):
+            found += _shape_defects(catalogue, number, repair=repair)
+            on_shapes(1)
+    for folder, fault in catalogue.cache.faults():
+        if repair:
+            remove_kept(folder)
+        done = "removed, and made again when it is needed" if repair else None
+        found.append(Defect("index", None, f"the stored index {folder} {fault}", done))
+    return found
+
+
+@repeated
+def _database_defects(catalogue: Catalogue, *, repair: bool) -> list[Defect]:
+    """Defects of the pages and the SQL indexes, and rows of no shape."""
+    database = catalogue.rows.database
+    # Outside of a transaction, because one that has met a damaged page cannot be ended without an error.
+    faults = database.faults()
+    done = "SQL indexes made again" if faults and repair and _is_reindexed(catalogue) else None
+    found = [Defect("database", None, fault, done) for fault in faults]
+    if faults and done is None:
+        return found
+    with database.writing() if repair else database.reading():
+        for table in ("provenance", "arrays", "signatures"):
+            condition = f"FROM {table} WHERE NOT EXISTS (SELECT 1 FROM shapes WHERE number = shape)"
+            ((number,),) = database.execute(f"SELECT count(*) {condition}")
+            if number and repair:
+                database.execute(f"DELETE {condition}")
+            if number:
+                done = "removed" if repair else None
+                found.append(
+                    Defect("orphan", None, f"{number} rows of {table} are of no shape", done)
+                )
+    return found
+
+
+def _is_reindexed(catalogue: Catalogue) -> bool:
+    """Make the SQL indexes again; whether the file has no fault then. Otherwise it stays as it was."""
+    try:
+        with catalogue.rows.database.writing():
+            catalogue.rows.database.execute("REINDEX")
+            if faults := catalogue.rows.database.faults():
+                raise CatalogueError(faults[0])
+    except CatalogueError:
+        return False
+    return True
+
+
+def _shape_defects(catalogue: Catalogue, number: int, *, repair: bool) -> list[Defect]:
+    """What is wrong with a shape. A damaged one is removed, so that the next ingest processes its file."""
+    shape_id, faults = f"number {number}", ""
+    try:
+        for entry in catalogue.rows.entries([number], "number"):
+            shape_id = entry.record.id
+            faults = "; ".join(_faults(catalogue, entry))
+    except ChangedRow:
+        faults = "its record has changed since it was stored"
+        with suppress(ChangedRow):
+            where = "SELECT id FROM shapes WHERE number = ?"
+            ((shape_id,),) = catalogue.rows.database.execute(where, [number])
+    if not faults:
+        return []
+    if repair:
+        catalogue.rows.forget("number", number)
+    return [Defect("shape", shape_id, faults, REMOVED if repair else None)]
+
+
+def _faults(catalogue: Catalogue, entry: Entry) -> Iterator[str]:
+    """What is wrong with the signatures and arrays of a shape."""
+    if entry.record.status == "failed":
+        return
+    options, stored = catalogue.options, entry.payloads
+    needed: tuple[Payload, ...] = ("spectra", "moments", *options.catalogue.keep)
+    if missing := [name for name in needed if name not in stored]:
+        yield f"its {' and '.join(missing)} are missing"
+    if OWN not in entry.signatures:
+        yield "its signature is missing"
+    reading: list[tuple[str, Callable[[], object]]] = []
+    for digest, value in entry.signatures.items():
+        name = "its signature" if digest == OWN else f"its signature by the options {digest}"
+        reading.append((name, partial(unpacked_values, value, 1, len(value) // 8 - 1)))
+    if "spectra" in stored:
+        reading.append(("its arrays", partial(stored_shape, stored, entry.record.steps)))
+    drawn: tuple[Payload, ...] = ("up", "thumbnails")
+    for name in drawn:
+        if name in stored:
+            reading.append(("its thumbnail", partial(unpacked, stored[name], 1)))
+    for what, read in reading:
+        try:
+            read()
+        except (KeyError, ValueError, ShapeError, struct.error, zlib.error) as error:
+            yield f"{what} cannot be read: {error}"

@@ -287,11 +287,11 @@ def process_scans(
 ) -> Summary:
     """Process scans, those of a shard or all, and store each result, or failure, as soon as it is there."""
     remove_abandoned()  # also where nothing is left to do after a kill
-    records = catalogue.origins()
+    records = catalogue.rows.origins()
     planner = Planner(paths, records, how, labels, part)
     with closing(planner.contents):
         if changed := planner.changed(records):
-            catalogue.revise(removed=changed)
+            catalogue.rows.revise(removed=changed)
         with Progress(catalogue, len(planner.names)) as counts:
             run = _Run(catalogue, how, counts)
             attempts: Iterable[Attempt] = run.queue(planner)
@@ -353,7 +353,9 @@ class _Run:
             stored = replace(record, id=stored.id, message=kept)
         (self.summary.failed if content is None else self.summary.done).append(stored)
         log_steps(Path(stored.path).name, stored.steps)
-        for other in () if content is None else self._catalogue.with_content(stored.content_hash):
+        for other in (
+            () if content is None else self._catalogue.rows.with_content(stored.content_hash)
+        ):
             if other.path != stored.path and Path(other.path).suffix == Path(stored.path).suffix:
                 logger.warning(
                     "%s and %s, of another ingest, are the same scan", stored.path, other.path

@@ -212,6 +212,11 @@ class SpectralOptions(Options):
     n_pairs: Annotated[int, Field(ge=3)] = 61
     """Number of eigenpairs that are computed and stored, including the constant eigenfunction."""
 
+    @property
+    def of_points(self) -> bool:
+        """Whether the operator is that of the points, without a surface."""
+        return self.element == "points"
+
 
 Scale = Literal["relative", "area", "absolute"]
 # A dictionary has as many atoms, of as many frequencies, as those of `pcretrieve.shrec.dl`.
@@ -252,6 +257,11 @@ class SignatureOptions(Options):
     whose units are all known. Gives better rankings than the scale absolute."""
     atoms: Atoms | None = None
     """Atoms of dl-supervised that `lab calibrate` has learned; none for the shipped ones."""
+
+    @property
+    def of_other_packages(self) -> bool:
+        """Whether a descriptor is one that another package adds."""
+        return not METHODS.keys() >= {*fused_names(self.method)}
 
     @property
     def compares_sizes(self) -> bool:

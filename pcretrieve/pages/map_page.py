@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve import Catalogue, PipelineOptions
+from pcretrieve import Catalogue, PipelineOptions, index, places
 from pcretrieve.errors import InputError
 from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import encoded, write_page
@@ -69,25 +69,26 @@ def draw_map(
     if target.suffix.lower() not in (".png", ".html"):
         raise InputError(f"a map is a picture .png or a page .html, got {target.name}")
     with Catalogue.opened(catalogue) as store:
-        index = store.index(PipelineOptions.of(options, store.options).without_labels)
+        chosen = PipelineOptions.of(options, store.options).without_labels
+        made = index(store, options=chosen)
         labels = store.labels()
-        classes = [labels[shape_id] for shape_id in index.ids]
+        classes = [labels[shape_id] for shape_id in made.ids]
         title = f"Map of {Path(store.location).name}"
-        places = store.cache.places(index.points, store.revision())
+        drawn = places(store, options=chosen)
         if target.suffix.lower() == ".png":
             from pcretrieve.draw.plot import draw_places
 
-            drawn = [(label, places[rows], colour) for label, rows, colour in class_groups(classes)]
-            write_file(target, draw_places(drawn, title=title))
+            groups = [(label, drawn[rows], colour) for label, rows, colour in class_groups(classes)]
+            write_file(target, draw_places(groups, title=title))
             return target
         return write_page(
             target,
             "map.html",
             title=title,
-            drawing=map_drawing(index.ids, classes, places),
-            pictures=map_pictures(store, index.ids, Thumbnails(store, up, PICTURE_PIXELS)),
-            n_shapes=len(index),
-            whitening=index.whitening.reason,
+            drawing=map_drawing(made.ids, classes, drawn),
+            pictures=map_pictures(store, made.ids, Thumbnails(store, up, PICTURE_PIXELS)),
+            n_shapes=len(made),
+            whitening=made.whitening.reason,
         )
 
 
@@ -126,5 +127,5 @@ def map_pictures(
     """The thumbnails as base64; None for a shape whose mesh is not stored or cannot be drawn."""
     if len(ids) > MOST_PICTURES:
         return []
-    drawn = (thumbnails.of(catalogue, record) for record in catalogue.several(ids))
+    drawn = (thumbnails.of(catalogue, record) for record in catalogue.rows.several(ids))
     return [None if picture is None else encoded(picture) for picture in drawn]

@@ -123,7 +123,7 @@ def settings_in_words(
             "searched": f"{classes}{len(matrix)} shapes",
             "distance": "that of a matrix",
         } | least
-    index = catalogue.index(options)
+    index = pr.index(catalogue, options=options)
     compared, retrieval = options.signature, options.retrieval
     size = compared.size_weight
     return {

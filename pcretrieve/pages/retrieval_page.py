@@ -123,10 +123,10 @@ def report(
             if matrix is None
             else chosen.changed(retrieval={"rerank": "none"})
         )
-        ranking = store.index(chosen) if matrix is None else matrix
-        records = {record.id: record for record in store.several(ranking.ids)}
+        ranking = pr.index(store, options=chosen) if matrix is None else matrix
+        records = {record.id: record for record in store.rows.several(ranking.ids)}
         if unknown := set(ranking.ids) - records.keys():
-            raise store.unknown(min(unknown))
+            raise store.rows.unknown(min(unknown))
         sizes = Counter(record.label for record in records.values() if record.label is not None)
         measured, comparison, precision = None, None, {}
         if any(size > 1 for size in sizes.values()):
@@ -159,8 +159,7 @@ def report(
         drawing = None
         if isinstance(ranking, pr.SignatureIndex) and len(ranking) <= MOST_MAPPED:
             labels = [records[shape_id].label for shape_id in ranking.ids]
-            places = store.cache.places(ranking.points, store.revision())
-            drawing = map_drawing(ranking.ids, labels, places)
+            drawing = map_drawing(ranking.ids, labels, pr.places(store, options=chosen))
         cards = [card for panel in panels for card in (panel.query, *panel.results)]
         shown = dict.fromkeys(card.picture for card in cards if card.picture is not None)
         return write_page(
@@ -179,7 +178,7 @@ def report(
             ).name,
             drawing=drawing,
             map_pictures=map_pictures(store, ranking.ids, thumbnails),
-            failures=[record for records in store.pages(status="failed") for record in records],
+            failures=store.records(status="failed"),
         )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from pcretrieve import Catalogue, Record
 from pcretrieve.draw.axes import body_axes, upward
-from pcretrieve.draw.thumbnail import THUMBNAIL_PIXELS, resized, thumbnail
+from pcretrieve.draw.thumbnail import THUMBNAIL_PIXELS, resized
 from pcretrieve.errors import ShapeError
 from pcretrieve.values import FloatArray
 
@@ -33,8 +33,8 @@ class Thumbnails:
         self._kept: OrderedDict[tuple[str, str], bytes | None] = OrderedDict()
         self._keeps = True
         if up is not None:
-            catalogue.keep_up(up)
-        self.up = up or catalogue.up
+            catalogue.rows.keep_up(up)
+        self.up = up or catalogue.rows.up
 
     def of(self, catalogue: Catalogue, record: Record) -> bytes | None:
         """The thumbnail of a shape."""
@@ -53,7 +53,7 @@ class Thumbnails:
     def say(self, catalogue: Catalogue, up: str | None) -> None:
         """Turn all shapes, so that an axis points upwards, or with None as they show."""
         upward(up)
-        catalogue.keep_up(up)
+        catalogue.rows.keep_up(up)
         with self._lock:
             self._kept.clear()
         self.up = up
@@ -62,29 +62,28 @@ class Thumbnails:
         """Turn one shape by a quarter, to its side or forwards, if there is no axis for all."""
         mesh = catalogue.mesh(record.id)
         axes = body_axes(mesh.vertices, mesh.faces, self.direction(catalogue, record))
-        if turned := thumbnail(mesh.vertices, mesh.faces, up=axes[2 if forwards else 0]):
-            catalogue.keep_thumbnail(record, *turned)
+        if turned := mesh.thumbnail(axes[2 if forwards else 0]):
+            catalogue.rows.keep_thumbnail(record, *turned)
         with self._lock:
             self._kept.pop((record.id, record.content_hash), None)
 
     def direction(self, catalogue: Catalogue, record: Record) -> FloatArray | None:
         """(3,) the direction upwards in the thumbnail of a shape."""
-        return upward(self.up) if self.up else catalogue.direction_upwards(record.id)
+        return upward(self.up) if self.up else catalogue.rows.direction_upwards(record.id)
 
     def _picture(self, catalogue: Catalogue, record: Record) -> bytes | None:
         kept, up = catalogue.thumbnail(record.id), upward(self.up)
         # Without a stored surface, the picture is left as it is.
         with suppress(ShapeError):
             if kept is None or (up is not None and not self._shows(catalogue, record, up)):
-                mesh = catalogue.mesh(record.id)
-                drawn = thumbnail(mesh.vertices, mesh.faces, up=mesh.up if up is None else up)
+                drawn = catalogue.mesh(record.id).thumbnail(up)
                 # Not again after a failure, because a lock of another process is waited for.
                 if drawn is not None and self._keeps:
-                    self._keeps = catalogue.keep_thumbnail(record, *drawn)
+                    self._keeps = catalogue.rows.keep_thumbnail(record, *drawn)
                 kept = None if drawn is None else drawn.png
         return kept and resized(kept, self._size)
 
     def _shows(self, catalogue: Catalogue, record: Record, up: FloatArray) -> bool:
         """Whether a direction is upwards in the stored picture."""
-        drawn = catalogue.direction_upwards(record.id)
+        drawn = catalogue.rows.direction_upwards(record.id)
         return drawn is not None and np.allclose(drawn, up)

@@ -43,7 +43,7 @@ from pcretrieve.formats.identity import content_hash
 from pcretrieve.options import OptionsLike, PipelineOptions, ScanOptions, SurfaceOptions
 from pcretrieve.pipeline import log_steps
 from pcretrieve.points.neighbors import Neighborhoods, plane_neighborhoods
-from pcretrieve.spectral import ELEMENTS, eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
+from pcretrieve.spectral import eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
 from pcretrieve.surface import SurfaceMarks, defects, reduced, remesh, sampled, sound_mesh, surfaces
 from pcretrieve.values import (
     Eigenpairs,
@@ -359,15 +359,18 @@ def _stages(scan: ScanLike, options: PipelineOptions) -> Iterator[Seen]:
         value = as_scan(scan, options.scan.unit)
     if isinstance(value, TriangleMesh):
         yield Seen(scan=PointCloud(value.vertices, provenance=value.provenance))
-        of_points = ELEMENTS[options.spectral.element].needs == "points"
-        if value.others and not of_points and options.surface.mode != "reconstruct":
+        if (
+            value.others
+            and not options.spectral.of_points
+            and options.surface.mode != "reconstruct"
+        ):
             mesh, *others = (
                 _with_few_faces(each, options.surface) for each in (value, *value.others)
             )
             yield Seen(mesh=mesh, others=tuple(others))
             return
         with in_stage(Stage.SURFACE):
-            kept = None if of_points else sound_mesh(value, options.surface)
+            kept = None if options.spectral.of_points else sound_mesh(value, options.surface)
             used = (
                 sampled(value, options.surface)
                 if kept is None
@@ -401,7 +404,7 @@ def _of_scan(value: PointCloud, options: PipelineOptions) -> Iterator[Seen]:
         origin = cloud.points.mean(axis=0)
         cloud = points.oriented_normals(moved(cloud, -origin), options.scan, neighbors)
     yield (seen := replace(seen, cloud=moved(cloud, origin)))
-    if ELEMENTS[options.spectral.element].needs != "points":
+    if not options.spectral.of_points:
         yield from _of_surfaces(seen, cloud, neighbors, origin, options)
 
 

@@ -6,12 +6,15 @@ A distance matrix ranks a gallery as an index of signatures does; its files are 
 from pcretrieve.retrieval.distances import (
     DISTANCES,
     DistanceBlock,
+    DistanceMatrix,
     Positions,
     coordinates,
+    ids_path,
     pairwise,
+    read_matrix,
+    write_matrix,
 )
 from pcretrieve.retrieval.index import SignatureIndex
-from pcretrieve.retrieval.matrix import DistanceMatrix, ids_path, read_matrix, write_matrix
 from pcretrieve.retrieval.people import People, people
 from pcretrieve.retrieval.whitening import Whitening, fit_whitening, table_whitening
 

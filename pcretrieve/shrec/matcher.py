@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.distance import cityblock
 
 from pcretrieve.errors import OptionError, PcretrieveError, ShapeError, Stage
-from pcretrieve.retrieval.matrix import DistanceMatrix
+from pcretrieve.retrieval.distances import DistanceMatrix
 from pcretrieve.shrec.cm_bof import clock_distance, view_descriptors, view_words
 from pcretrieve.shrec.heat import heat_distance, heat_points, heat_set, word_frequencies
 from pcretrieve.shrec.meshsift import match_distance, mesh_features

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
     from typing_extensions import Self
 
+    from pcretrieve.draw.thumbnail import Thumbnail
+
 # Smallest ratio of the area of a face to the square of its longest edge. Below it cotangents of the angles
 # exceed 1e8, and rounding errors of the stiffness matrix reach the size of its small eigenvalues.
 SMALLEST_ASPECT = 1e-9
@@ -259,14 +261,25 @@ class TriangleMesh(_Processed):
 
         return plot_surface(self.vertices, self.faces, axes)
 
+    def thumbnail(self, up: str | FloatArray | None = None) -> Thumbnail | None:
+        """A picture from the front, and the direction upwards in it; None without area.
+
+        up: (3,), or an axis such as ``-y``; by default that of the ground, or else found by the form.
+        """
+        from pcretrieve.draw.axes import upward
+        from pcretrieve.draw.thumbnail import thumbnail
+
+        chosen = upward(up) if isinstance(up, str) else up
+        return thumbnail(self.vertices, self.faces, up=self.up if chosen is None else chosen)
+
     def __repr__(self) -> str:
         size = f"{len(self.vertices):,} vertices, {len(self.faces):,} faces"
         return f"TriangleMesh({size}; area {self.area:.4g} file units²)"
 
     def _repr_html_(self) -> str:
-        from pcretrieve.draw.thumbnail import picture_html, thumbnail
+        from pcretrieve.draw.thumbnail import picture_html
 
-        drawn = thumbnail(self.vertices, self.faces, up=self.up)
+        drawn = self.thumbnail()
         return picture_html(None if drawn is None else drawn.png, repr(self))
 
 

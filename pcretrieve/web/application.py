@@ -99,7 +99,7 @@ class Readers:
         catalogue: Catalogue | None = getattr(self._own, "catalogue", None)
         if catalogue is None:
             catalogue = self._own.catalogue = Catalogue(self._location)
-            catalogue.answer_at_once()
+            catalogue.rows.answer_at_once()
         return function(catalogue)
 
     def _closed(self, barrier: Barrier) -> None:
@@ -122,7 +122,7 @@ class Answers:
         # Requests that have waited for an answer share the next one, which has begun after they arrived.
         if kept is None or begun < asked.arrived:
             begun = time.monotonic()
-            now = asked.catalogue.state(), pictures.up
+            now = asked.catalogue.rows.state(), pictures.up
             if kept is None or state != now:
                 state, kept = now, answer(asked)
         self._kept[address] = begun, state, kept
@@ -183,7 +183,7 @@ class _Asked:
     @property
     def classes(self) -> list[str] | None:
         """The classes that can be chosen; None if they are too many."""
-        found = self.catalogue.classes(MOST_CLASSES + 1)
+        found = self.catalogue.rows.classes(MOST_CLASSES + 1)
         return sorted(found) if len(found) <= MOST_CLASSES else None
 
     @property

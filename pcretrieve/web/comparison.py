@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pcretrieve import Catalogue, PipelineOptions, TriangleMesh
+from pcretrieve import Catalogue, PipelineOptions, TriangleMesh, index, places
 from pcretrieve.errors import InputError, PcretrieveError, ShapeError
 from pcretrieve.ingestion.pool import in_processes
 from pcretrieve.pages.html import without_folders
@@ -41,9 +41,9 @@ def compared(
             raise InputError(
                 f"{record.id} failed in the stage {record.stage}: it cannot be compared"
             )
-    index = catalogue.index(options)
-    distance = float(index.between(pair)[0, 1])
-    score = None if index.scores is None else float(index.scores.of(np.array([distance]))[0])
+    made = index(catalogue, options=options)
+    distance = float(made.between(pair)[0, 1])
+    score = None if made.scores is None else float(made.scores.of(np.array([distance]))[0])
     # Imported here, as below, so that the server starts sooner.
     from pcretrieve.pages.scene import measures
 
@@ -96,17 +96,17 @@ def mesh_of(catalogue: Catalogue, shape_id: str) -> TriangleMesh:
 def map_of(options: PipelineOptions, location: str) -> dict[str, Any]:
     """What the page of the map of a catalogue shows, of a random sample if there are many shapes."""
     with Catalogue(location) as catalogue:
-        index, labels = catalogue.index(options), catalogue.labels()
-        rows = np.arange(len(index))
+        made, labels = index(catalogue, options=options), catalogue.labels()
+        rows = np.arange(len(made))
         if len(rows) > MOST_SHAPES:
             rows = np.sort(np.random.default_rng(SEED).choice(rows, MOST_SHAPES, replace=False))
-        places = catalogue.cache.places(index.points[rows], catalogue.revision())
-        ids = [index.ids[row] for row in rows.tolist()]
+        ids = [made.ids[row] for row in rows.tolist()]
+        drawn = places(catalogue, ids, options=options)
         return {
-            "drawing": map_drawing(ids, [labels.get(name) for name in ids], places),
+            "drawing": map_drawing(ids, [labels.get(name) for name in ids], drawn),
             "n_shown": len(ids),
-            "n_shapes": len(index),
-            "whitening": without_folders(index.whitening.reason),
+            "n_shapes": len(made),
+            "whitening": without_folders(made.whitening.reason),
         }
 
 

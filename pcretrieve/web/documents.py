@@ -6,9 +6,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pcretrieve import Answer, Catalogue, PipelineOptions, Record, __version__
+from pcretrieve import Answer, Catalogue, PipelineOptions, Record, __version__, index
+from pcretrieve.gallery.answers import Described, Question, answer_to
 from pcretrieve.pages.html import without_folders
-from pcretrieve.query import Described, Question, answer_to
 from pcretrieve.values.files import csv_text
 from pcretrieve.web.requests import Listing, Refused, Similar
 
@@ -25,10 +25,9 @@ CSV_COLUMNS = ("query", "rank", "id", "label", "distance", "score", "file")
 
 def record_of(catalogue: Catalogue, shape_id: str) -> Record:
     """The record of a shape."""
-    record = catalogue.get(shape_id)
-    if record is None:
-        raise Refused(f"there is no shape {shape_id!r}")
-    return record
+    for record in catalogue.rows.several([shape_id]):
+        return record
+    raise Refused(f"there is no shape {shape_id!r}")
 
 
 def shape_document(record: Record) -> Document:
@@ -55,12 +54,12 @@ def listing_document(catalogue: Catalogue, listing: Listing) -> Document:
     """A page of the collection."""
     words, start = listing.q.casefold().split(), (listing.page - 1) * PAGE
     if words:  # compared by Python, because databases know ASCII letters alone
-        _, ids = catalogue.wanted(**listing.wanted)
+        _, ids = catalogue.rows.wanted(**listing.wanted)
         among = [one for one in ids if all(word in one.casefold() for word in words)]
         total, chosen = len(among), among[start : start + PAGE]
     else:
-        total, chosen = catalogue.wanted(**listing.wanted, limit=PAGE, offset=start)
-    found = {record.id: record for record in catalogue.several(chosen)}
+        total, chosen = catalogue.rows.wanted(**listing.wanted, limit=PAGE, offset=start)
+    found = {record.id: record for record in catalogue.rows.several(chosen)}
     return {
         "total": total,
         "page": listing.page,
@@ -113,7 +112,7 @@ def similar_document(
         "match": None if answer.match is None else asdict(answer.match),
         "verdict": str(answer),
         "distance": options.retrieval.distance,
-        "whitening": without_folders(catalogue.whitening(options).reason),
+        "whitening": without_folders(index(catalogue, options=options).whitening.reason),
         "version": __version__,
     }
 

@@ -16,9 +16,9 @@ from typing import Any, Literal
 
 from pcretrieve import PipelineOptions, Record
 from pcretrieve.errors import MemoryExceeded, PcretrieveError, StageTimeout, WorkerDied, shape_error
+from pcretrieve.gallery.answers import Described
 from pcretrieve.ingestion.pool import TemporaryFolder, in_processes
 from pcretrieve.pages.thumbnails import Thumbnails
-from pcretrieve.query import Described
 from pcretrieve.web.keeping import Collection, described, inspection_page, stages_of
 from pcretrieve.web.requests import Refused
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.errors import InputError
+from pcretrieve.gallery.answers import Described, described_scan
 from pcretrieve.pages.html import without_folders
-from pcretrieve.query import Described, described_scan
 
 if TYPE_CHECKING:
     from pcretrieve import Record
@@ -95,7 +95,7 @@ class Collection:
             )
         target = self.folder / f"{shape_id}{scan.suffix}"
         with Catalogue(self.location) as store:
-            if store.get(shape_id) is not None or any(self.folder.glob(f"{shape_id}.*")):
+            if store.rows.several([shape_id]) or any(self.folder.glob(f"{shape_id}.*")):
                 raise InputError(f"there is a shape {shape_id!r} already: choose another name")
             try:
                 shutil.copyfile(scan, target)
@@ -116,7 +116,7 @@ class Collection:
             raise InputError(f"the catalogue has this scan already, as {other.id!r}")
         for record in done.failed:
             # Not by `remove`, which writes the whole file again: a failure has no body.
-            store.revise(removed=[record.path])
+            store.rows.revise(removed=[record.path])
             raise InputError(
                 f"the scan failed in {record.stage}: {without_folders(record.message or '')}"
             )

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pcretrieve import Catalogue, PipelineOptions
+from pcretrieve import Catalogue, PipelineOptions, index
 from pcretrieve.errors import InputError
 from pcretrieve.options import OptionsLike
 
@@ -114,7 +114,7 @@ def serve(
         _listening(port) as listener,
     ):
         address = f"http://{ADDRESS}:{listener.getsockname()[1]}/?token={key}"
-        site.searching.prepare(lambda catalogue: catalogue.index(site.options).load())
+        site.searching.prepare(lambda catalogue: index(catalogue, options=site.options).load())
         _run(Guard(application(site), key), listener, lambda: on_start(address))
 
 
@@ -140,7 +140,7 @@ def opened_site(
     with Catalogue(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
         # Made now, so that what it lacks is said before the first request.
-        store.index(chosen)
+        index(store, options=chosen)
         title, thumbnails = Path(store.location).name, Thumbnails(store, up)
         scanned = store.options.model_copy(update={"signature": chosen.signature})
     location, jobs, collection = str(catalogue), None, None

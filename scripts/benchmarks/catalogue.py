@@ -56,6 +56,8 @@ from benchmarks.uniform import UniformOptions, scan_uniformly
 from pcretrieve import status
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import PcretrieveError
+from pcretrieve.gallery import fitted
+from pcretrieve.gallery.fitted import signatures
 from pcretrieve.options import PipelineOptions
 from pcretrieve.retrieval import DISTANCES, SignatureIndex
 from pcretrieve.simulation import write_ply
@@ -161,10 +163,8 @@ def _catalogue(path: Path, n_shapes: int) -> Iterator[str]:
         f"removed in {written.removal:.2f} s",
     )
     with Catalogue(path) as catalogue:
-        seconds, _ = timed(catalogue.signatures)
-    yield TABLE.row(
-        "  Catalogue.signatures", f"{seconds:.2f} s, {seconds / n_shapes * 1e6:.1f} µs a shape"
-    )
+        seconds, _ = timed(partial(signatures, catalogue))
+    yield TABLE.row("  signatures", f"{seconds:.2f} s, {seconds / n_shapes * 1e6:.1f} µs a shape")
     query = ("query", synthetic_id(n_shapes // 3), "-c", str(path), "-k", str(K), *WHITENED)
     seconds, peak = run_command(*query)
     with Catalogue(path) as catalogue:
@@ -192,9 +192,9 @@ def _queries(path: Path, distance: str, whitening: str) -> Iterator[str]:
     """Times of queries by an index that was kept, and whether brute force agrees."""
     options = OPTIONS.changed(retrieval={"whitening": whitening, "distance": distance})
     with Catalogue(path) as catalogue:
-        building, index = timed(partial(catalogue.index, options))
+        building, index = timed(partial(fitted.index, catalogue, options=options))
     with Catalogue(path) as catalogue:
-        opening, index = timed(partial(catalogue.index, options))
+        opening, index = timed(partial(fitted.index, catalogue, options=options))
         rows = np.random.default_rng(SEED).integers(len(index), size=N_QUERIES).tolist()
         ids = [synthetic_id(row) for row in rows]
         for shape_id in ids[:N_WARM]:
@@ -210,7 +210,7 @@ def _queries(path: Path, distance: str, whitening: str) -> Iterator[str]:
             if tree is not None:
                 by_tree.append(_thread_seconds(partial(tree.query, points[row : row + 1], K)))
         equal = sum(_agrees(index, row) for row in rows[:N_COMPARED])
-        values = catalogue.signatures(options).values[:N_BATCH]
+        values = signatures(catalogue, options=options).values[:N_BATCH]
         batch, _ = timed(partial(_answered, index, values))
     median = statistics.median(own)
     faiss = "faiss is not installed"
@@ -317,7 +317,7 @@ def _processor_seconds() -> float:
 def _cost(path: Path, shape_id: str, surfaces: str) -> str:
     """The size of what is stored of a shape."""
     with Catalogue(path) as catalogue:
-        stored = catalogue.stored_bytes(shape_id)
+        stored = catalogue.rows.stored_bytes(shape_id)
     meshes = stored.pop("meshes")
     kilobytes = f"{sum(stored.values()) / 1000:.1f} kB, and {meshes / 1000:.1f} kB of meshes"
     return TABLE.row(f"  stored of a shape of {surfaces}, beside its meshes", kilobytes)

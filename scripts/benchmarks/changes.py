@@ -22,9 +22,9 @@ from benchmarks.recognition import fused_points
 from benchmarks.sets import SETS, Item, left_out, to_faces
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import ShapeError
+from pcretrieve.gallery.groups import SAME
 from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.pipeline.process import process
-from pcretrieve.query import SAME
 from pcretrieve.retrieval import coordinates, fit_whitening, pairwise, people
 from pcretrieve.simulation import RigOptions, scan
 from pcretrieve.simulation.samples import moved, random_motion

@@ -43,6 +43,7 @@ from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
 from pcretrieve.errors import BenchmarkError, ShapeError
 from pcretrieve.evaluation.measures import verification
+from pcretrieve.gallery.fitted import signatures
 from pcretrieve.options import PipelineOptions, SignatureOptions, fused_names
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import Positions, coordinates, fit_whitening, people
@@ -112,7 +113,7 @@ def scans_of(catalogues: Sequence[Path]) -> Scans:
         with Catalogue(path) as catalogue:
             for method in BEGINS:
                 options = catalogue.options.changed(signature={"method": method, "n_values": 59})
-                table = catalogue.signatures(options)
+                table = signatures(catalogue, options=options)
                 parts[method].append(coordinates(table.values, table.metric))
             areas = {record.id: record.area or 0.0 for record in catalogue.records(status="done")}
             parts["size"].append(np.log(np.array([[areas[shape_id]] for shape_id in table.ids])))

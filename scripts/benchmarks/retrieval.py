@@ -52,8 +52,9 @@ from pcretrieve.errors import BenchmarkError, OptionError
 from pcretrieve.evaluation import rank_table
 from pcretrieve.evaluation.measures import evaluate_rankings
 from pcretrieve.evaluation.rankings import NO_FAILURES
+from pcretrieve.gallery.answers import SURE
+from pcretrieve.gallery.fitted import signatures
 from pcretrieve.options import PipelineOptions, RetrievalOptions, SignatureOptions
-from pcretrieve.query import SURE
 from pcretrieve.retrieval import People, pairwise, people, table_whitening
 from pcretrieve.retrieval.distances import table_coordinates
 from pcretrieve.retrieval.scores import fit_scores
@@ -194,7 +195,7 @@ def _catalogue_rows(
                     chosen = options.changed(
                         signature={"method": method, "n_values": n_values, "scale": "area"}
                     )
-                    table = catalogue.signatures(chosen)
+                    table = signatures(catalogue, options=chosen)
                 except OptionError as error:
                     yield f"{name} {method} {n_values}: left out, {error.message}"
                     continue
@@ -266,7 +267,7 @@ def _no_match_rows(
 def _atoms_rows(name: str, catalogue: Catalogue, options: PipelineOptions) -> Iterator[str]:
     """What learned atoms are worth for other classes, and for other shapes of the same classes."""
     shipped = options.changed(signature={"method": "dl-supervised"})
-    before = catalogue.signatures(shipped)
+    before = signatures(catalogue, options=shipped)
     labels = {
         key: label
         for key, label in zip(before.ids, before.labels, strict=True)
@@ -291,7 +292,9 @@ def _atoms_rows(name: str, catalogue: Catalogue, options: PipelineOptions) -> It
             atoms = learned_atoms(
                 map(catalogue.mesh, own), [*own.values()], shipped.signature.n_modes
             )
-            after = catalogue.signatures(shipped.changed(signature={"atoms": atoms.tolist()}))
+            after = signatures(
+                catalogue, options=shipped.changed(signature={"atoms": atoms.tolist()})
+            )
             others = [key for key in labels if key not in known]
             rows.append(
                 [evaluate_table(one.select(others), retrieval).map for one in (before, after)]

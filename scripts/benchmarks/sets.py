@@ -21,6 +21,7 @@ from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
 from pcretrieve.errors import BenchmarkError, ShapeError
 from pcretrieve.formats import read_scan, write_cloud, write_mesh
+from pcretrieve.gallery.fitted import signatures
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import LAYOUTS, read_labels
 from pcretrieve.ingestion.run import Summary
@@ -152,7 +153,7 @@ def described(
     values: dict[str, FloatArray] = {}
     descriptor = DESCRIPTORS[options.method]
     failed = {record.id: record.label for record in catalogue.records()}
-    for shape_id in catalogue.signatures().ids:
+    for shape_id in signatures(catalogue).ids:
         with suppress(ShapeError):  # counts as a miss
             values[shape_id] = describe(catalogue.shape(shape_id, descriptor.needs), options).values
     labels = tuple(failed.pop(shape_id) for shape_id in values)

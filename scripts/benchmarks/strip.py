@@ -15,8 +15,8 @@ from pcretrieve.catalogue import Catalogue
 from pcretrieve.draw.axes import body_axes
 from pcretrieve.draw.pictures import CLAY, cameras_around, depth_picture, rgb, surface_picture
 from pcretrieve.formats import read_scan
+from pcretrieve.gallery.answers import search
 from pcretrieve.pipeline.process import reconstruct
-from pcretrieve.query import search
 from pcretrieve.values import FloatArray, IntArray
 from pcretrieve.values.conversion import as_cloud
 from pcretrieve.values.files import write_file

@@ -64,7 +64,7 @@ def synthetic_catalogue(path: Path, options: PipelineOptions, n_shapes: int, see
     with Catalogue(path, options, create=True) as catalogue:
         for start in range(0, n_shapes, BLOCK):
             numbers = range(start, min(start + BLOCK, n_shapes))
-            catalogue.add([_entry(number, next(made), options) for number in numbers])
+            catalogue.rows.add([_entry(number, next(made), options) for number in numbers])
 
 
 def _entry(number: int, values: FloatArray, options: PipelineOptions) -> Entry:
@@ -173,15 +173,15 @@ def written_in(path: Path, n_shapes: int, n_repeats: int) -> WritingTimes:
     """Median times of adding shapes to a catalogue, and removing them."""
     times = []
     with Catalogue(path) as catalogue:
-        (page,) = catalogue.pages(limit=n_shapes)
-        stored = catalogue.entries([record.id for record in page])
+        (page,) = catalogue.rows.pages(limit=n_shapes)
+        stored = catalogue.rows.entries([record.id for record in page])
         new = [
             replace(entry, record=replace(entry.record, id=f"new-{at}", path=f"/new/{at}.ply"))
             for at, entry in enumerate(stored)
         ]
         ids = [entry.record.id for entry in new]
         for _ in range(n_repeats):
-            together, _ = timed(partial(catalogue.add, new))
+            together, _ = timed(partial(catalogue.rows.add, new))
             removal, _ = timed(partial(catalogue.remove, *ids))
             single, _ = timed(partial(_store, catalogue, new))
             catalogue.remove(*ids)
@@ -200,15 +200,15 @@ def merged_in(
     synthetic_catalogue(folder / "whole.sqlite", options, n_shapes, seed)
     parts = [folder / f"part-{number}.sqlite" for number in range(n_parts)]
     with Catalogue(folder / "whole.sqlite") as whole:
-        ids = [origin.id for origin in whole.origins()]
+        ids = [origin.id for origin in whole.rows.origins()]
         for number, part in enumerate(parts):
             with Catalogue(part, options, create=True) as store:
                 chosen = ids[number::n_parts]
                 for start in range(0, len(chosen), COPIED_AT_ONCE):
-                    store.add(whole.entries(chosen[start : start + COPIED_AT_ONCE]))
+                    store.rows.add(whole.rows.entries(chosen[start : start + COPIED_AT_ONCE]))
     return timed(lambda: merge_catalogues(parts, folder / "all.sqlite"))[0]
 
 
 def _store(catalogue: Catalogue, entries: Collection[Entry]) -> None:
     for entry in entries:
-        catalogue.store(entry)
+        catalogue.rows.store(entry)

@@ -21,6 +21,7 @@ import shapes
 from commands import program
 from postgresql_server import Server, server_of_its_own
 from processes import in_this_process
+from stored import records
 from test_rows import SETTINGS, done, failed, ids
 
 import pcretrieve as pr
@@ -128,12 +129,12 @@ def test_a_server_that_is_away_for_longer_is_an_error_with_advice(
         finally:
             server.start()
         rows.store(done("b"))
-        assert ids(rows.records()) == ["a", "b"]
+        assert ids(records(rows)) == ["a", "b"]
         # The next time, the server is waited for again.
         server.stop()
         timer = threading.Timer(1, server.start)
         timer.start()
-        assert ids(rows.records()) == ["a", "b"]
+        assert ids(records(rows)) == ["a", "b"]
         timer.join()
         # But not by a server of pages.
         rows.answer_at_once()
@@ -141,7 +142,7 @@ def test_a_server_that_is_away_for_longer_is_an_error_with_advice(
         try:
             started = time.monotonic()
             with pytest.raises(CatalogueError, match="see to the server"):
-                rows.records()
+                records(rows)
             assert time.monotonic() - started < 1
         finally:
             server.start()
@@ -163,7 +164,7 @@ def test_a_server_that_starts_is_waited_for(server: Server, schema: str) -> None
 
         threading.Thread(target=refuse_twice, daemon=True).start()
         with created(f"{local(starting)}?sslmode=disable&gssencmode=disable", schema) as rows:
-            assert rows.records() == []
+            assert records(rows) == []
 
 
 # --- transactions that are cut ------------------------------------------------------------------------
@@ -274,7 +275,7 @@ OPERATIONS: dict[str, Callable[[Rows], object]] = {
 def state(rows: Rows) -> Any:
     with_entries = [
         (one.record, dict(one.signatures), dict(one.payloads))
-        for one in rows.entries(ids(rows.records()))
+        for one in rows.entries(ids(records(rows)))
     ]
     return with_entries, bytes(rows.listed("new").packed)
 
@@ -295,7 +296,7 @@ def test_an_operation_that_is_cut_anywhere_happens_once(
         is_over, number = False, 0
         while not is_over:
             number += 1
-            rows.remove(*ids(rows.records()))
+            rows.remove(*ids(records(rows)))
             rows.add(start)
             line.n_messages = 0
             line.is_delivered = is_delivered
@@ -318,7 +319,7 @@ def test_a_removal_whose_answer_is_lost_is_no_error(server: Server, schema: str)
             line.cut_at = Once(COMMIT)
             rows.remove("a")
             assert line.cut_at.is_over
-            assert rows.records() == []
+            assert records(rows) == []
 
 
 def test_a_transaction_that_ends_its_connection_is_not_tried_for_ever(
@@ -333,7 +334,7 @@ def test_a_transaction_that_ends_its_connection_is_not_tried_for_ever(
         assert len(warnings(caplog)) == 1
         line.cut_at = lambda count, data: False
         rows.store(done("a"))
-        assert ids(rows.records()) == ["a"]
+        assert ids(records(rows)) == ["a"]
 
 
 def test_a_session_that_is_ended_by_an_administrator_goes_on(server: Server, schema: str) -> None:
@@ -360,7 +361,7 @@ def test_a_session_that_is_ended_by_an_administrator_goes_on(server: Server, sch
             timer.start()
             rows.store(done("b"))
             timer.join()
-        assert ids(rows.records()) == ["a", "b"]
+        assert ids(records(rows)) == ["a", "b"]
 
 
 # --- a server that stands still -----------------------------------------------------------------------
@@ -383,7 +384,7 @@ def test_a_server_that_stands_still_is_an_error_in_time(
         assert "the server has not answered for 1 s" in caplog.text or "timeout" in caplog.text
         assert len(warnings(caplog)) == 1
         rows.store(done("b"))
-        assert ids(rows.records()) == ["a", "b"]
+        assert ids(records(rows)) == ["a", "b"]
 
 
 def test_a_server_that_stands_still_for_a_while_loses_nothing(
@@ -397,7 +398,7 @@ def test_a_server_that_stands_still_for_a_while_loses_nothing(
             timer = threading.Timer(2.5, still.__exit__, (None, None, None))
             timer.start()
             rows.remove(name)
-            assert rows.records() == []
+            assert records(rows) == []
             timer.join()
 
 
@@ -410,7 +411,7 @@ def test_a_session_that_stands_still_is_given_up(
         os.kill(stopped, signal.SIGSTOP)
         try:
             rows.store(done("b"))
-            assert ids(rows.records()) == ["a", "b"]
+            assert ids(records(rows)) == ["a", "b"]
         finally:
             os.kill(stopped, signal.SIGCONT)
 
@@ -447,7 +448,7 @@ def test_settings_of_a_role_change_no_numbers_and_no_texts(server: Server, schem
             admin.execute(f"ALTER ROLE odd SET {setting}")
             url = server.url.replace("tester", "odd")
             with created(url, schema) as rows:
-                assert rows.records() == [entry.record], setting
+                assert records(rows) == [entry.record], setting
                 (found,) = rows.entries(["a"])
                 assert (found.signatures, found.payloads) == (entry.signatures, entry.payloads)
             admin.execute("ALTER ROLE odd RESET ALL")
@@ -515,7 +516,7 @@ def test_tables_that_act_are_refused(server: Server, others: None, schema: str, 
         # Also of who had it open before, and has to connect again.
         connection_of(rows).close()
         with pytest.raises(CatalogueError, match=said):
-            rows.records()
+            records(rows)
 
 
 def test_functions_of_the_schema_are_not_called(server: Server, others: None, schema: str) -> None:
@@ -540,7 +541,7 @@ def test_functions_of_the_schema_are_not_called(server: Server, others: None, sc
         with created(line.url, schema) as rows:
             assert rows.database.is_writable
             rows.store(done("a"))
-            assert ids(rows.records()) == ["a"]
+            assert ids(records(rows)) == ["a"]
         assert line.cut_at.is_over
 
 

@@ -166,7 +166,7 @@ def test_computers_that_share_a_file_share_no_memory(
         number = f"{os.major(device)}:{os.minor(device)}"
         mounts.write_text(f"{other}22 27 {number} / {tmp_path} rw - {kind} server:/scans rw\n")
         with Catalogue(tmp_path / f"{kind}.sqlite", create=True) as store:
-            assert store.database.execute("PRAGMA journal_mode") == [(mode,)]
+            assert store.rows.database.execute("PRAGMA journal_mode") == [(mode,)]
 
 
 @contextmanager
@@ -218,7 +218,7 @@ def test_no_other_process_writes_while_one_ends_a_checkpoint(
             if change == "remove":
                 other.remove("2")
             else:
-                other.database.scrub()
+                other.rows.database.scrub()
 
     execute(path, "DELETE FROM arrays")
     before = path.stat().st_size
@@ -238,15 +238,15 @@ def test_no_other_process_writes_while_one_ends_a_checkpoint(
 
 def test_a_writer_shares_its_lock_with_nobody(path: Path) -> None:
     with Catalogue(path) as store, Path(f"{path}-wal").open("rb") as log:
-        with store.database.writing(), pytest.raises(BlockingIOError):
+        with store.rows.database.writing(), pytest.raises(BlockingIOError):
             fcntl.flock(log, fcntl.LOCK_SH | fcntl.LOCK_NB)
         fcntl.flock(log, fcntl.LOCK_SH | fcntl.LOCK_NB)
 
 
 def test_a_file_is_trusted_with_nothing_and_written_to_the_disk(path: Path) -> None:
     with Catalogue(path) as store:
-        assert store.database.execute("PRAGMA trusted_schema") == [(0,)]
-        assert store.database.execute("PRAGMA synchronous") == [(3,)]  # EXTRA
+        assert store.rows.database.execute("PRAGMA trusted_schema") == [(0,)]
+        assert store.rows.database.execute("PRAGMA synchronous") == [(3,)]  # EXTRA
 
 
 # --- damage ---------------------------------------------------------------------------------------------
@@ -294,7 +294,7 @@ def test_damaged_bytes_are_an_error(original: Path, tmp_path: Path) -> None:
             path.write_bytes(damage(path.read_bytes()))
         with pytest.raises(CatalogueError) as raised, Catalogue(path) as store:
             store.records()
-            store.signatures()
+            pr.signatures(store)
             store.mesh("2")
         assert re.search(r"is damaged \(.*\): restore a copy, or", str(raised.value), re.DOTALL), (
             damage
@@ -329,7 +329,7 @@ def test_a_flipped_bit_of_a_record(
 ) -> None:
     """Wherever it is, the shape is named, and ingested again after the repair."""
     with Catalogue(path) as store:
-        store.revise(labels={str(folder / "2.off"): LABEL})
+        store.rows.revise(labels={str(folder / "2.off"): LABEL})
     execute(path, f"UPDATE provenance SET versions = '{{\"versions of shape 2\": 1}}' {THIRD}")
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.row_factory = sqlite3.Row

@@ -65,7 +65,7 @@ def flip(log: Path, at: int, bit: int = 0) -> None:
 
 def test_a_whole_log_has_no_fault(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with Catalogue(path) as store:
-        assert store.failures() == {("read", "Bad"): N_COMMITS}
+        assert store.rows.failures() == {("read", "Bad"): N_COMMITS}
     assert not caplog.messages
 
 
@@ -130,7 +130,7 @@ def test_old_frames_after_a_restart_are_no_fault(tmp_path: Path) -> None:
             store.put(failure(number))
         log = log_of(path)
         size = log.stat().st_size
-        store.database.execute("PRAGMA wal_checkpoint(RESTART)")
+        store.rows.database.execute("PRAGMA wal_checkpoint(RESTART)")
         store.put(failure(N_COMMITS))
         assert log.stat().st_size == size  # most of it is old
         assert log_fault(log) is None

@@ -18,7 +18,7 @@ from processes import in_this_process
 
 import pcretrieve as pr
 from pcretrieve import Catalogue
-from pcretrieve.catalogue import cache, copies, records, sqlite
+from pcretrieve.catalogue import copies, records, sqlite
 from pcretrieve.errors import CatalogueError, InputError
 from pcretrieve.formats import write_mesh
 
@@ -55,9 +55,9 @@ def path(original: Path, tmp_path: Path) -> Path:
 def pieces(path: Path) -> list[bytes]:
     """What the file has of one shape alone: its names, and pieces of its mesh as they are stored."""
     with Catalogue(path) as store:
-        (entry,) = store.entries([REMOVED])
-        others = [origin.id for origin in store.origins() if origin.id != REMOVED]
-        shared = b"".join(one.payloads.get("meshes", b"") for one in store.entries(others))
+        (entry,) = store.rows.entries([REMOVED])
+        others = [origin.id for origin in store.rows.origins() if origin.id != REMOVED]
+        shared = b"".join(one.payloads.get("meshes", b"") for one in store.rows.entries(others))
     mesh = entry.payloads["meshes"]
     parts = [mesh[at : at + 16] for at in range(0, len(mesh) - 16, 100)]
     own = [part for part in parts if part not in shared]
@@ -76,12 +76,12 @@ def test_a_removed_shape_is_in_no_byte(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(cache, "SMALLEST_KEPT", 1)
+    monkeypatch.setattr("pcretrieve.gallery.fitted.SMALLEST_KEPT", 1)
     wanted = pieces(path)
     log = path.with_name(f"{path.name}-wal")
     with Catalogue(path) as other:
-        other.index()
-        other.revise(labels={other.record(REMOVED).path: f"{LABEL} and more"})  # in the log
+        pr.index(other)
+        other.rows.revise(labels={other.record(REMOVED).path: f"{LABEL} and more"})  # in the log
         assert found([REMOVED.encode()], tmp_path / "cache") == 1
         assert found(wanted, path, log) == len(wanted)
         said = run("remove", REMOVED, "-c", path).stderr
@@ -106,14 +106,14 @@ def test_what_sqlite_leaves_in_its_pages_is_in_no_backup(path: Path, tmp_path: P
     pr.backup(path, tmp_path / "copy.sqlite")
     assert found(wanted, tmp_path / "copy.sqlite") == 0
     with Catalogue(path) as store:
-        assert store.database.execute("PRAGMA secure_delete") == [(1,)]
+        assert store.rows.database.execute("PRAGMA secure_delete") == [(1,)]
 
 
 def test_rows_that_are_replaced_are_overwritten(path: Path) -> None:
     """Where no `remove` writes the file again, secure_delete is what overwrites them."""
     wanted = pieces(path)[3:]
     with Catalogue(path) as store:
-        store.revise(removed=[store.record(REMOVED).path])
+        store.rows.revise(removed=[store.record(REMOVED).path])
     assert found(wanted, path) == 0
 
 
@@ -130,10 +130,10 @@ def test_many_removals_leave_no_piece(tmp_path: Path) -> None:
         entries.append(records.Entry(record, {"own": name.encode() * 20}, {"spectra": spectra}))
     with Catalogue(path, create=True) as store:
         for start in range(0, len(entries), 20):
-            store.add(entries[start : start + 20])
+            store.rows.add(entries[start : start + 20])
         gone = names[::2]
         store.remove(*gone)
-        assert len(store.origins()) == 300
+        assert len(store.rows.origins()) == 300
     assert found([name.encode() for name in gone], path) == 0
 
 
@@ -186,7 +186,7 @@ def test_new_files_are_for_their_user_alone(path: Path, tmp_path: Path) -> None:
     umask = os.umask(0o022)
     try:
         with Catalogue(tmp_path / "new.sqlite", create=True) as store:
-            store.keep("digest", [])
+            store.rows.keep("digest", [])
             for suffix in ("", "-wal", "-shm"):
                 assert rights(tmp_path / f"new.sqlite{suffix}") == 0o600
         for number, names in enumerate((True, False)):
@@ -202,9 +202,9 @@ def test_new_files_are_for_their_user_alone(path: Path, tmp_path: Path) -> None:
 def test_a_copy_without_names_answers_and_has_no_names(
     path: Path, folder: Path, tmp_path: Path
 ) -> None:
-    with Catalogue(path) as store, store.database.writing():
-        store.keep_setting("batch", "{'computer': 'of anna'}")
-        store.keep_setting("up", "z")
+    with Catalogue(path) as store, store.rows.database.writing():
+        store.rows.keep_setting("batch", "{'computer': 'of anna'}")
+        store.rows.keep_setting("up", "z")
     whitening = tmp_path / "of-anna.whitening"
     options = {"retrieval": {"calibration": str(whitening)}}
     with closing(sqlite3.connect(path)) as connection, connection:
@@ -221,7 +221,7 @@ def test_a_copy_without_names_answers_and_has_no_names(
             str(number) for number in range(1, N_SHAPES + 1)
         }
         assert {record.added for record in store.records()} == {""}
-        assert store.up == "z"
+        assert store.rows.up == "z"
         assert store.options.retrieval.calibration is None
         first = pr.search(store, folder / f"{REMOVED}.off").ids[0]
         with Catalogue(path) as whole:

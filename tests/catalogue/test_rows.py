@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from commands import run
-from stored import content
+from stored import content, records
 
 from pcretrieve import Catalogue, PipelineOptions, merge_catalogues
 from pcretrieve.catalogue import Record, postgresql as postgresql_module
@@ -62,12 +62,12 @@ def test_records_are_found(rows: Rows, new_location: str, monkeypatch: pytest.Mo
     assert rows.database.is_writable
     with Rows(new_location, {"options": "others"}, create=True) as again:
         assert again.settings() == rows.settings()
-        assert again.records() == rows.records()
-    assert rows.records() == [*(done(name).record for name in "abcd"), failed("e").record]
+        assert records(again) == records(rows)
+    assert records(rows) == [*(done(name).record for name in "abcd"), failed("e").record]
     monkeypatch.setattr("pcretrieve.catalogue.rows.PAGE", 2)
     assert [ids(page) for page in rows.pages(offset=1, limit=3)] == [["b", "c"], ["d"]]
     assert [ids(page) for page in rows.pages(status="done")] == [["a", "b"], ["c", "d"]]
-    assert ids(rows.records(status="failed")) == ["e"]
+    assert ids(records(rows, "failed")) == ["e"]
     assert rows.origins()[1] == Record("b", "/b.ply", "hash-b", "label", "done")
     assert rows.origins()[4] == Record("e", "/e.ply", "", None, "failed")
     rows.store(done("f", content_hash="hash-b"))
@@ -88,15 +88,15 @@ def test_wanted_shapes_are_those_of_a_sorted_list(rows: Rows) -> None:
     rows.store(done("B", label=None, added=added.format(1)))
     rows.store(failed("f", label="z", added=added.format(3)))
     rows.store(done("g", label="", added=added.format(3), verdict=bad))
-    records = rows.records()
+    every = records(rows)
     keys = {
         "id": lambda one: one.id,
         "label": lambda one: (one.label is None, one.label or "", one.id),
         "added": lambda one: (one.added, one.id),
     }
-    judged = {"": records, "incomplete": [one for one in records if one.is_incomplete]}
+    judged = {"": every, "incomplete": [one for one in every if one.is_incomplete]}
     for state in ("done", "failed"):
-        judged[state] = [one for one in records if one.status == state]
+        judged[state] = [one for one in every if one.status == state]
     n_found = 0
     for state, label, days in product(judged, ("", "z"), DAYS):
         first, last = days or ("", "9")
@@ -130,7 +130,7 @@ def test_each_change_gives_the_rows_another_state(rows: Rows, new_location: str)
         for change, store in product(changes[:-1], (other, rows)):
             change(store)
             states.append(rows.state())
-            assert rows.records() and rows.state() == states[-1]
+            assert records(rows) and rows.state() == states[-1]
         changes[-1](other)
         states.append(rows.state())
     assert len(set(states)) == len(states) == 12
@@ -168,21 +168,21 @@ def test_locations(tmp_path: Path) -> None:
 
 def test_a_failure_never_replaces_a_finished_shape(rows: Rows) -> None:
     """It replaces an earlier failure, and a shape replaces either."""
-    before, revision = rows.records(), rows.revision()
+    before, revision = records(rows), rows.revision()
     assert rows.store(failed("a", id="another", content_hash="new")) == done("a").record
-    assert (rows.records(), rows.revision()) == (before, revision)
+    assert (records(rows), rows.revision()) == (before, revision)
     (kept,) = rows.entries(["a"])
     assert (kept.signatures, kept.payloads) == (done("a").signatures, done("a").payloads)
     assert rows.store(failed("e", message="another reason")).message == "another reason"
     for name in "ae":
         assert rows.store(done(name, content_hash="new")) == done(name, content_hash="new").record
-    assert ids(rows.records()) == ["a", "b", "c", "d", "e"]
+    assert ids(records(rows)) == ["a", "b", "c", "d", "e"]
 
 
 def test_a_shape_does_not_take_the_path_of_another(rows: Rows) -> None:
-    before = rows.records()
+    before = records(rows)
     rows.revise(moved={"/a.ply": "/b.ply"})
-    assert rows.records() == before
+    assert records(rows) == before
     rows.revise(moved={"/a.ply": "/new.ply"})
     assert [record.path for record in rows.several(["a", "b"])] == ["/new.ply", "/b.ply"]
 
@@ -196,7 +196,7 @@ def catalogues(folder: Path, *entries: Entry) -> list[Path]:
     for entry in entries:
         paths.append(folder / f"part{len(paths)}.sqlite")
         with Catalogue(paths[-1], create=True) as store:
-            store.store(entry)
+            store.rows.store(entry)
     return paths
 
 
@@ -253,7 +253,7 @@ def test_schemas_are_catalogues_of_which_a_user_may_read_some(postgresql: str) -
             rows.add([failed(one) for one in "abc"[: number + 1]])
     for number, name in enumerate(names):
         with opened(postgresql, name) as rows:
-            assert ids(rows.records()) == [*"abc"[: number + 1]]
+            assert ids(records(rows)) == [*"abc"[: number + 1]]
     with psycopg.connect(postgresql, autocommit=True) as server:
         server.execute("CREATE ROLE reader LOGIN")
         url = postgresql.replace("tester", "reader")
@@ -266,7 +266,7 @@ def test_schemas_are_catalogues_of_which_a_user_may_read_some(postgresql: str) -
         server.execute(f"GRANT USAGE ON SCHEMA {QUOTED} TO reader")
         server.execute(f"GRANT SELECT ON ALL TABLES IN SCHEMA {QUOTED} TO reader")
     with opened(url) as rows:
-        assert ids(rows.records()) == [*"abc"]
+        assert ids(records(rows)) == [*"abc"]
         assert not rows.database.is_writable
         with pytest.raises(CatalogueError, match="cannot be used by this user"):
             rows.remove("a")
@@ -281,12 +281,12 @@ def test_a_writer_waits_for_another_and_says_so(
     monkeypatch.setattr(postgresql_module, "LOCK_TIMEOUT", 0.05)
     with opened(postgresql, "waiting", create=True) as rows, psycopg.connect(postgresql) as other:
         other.execute("SELECT value FROM waiting.meta WHERE key = 'revision' FOR UPDATE")
-        assert rows.records() == []
+        assert records(rows) == []
         with pytest.raises(CatalogueError, match="is locked by another process: wait until"):
             rows.store(failed("a"))
         other.rollback()
         rows.store(failed("a"))
-        assert rows.records() == [failed("a").record]
+        assert records(rows) == [failed("a").record]
 
 
 @pytest.mark.slow

@@ -105,8 +105,8 @@ def test_the_status_of_an_ingest_and_a_retry_of_its_failures(folder: Path) -> No
     assert "no ingest into it is known" in run("status", "-c", catalogue).stdout
     for seconds, state in ((0, "running"), (4000, "killed"), (-1e30, "none")):
         counts = {"state": "running", "updated": time.time() - seconds, "computer": "another"}
-        with pr.Catalogue(catalogue) as store, store.database.writing():
-            store.keep_setting("batch", json.dumps(counts))
+        with pr.Catalogue(catalogue) as store, store.rows.database.writing():
+            store.rows.keep_setting("batch", json.dumps(counts))
         assert pr.status(catalogue).state == state
     counts = {
         "n_scans": 10,
@@ -115,9 +115,9 @@ def test_the_status_of_an_ingest_and_a_retry_of_its_failures(folder: Path) -> No
         "n_skipped": 4,
         "started": time.time() - 10,
     }
-    with pr.Catalogue(catalogue) as store, store.database.writing():
+    with pr.Catalogue(catalogue) as store, store.rows.database.writing():
         known = {"state": "running", "updated": time.time(), "computer": "another"}
-        store.keep_setting("batch", json.dumps(known | counts))
+        store.rows.keep_setting("batch", json.dumps(known | counts))
     # Two scans in 10 s, and four are left.
     assert pr.status(catalogue).seconds_left == pytest.approx(20, rel=0.1)
     ingest(folder)

@@ -19,7 +19,7 @@ import pcretrieve as pr
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.cli.search import _told
 from pcretrieve.formats import write_mesh
-from pcretrieve.query import Described
+from pcretrieve.gallery.answers import Described
 from pcretrieve.shrec.matcher import MATCHERS, match_all
 
 N_KINDS, N_EACH = 4, 4

@@ -20,9 +20,9 @@ from processes import remembered
 from stored import everything
 
 from pcretrieve import Catalogue, ingest
-from pcretrieve.catalogue import find_defects
 from pcretrieve.errors import CatalogueError
 from pcretrieve.formats import write_mesh
+from pcretrieve.ingestion.recomputing import find_defects
 
 PATIENCE = 1200  # seconds
 
@@ -46,8 +46,9 @@ from pathlib import Path
 from benchmarks.damage import calls_of, cut_power
 from processes import remembered
 from stored import everything
-from pcretrieve.catalogue import Catalogue, find_defects, sqlite
+from pcretrieve.catalogue import Catalogue, sqlite
 from pcretrieve.errors import CatalogueError
+from pcretrieve.ingestion.recomputing import find_defects
 from pcretrieve import ingest as ingest_scans
 
 sqlite.MOUNTS, scans = Path(sys.argv[1]), sorted(Path(sys.argv[2]).iterdir())

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pcretrieve import Catalogue, PipelineOptions, ingest, reconstruct, signature
 from pcretrieve.errors import ReconstructionError
+from pcretrieve.gallery.fitted import signatures
 from pcretrieve.values import FloatArray
 
 POINTS = shapes.points_on(shapes.body(), 6000)
@@ -92,7 +93,9 @@ def test_a_batch_stores_every_good_scan_beside_poisoned_ones(tmp_path: Path) -> 
         (tmp_path / f"{name}.ply").write_bytes(content)
     with Catalogue(tmp_path / "c.sqlite", create=True) as catalogue:
         summary = ingest(tmp_path / "*.ply", catalogue)
-        table = catalogue.signatures(catalogue.options.changed(signature={"method": "r-bihdm"}))
+        table = signatures(
+            catalogue, options=catalogue.options.changed(signature={"method": "r-bihdm"})
+        )
     done, failed = ({record.id for record in records} for records in (summary.done, summary.failed))
     assert done | failed == {*good, *GARBAGE}
     assert failed <= {*GARBAGE}

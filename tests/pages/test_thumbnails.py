@@ -22,7 +22,6 @@ from pcretrieve.draw.thumbnail import THUMBNAIL_PIXELS, Thumbnail, thumbnail
 from pcretrieve.errors import OptionError
 from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion.attempts import content_of
-from pcretrieve.pages import thumbnails
 from pcretrieve.pages.thumbnails import Thumbnails
 
 OPTIONS = PipelineOptions().changed(
@@ -62,7 +61,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[object]:
         ups.append(more["up"])
         return thumbnail(*mesh, **more)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(thumbnails, "thumbnail", counted)
+    monkeypatch.setattr("pcretrieve.draw.thumbnail.thumbnail", counted)
     return ups
 
 
@@ -86,13 +85,14 @@ def test_a_catalogue_keeps_the_pictures_that_would_be_drawn_and_pages_use_them(
         drawn_now = thumbnail(mesh.vertices, mesh.faces)
         assert drawn_now is not None
         assert kept == drawn_now.png == pictures.of(catalogue, record)
-        np.testing.assert_array_equal(catalogue.direction_upwards(record.id), drawn_now.up)
+        np.testing.assert_array_equal(catalogue.rows.direction_upwards(record.id), drawn_now.up)
         assert kept and size_of(kept) == (THUMBNAIL_PIXELS, THUMBNAIL_PIXELS)
-    assert catalogue.stored_bytes("0")["thumbnails"] > 1000
+    assert catalogue.rows.stored_bytes("0")["thumbnails"] > 1000
     bare = content_of(
         folder / "0.off", OPTIONS.changed(catalogue={"keep": ()})
     )  # no surface is stored
     assert bare.thumbnail == catalogue.thumbnail("0")
+    drawn.clear()
     pages = (
         pr.report(catalogue, tmp_path / "report.html"),
         pr.draw_map(catalogue, tmp_path / "map.html"),
@@ -115,12 +115,12 @@ def test_what_is_up_can_be_said_for_each_page(
     direction = np.zeros(3)
     direction["xyz".index(up[-1])] = -1 if up[0] == "-" else 1
     pictures = Thumbnails(catalogue, up)
-    assert catalogue.up == up
+    assert catalogue.rows.up == up
     assert [is_upright(pictures.of(catalogue, one) or b"") for one in catalogue.records()] == [
         stands
     ] * 3
     assert all((one == direction).all() for one in np.array(drawn))
-    np.testing.assert_array_equal(catalogue.direction_upwards("0"), direction)
+    np.testing.assert_array_equal(catalogue.rows.direction_upwards("0"), direction)
     for axis, words in {"y": "report", "-y": "lab map", "-x": "query 0 -k 3 --html"}.items():
         drawn.clear()
         output = () if "--html" in words else ("-o",)
@@ -133,9 +133,9 @@ def test_what_is_up_can_be_said_for_each_page(
             "-c",
             catalogue.location,
         )
-        assert catalogue.up == axis and len(drawn) == 3, words
+        assert catalogue.rows.up == axis and len(drawn) == 3, words
     pictures.say(catalogue, None)
-    assert catalogue.up is None and catalogue.thumbnail("0") is None, "drawn again as it shows"
+    assert catalogue.rows.up is None and catalogue.thumbnail("0") is None, "drawn again as it shows"
     shown = pictures.of(catalogue, catalogue.record("0")) or b""
     pictures.turn(catalogue, catalogue.record("0"), forwards=False)
     assert is_upright(catalogue.thumbnail("0") or b"") != is_upright(shown)
@@ -163,7 +163,7 @@ def test_what_was_not_stored_is_drawn_once_and_kept_if_it_can_be_written(
             other.rollback()
         assert len(drawn) == 6
         assert {store.thumbnail(record.id) for record in store.records()} == {None}
-        assert store.keep_thumbnail(store.record("0"), before[0] or b"", np.array([0, 0, 1.0]))
+        assert store.rows.keep_thumbnail(store.record("0"), before[0] or b"", np.array([0, 0, 1.0]))
         with closing(sqlite3.connect(store.location)) as other, other:
             other.execute("UPDATE arrays SET meshes = NULL")
         assert Thumbnails(store, "x").of(store, store.record("0")) == before[0]

@@ -10,10 +10,10 @@ from scipy.spatial.distance import cdist
 from tables import classes_of, table_of
 
 from pcretrieve.errors import InputError
+from pcretrieve.gallery.answers import SURE, UNLIKELY, Match, _match
+from pcretrieve.gallery.groups import GAP, near_pairs, plane_map
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.query import SURE, UNLIKELY, Match, _match
 from pcretrieve.retrieval import SignatureIndex, pairwise, table_whitening
-from pcretrieve.retrieval.clusters import GAP, near_pairs, plane_map
 from pcretrieve.retrieval.scores import MatchScores, _Pairs, _shares, fit_scores
 from pcretrieve.values import SignatureTable
 

@@ -15,7 +15,7 @@ from processes import wait_for
 from search_server import Server, egg, running
 
 from pcretrieve import Catalogue, search
-from pcretrieve.catalogue import find_defects
+from pcretrieve.ingestion.recomputing import find_defects
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, FileChooser, Page

@@ -194,7 +194,7 @@ def test_lists_are_those_of_this_moment(eggs: Path, tmp_path: Path) -> None:
         assert [shape["message"] for shape in shown] == ["other words"]
         other.remove("Egg00")
         assert "Egg00" not in ids() and b"Egg00" not in ask(site, "/").body
-        other.revise(moved={other.record("Egg01").path: "/elsewhere/moved.off"})
+        other.rows.revise(moved={other.record("Egg01").path: "/elsewhere/moved.off"})
         assert ask(site, "/shapes?q=Egg01").json["shapes"][0]["file"] == "moved.off"
         assert b"The axis y is up" not in ask(site, "/").body
         turned = ask(site, "/up", method="POST", headers=OWN_ORIGIN, chunks=[b"up=y"])

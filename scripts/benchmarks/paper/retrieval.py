@@ -32,6 +32,7 @@ from pcretrieve.evaluation import rank_table
 from pcretrieve.evaluation.measures import PrecisionRecall, evaluate_rankings, precision_recall
 from pcretrieve.evaluation.rankings import Rankings, Subset, rank_subsets
 from pcretrieve.formats import write_mesh
+from pcretrieve.gallery.fitted import signatures
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import discover_labelled, read_labels
 from pcretrieve.options import PipelineOptions, RetrievalOptions, Scale, SignatureOptions
@@ -216,7 +217,7 @@ def _ranked(catalogue: Catalogue, system: System) -> Rankings:
 def _matched(catalogue: Catalogue, system: System) -> Rankings:
     """Rank all pairs; shapes without features count as misses."""
     matcher = MATCHERS[system.method]
-    ids = catalogue.signatures().ids
+    ids = signatures(catalogue).ids
     matrix = match_all(matcher, ids, lambda shape_id: catalogue.shape(shape_id, matcher.needs))
     classes = {record.id: record.label for record in catalogue.records()}
     labels = [classes.pop(shape_id) for shape_id in matrix.ids]

@@ -1,4 +1,4 @@
-"""Catalogue and queries → ranked shapes, and what the shapes of a catalogue are among each other."""
+"""Catalogue and questions → answers: ranked shapes, and who a query is."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from pcretrieve.catalogue import Catalogue, CatalogueLike, Record, thumbnails
 from pcretrieve.errors import (
     InputError,
@@ -20,8 +18,8 @@ from pcretrieve.errors import (
     ShapeError,
     did_you_mean,
 )
+from pcretrieve.gallery.fitted import index
 from pcretrieve.options import OptionsLike, PipelineOptions, check_many
-from pcretrieve.retrieval.clusters import NearPair, cluster_numbers, near_pairs
 from pcretrieve.retrieval.covariances import LEAST_SHAPES
 from pcretrieve.retrieval.distances import checked_k, nearest_of, position_of
 from pcretrieve.values import Neighbors, Signature, Verdict
@@ -36,10 +34,6 @@ if TYPE_CHECKING:
 # measured on classes that were left out, see docs/decisions.md, sure.
 SURE = 0.8
 UNLIKELY = 0.5
-
-# Largest distance of two copies of one body in one pose, by the logarithms of their moments: see
-# docs/decisions.md, SAME.
-SAME = 0.03
 
 # Number of results, or more, among which the next class is looked for.
 LOOKED_AT = 30
@@ -317,13 +311,15 @@ def _answers(
 def answer_to(catalogue: Catalogue, query: str | Described, question: Question) -> Answer:
     """Answer one query that is known already. No file is read, whatever the query is called."""
     ranked = _ranked(catalogue, query, question, LOOKED_AT)
-    known = {record.id: record for record in catalogue.several(ranked.ids)}
+    known = {record.id: record for record in catalogue.rows.several(ranked.ids)}
     labelled = [
         (float(distance), label)
         for shape_id, distance in zip(ranked.ids, ranked.distances, strict=True)
         if shape_id != query and (label := known[shape_id].label) is not None
     ]
-    scores = None if question.matrix is not None else catalogue.index(question.options).scores
+    scores = (
+        None if question.matrix is not None else index(catalogue, options=question.options).scores
+    )
     found = _cut(catalogue, ranked, question)
     return Answer(
         found, tuple(known[i] for i in found.ids), _match(labelled, scores, question.far), query
@@ -346,70 +342,6 @@ def _match(
     return Match(label, other, certainty)
 
 
-def duplicates(
-    catalogue: CatalogueLike, *, options: OptionsLike = None, threshold: float | None = None
-) -> list[NearPair]:
-    """The pairs of shapes that are copies: of other resolutions, mirrored, or scanned twice in one pose.
-
-    Parameters
-    ----------
-    catalogue : Catalogue, str or Path
-        The shapes, with their meshes unless there is a `threshold`. All are compared, incomplete ones too.
-    options : OptionsLike, optional
-        With a `threshold` the signatures, distance and whitening; by default those of the catalogue.
-    threshold : float, optional
-        The largest distance of a pair. By default the moments of the surfaces are compared, up to `SAME`.
-
-    Returns
-    -------
-    list of NearPair
-        Ids, distance and limit of each pair, nearest first.
-
-    Raises
-    ------
-    CatalogueError, InputError
-        As by `search`.
-    """
-    with Catalogue.opened(catalogue) as store:
-        chosen = PipelineOptions.of(options, store.options)
-        if threshold is None:
-            chosen, threshold = chosen.of_copies, SAME
-        elif not 0 <= threshold < np.inf:
-            raise OptionError(f"threshold must be 0 or more, got {threshold}")
-        return near_pairs(store.index(chosen), threshold) if store.records(status="done") else []
-
-
-def cluster(
-    catalogue: CatalogueLike, *, options: OptionsLike = None, min_size: int = 3
-) -> dict[str, str | None]:
-    """Group the shapes of a catalogue without labels, by the density of their whitened signatures.
-
-    Parameters
-    ----------
-    catalogue : Catalogue, str or Path
-        The shapes.
-    options : OptionsLike, optional
-        Signature and whitening, without labels. By default the options of the catalogue.
-    min_size : int, default 3
-        Least number of shapes of a cluster.
-
-    Returns
-    -------
-    dict of str to (str or None)
-        For each shape, by id, ``cluster-1`` for the largest cluster, and so on; None for shapes in none.
-
-    Raises
-    ------
-    CatalogueError, InputError
-        As by `search`.
-    """
-    with Catalogue.opened(catalogue) as store:
-        index = store.index(PipelineOptions.of(options, store.options).without_labels)
-        numbers = cluster_numbers(index, min_size=min_size).tolist()
-        names = (f"cluster-{number}" if number else None for number in numbers)
-        return dict(zip(index.ids, names, strict=True))
-
-
 def described_scan(
     options: PipelineOptions, has_picture: bool, up: str | None, scan: ScanLike
 ) -> Described:
@@ -418,13 +350,9 @@ def described_scan(
 
     shape = process(scan, options)
     signature = signature_of(shape, options, scan)
-    mesh, picture = shape.surfaces[0].mesh, None
-    if has_picture and mesh is not None:
-        from pcretrieve.draw.axes import upward
-        from pcretrieve.draw.thumbnail import thumbnail
-
-        drawn = thumbnail(mesh.vertices, mesh.faces, up=mesh.up if up is None else upward(up))
-        picture = None if drawn is None else drawn.png
+    mesh = shape.surfaces[0].mesh
+    drawn = mesh.thumbnail(up) if has_picture and mesh is not None else None
+    picture = None if drawn is None else drawn.png
     return Described(signature, shape.verdict, picture, None if mesh is None else len(mesh.faces))
 
 
@@ -443,7 +371,7 @@ def _expanded(
     """The queries of a folder, or the one query that is given: their names, and what they name."""
     scans: list[str | Path | Signature] = [query]
     is_folder = not isinstance(query, Signature) and Path(query).is_dir()
-    if is_folder and (isinstance(query, Path) or catalogue.get(str(query)) is None):
+    if is_folder and (isinstance(query, Path) or not catalogue.rows.several([str(query)])):
         from pcretrieve.ingestion.discover import discover
 
         limits = {"timeout": question.timeout, "memory": question.memory}
@@ -487,7 +415,7 @@ def _shape_or_scan(catalogue: Catalogue, query: str | Path, question: Question) 
 
     done = (
         record.id
-        for record in catalogue.with_content(content_hash(path))
+        for record in catalogue.rows.with_content(content_hash(path))
         if record.status == "done"
     )
     return next(done, path)
@@ -504,15 +432,15 @@ def _is_in_a_file(path: Path) -> bool:
 
 def _stored(catalogue: Catalogue, shape_id: str) -> str:
     """An id, after a check that its shape has a signature."""
-    record = catalogue.get(shape_id)
-    if record is None:
+    known = catalogue.rows.several([shape_id])
+    if not known:
         raise InputError(
             f"a query must be the file of a scan or the id of a shape, {shape_id!r} is no file and no shape "
-            f"of {catalogue.location}; `pcretrieve list` names the shapes{catalogue.suggested(shape_id)}"
+            f"of {catalogue.location}; `pcretrieve list` names the shapes{catalogue.rows.suggested(shape_id)}"
         )
-    if record.status != "done":
+    if known[0].status != "done":
         raise InputError(
-            f"shape {shape_id!r} has no signature: it failed in {record.stage}: {record.message}"
+            f"shape {shape_id!r} has no signature: it failed in {known[0].stage}: {known[0].message}"
         )
     return shape_id
 
@@ -533,15 +461,15 @@ def _ranked(
         found = nearest_of([matrix.ids[number] for number in chosen], row[chosen], most)
     else:
         compared = query if isinstance(query, str) else query.signature
-        index = catalogue.index(question.options)
-        found = index.ranked(compared, most, among=among, rerank=question.options.retrieval.rerank)
+        made = index(catalogue, options=question.options)
+        found = made.ranked(compared, most, among=among, rerank=question.options.retrieval.rerank)
     left_out = query if question.exclude_self else None
     return _some(found, [row for row, name in enumerate(found.ids) if name != left_out])
 
 
 def _labelled(catalogue: Catalogue, labels: Collection[str]) -> set[str]:
     check_many("labels", labels)
-    among = set(catalogue.labelled(labels))
+    among = set(catalogue.rows.labelled(labels))
     if not among:
         known = set(filter(None, catalogue.labels().values()))
         meant = did_you_mean(next(iter(labels)), known) if len(labels) == 1 else ""

@@ -1,0 +1,233 @@
+"""Catalogue → what its shapes are among each other: clusters, copies, and places on a map."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from pcretrieve.catalogue import Catalogue, CatalogueLike
+from pcretrieve.catalogue.cache import short_digest
+from pcretrieve.errors import OptionError
+from pcretrieve.gallery.fitted import FORMAT, SMALLEST_KEPT, index
+from pcretrieve.options import OptionsLike, PipelineOptions
+from pcretrieve.retrieval import SignatureIndex
+from pcretrieve.values import FloatArray
+
+# Largest distance of two copies of one body in one pose, by the logarithms of their moments: see
+# docs/decisions.md, SAME.
+SAME = 0.03
+
+# Effective number of neighbours of a point of t-SNE: by more, islands mix when shapes are moved apart.
+PERPLEXITY = 12.0
+
+# Least number of points of t-SNE, which starts at the principal components; fewer are projected on these. The
+# divergence of 1,000 shapes is 4 % above that of 1,000 iterations at the angle 0.5, and looks the same.
+FEWEST = 5
+N_ITERATIONS = 300
+ANGLE = 0.8
+SEED = 0
+
+# Distance between the shapes on a map, so that none hides another: nearly the width of a picture, or, of many
+# shapes, this share of the mean spacing; and how often they are moved apart. Largest gap between neighbours
+# along an axis, in mean gaps: islands that drift far apart would leave no room for what is in them.
+GAP = 0.036
+SHARE = 0.5
+N_ROUNDS = 60
+WIDEST = 5.0
+
+GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+
+
+class NearPair(NamedTuple):
+    """Two near shapes."""
+
+    first: str
+    second: str
+    distance: float
+    limit: float
+
+
+def places(
+    catalogue: CatalogueLike, ids: Sequence[str] | None = None, *, options: OptionsLike = None
+) -> FloatArray:
+    """The places of shapes on a map, near each other where the shapes are similar.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The shapes. Maps of large catalogues are stored as indexes are.
+    ids : sequence of str, optional
+        The shapes on the map. By default all, in alphabetical order.
+    options : OptionsLike, optional
+        Signature and whitening. By default the options of the catalogue.
+
+    Returns
+    -------
+    (n, 2) float64
+        Within [0, 1]², by t-SNE of the whitened signatures.
+
+    Raises
+    ------
+    CatalogueError, InputError, ShapeError
+        As by `index`; InputError also if there is no shape of an id.
+    """
+    with Catalogue.opened(catalogue) as store:
+        made = index(store, options=options)
+        points = made.points if ids is None else np.concatenate([*map(made.point_of, ids)])
+        name = f"map-{FORMAT}-{zlib.crc32(points.tobytes())}-{short_digest(store.revision())}"
+        found: FloatArray | None = store.cache.opened(name, lambda arrays: arrays["places"])
+        if found is None:
+            found = plane_map(points)
+            if len(points) >= SMALLEST_KEPT:
+                store.cache.keep(name, {"places": found})
+        return found
+
+
+def duplicates(
+    catalogue: CatalogueLike, *, options: OptionsLike = None, threshold: float | None = None
+) -> list[NearPair]:
+    """The pairs of shapes that are copies: of other resolutions, mirrored, or scanned twice in one pose.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The shapes, with their meshes unless there is a `threshold`. All are compared, incomplete ones too.
+    options : OptionsLike, optional
+        With a `threshold` the signatures, distance and whitening; by default those of the catalogue.
+    threshold : float, optional
+        The largest distance of a pair. By default the moments of the surfaces are compared, up to `SAME`.
+
+    Returns
+    -------
+    list of NearPair
+        Ids, distance and limit of each pair, nearest first.
+
+    Raises
+    ------
+    CatalogueError, InputError
+        As by `search`.
+    """
+    with Catalogue.opened(catalogue) as store:
+        chosen = PipelineOptions.of(options, store.options)
+        if threshold is None:
+            chosen, threshold = chosen.of_copies, SAME
+        elif not 0 <= threshold < np.inf:
+            raise OptionError(f"threshold must be 0 or more, got {threshold}")
+        return near_pairs(index(store, options=chosen), threshold) if len(store) else []
+
+
+def cluster(
+    catalogue: CatalogueLike, *, options: OptionsLike = None, min_size: int = 3
+) -> dict[str, str | None]:
+    """Group the shapes of a catalogue without labels, by the density of their whitened signatures.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The shapes.
+    options : OptionsLike, optional
+        Signature and whitening, without labels. By default the options of the catalogue.
+    min_size : int, default 3
+        Least number of shapes of a cluster.
+
+    Returns
+    -------
+    dict of str to (str or None)
+        For each shape, by id, ``cluster-1`` for the largest cluster, and so on; None for shapes in none.
+
+    Raises
+    ------
+    CatalogueError, InputError
+        As by `search`.
+    """
+    with Catalogue.opened(catalogue) as store:
+        chosen = PipelineOptions.of(options, store.options).without_labels
+        made = index(store, options=chosen)
+    if min_size < 2:
+        raise OptionError(f"min_size must be at least 2, got {min_size}")
+    if len(made) < min_size:
+        return dict.fromkeys(made.ids)
+    from sklearn.cluster import HDBSCAN
+
+    # Clusters from the excess of mass (Campello, Moulavi and Sander, 2013); −1 between clusters.
+    method = HDBSCAN(min_cluster_size=min_size, cluster_selection_method="eom", copy=True)
+    found = method.fit_predict(made.points)
+    numbers, first, sizes = np.unique(found[found >= 0], return_index=True, return_counts=True)
+    # Of equally large clusters, that with the first shape comes first.
+    ranked = numbers[np.lexsort((first, -sizes))].tolist()
+    names = {number: f"cluster-{rank}" for rank, number in enumerate(ranked, 1)}
+    return dict(zip(made.ids, map(names.get, found.tolist()), strict=True))
+
+
+def near_pairs(index: SignatureIndex, limit: float) -> list[NearPair]:
+    """Find all pairs of shapes that are at most so far apart, nearest first."""
+    found = []
+    for shape_id in index.ids:
+        k = 4  # doubled until one is no longer near
+        while (near := index.nearest(shape_id, k)).distances[-1] <= limit and k < len(index):
+            k *= 2
+        for other, distance in zip(near.ids, near.distances.tolist(), strict=True):
+            if other > shape_id and distance <= limit:
+                found.append(NearPair(shape_id, other, distance, limit))
+    return sorted(found, key=lambda pair: (pair.distance, pair.first, pair.second))
+
+
+def plane_map(points: FloatArray) -> FloatArray:
+    """Places (N, 2) in [0, 1]², near each other where whitened signatures (N, L) are near, by t-SNE."""
+    places = _embedding(points)
+    # The direction of the largest extent is across, as on screens.
+    places = places @ np.linalg.svd(places - places.mean(axis=0), full_matrices=False)[2].T
+    for along in places.T:
+        order = np.argsort(along, kind="stable")
+        gaps = np.diff(along[order], prepend=along.min())
+        along[order] = np.cumsum(np.minimum(gaps, WIDEST * gaps.mean()))
+    return _framed(_apart(_framed(places), min(GAP, SHARE / np.sqrt(len(places)))))
+
+
+def _framed(places: FloatArray) -> FloatArray:
+    """Places in the middle of [0, 1]², which they fill in one direction."""
+    low, high = places.min(axis=0), places.max(axis=0)
+    return np.asarray((places - (low + high) / 2) / (float((high - low).max()) or 1.0) + 0.5)
+
+
+def _apart(places: FloatArray, gap: float) -> FloatArray:
+    """Move places apart that are nearer than a gap, half of the way each, several times."""
+    from scipy.spatial import cKDTree
+
+    # Equal places have no direction in which they could be moved apart: they are put on a small spiral.
+    angle = GOLDEN_ANGLE * np.arange(len(places))
+    places = places + 1e-6 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    for _ in range(N_ROUNDS):
+        pairs = cKDTree(places).query_pairs(gap, output_type="ndarray")
+        if not len(pairs):
+            break
+        apart = places[pairs[:, 0]] - places[pairs[:, 1]]
+        length = np.linalg.norm(apart, axis=1, keepdims=True)
+        step = apart / length * (gap - length) / 2
+        np.add.at(places, pairs[:, 0], step / 2)
+        np.add.at(places, pairs[:, 1], -step / 2)
+    return places
+
+
+def _embedding(points: FloatArray) -> FloatArray:
+    """Places (N, 2) at which near points (N, d) are near, by t-SNE (van der Maaten and Hinton, 2008)."""
+    directions, sizes, _ = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
+    principal = np.zeros((len(points), 2))
+    principal[:, : min(2, len(sizes))] = (directions * sizes)[:, :2]
+    if len(points) < FEWEST or not sizes[0]:
+        return principal
+    from sklearn.manifold import TSNE
+    from threadpoolctl import threadpool_limits
+
+    perplexity = min(PERPLEXITY, (len(points) - 1) / 3)
+    start = (1e-4 * principal / principal.std()).astype(np.float32)
+    method = TSNE(
+        perplexity=perplexity, init=start, random_state=SEED, max_iter=N_ITERATIONS, angle=ANGLE
+    )
+    with threadpool_limits(
+        limits=1
+    ):  # on busy cores two threads wait for each other, nine times as long
+        return np.asarray(method.fit_transform(points), dtype=np.float64)
