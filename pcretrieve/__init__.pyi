@@ -99,6 +99,7 @@ from .retrieval import (
 from .spectral import eigenpairs as eigenpairs, laplace_beltrami as laplace_beltrami
 from .values import (
     Eigenpairs as Eigenpairs,
+    Grade as Grade,
     LaplaceBeltrami as LaplaceBeltrami,
     ModalSpectrum as ModalSpectrum,
     Neighbors as Neighbors,
@@ -109,7 +110,6 @@ from .values import (
     Step as Step,
     Surface as Surface,
     TriangleMesh as TriangleMesh,
-    Verdict as Verdict,
 )
 from .web import serve as serve
 

@@ -21,7 +21,7 @@ from processes import wait_for
 from pcretrieve import Catalogue, PipelineOptions, Step, process, write_mesh
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.descriptors import describe
-from pcretrieve.values import UNIT, Verdict
+from pcretrieve.values import UNIT, Grade
 
 OPTIONS = PipelineOptions().changed(signature={"method": "r-bihdm", "n_values": 20})
 
@@ -36,18 +36,18 @@ SECRETS = (
 
 def write_eggs(path: Path) -> None:
     """A catalogue of four eggs of each of three kinds, one of which is incomplete, and of a failure."""
-    judged = {(2, 3): Verdict("incomplete", 0.5, ("a large hole",))}
+    judged = {(2, 3): Grade("incomplete", 0.5, ("a large hole",))}
     with Catalogue(path, OPTIONS, create=True) as store:
         for kind in range(3):
             for number, width in enumerate((1, 1.04, 1.08, 1.12)):
                 shape = process(shapes.ellipsoid((width, 1, 1.3 + 0.5 * kind), 3), OPTIONS)
-                verdict = judged.get((kind, number), Verdict("good", 0.01))
+                grade = judged.get((kind, number), Grade("good", 0.01))
                 name = NASTY if (kind, number) == (2, 2) else f"Egg{kind}{number}"
                 values = describe(shape, OPTIONS.signature).values
                 steps = (Step("read", 0.0, {UNIT: 1.0}),) if kind else ()
                 where = f"/secret/folder/{kind}{number}.off"
                 record = Record(name, where, name, f"<kind {kind}>", steps=steps)
-                store.put(record, Content(replace(shape, verdict=verdict), values))
+                store.put(record, Content(replace(shape, grade=grade), values))
         failed = Record(
             "broken", "/secret/own folder/broken.off", "", status="failed", stage="read"
         )

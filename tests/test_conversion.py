@@ -20,9 +20,7 @@ from pcretrieve.values.conversion import as_cloud, as_geometry, as_mesh
 MESH = shapes.body(3)
 VERTICES, FACES = MESH.vertices, MESH.faces
 CLOUD = pr.PointCloud(VERTICES, VERTICES / np.linalg.norm(VERTICES, axis=1, keepdims=True))
-SIGNATURE = Signature(
-    np.array([3.0, 2, 1, 0.5]), "r-bihdm", deviation=np.array([0.1, 0.2, 0.1, 0.1])
-)
+SIGNATURE = Signature(np.array([3.0, 2, 1, 0.5]), "r-bihdm", errors=np.array([0.1, 0.2, 0.1, 0.1]))
 TABLE = SignatureTable(("a", "b"), np.array([[1.0, 2], [3, 4]]), "r-bihdm", labels=("cat", None))
 NEIGHBORS = Neighbors(("a", "b"), np.array([0.0, 0.5]))
 PAIRS = pr.eigenpairs(pr.laplace_beltrami(MESH), 5)

@@ -272,7 +272,7 @@ class Orders(RuleBasedStateMachine):
 
     def close(self) -> None:
         for reader in self.readers:
-            if isinstance(reader.database, PostgresqlDatabase):
+            if isinstance(reader.rows.database, PostgresqlDatabase):
                 reader.rows.database.execute(
                     f'DROP SCHEMA "{reader.location.partition("=")[2]}" CASCADE'
                 )

@@ -208,7 +208,7 @@ class Catalogue(Mapping[str, Record]):
             )
         with intact(self.location, f"shape {shape_id!r}"):
             shape = stored_shape(entry.payloads, record.steps)
-        return replace(shape, verdict=record.verdict)
+        return replace(shape, grade=record.grade)
 
     def mesh(self, shape_id: str) -> TriangleMesh:
         """The mesh of a shape's first surface, unit length of the file; ShapeError if it was not stored."""
@@ -251,7 +251,7 @@ class Catalogue(Mapping[str, Record]):
             n_vertices=len(mesh.vertices),
             n_faces=len(mesh.faces),
             euler=mesh.euler_characteristic,
-            verdict=shape.verdict,
+            grade=shape.grade,
         )
         payloads = payloads_of(shape, self.options)
         if content.thumbnail is not None:

@@ -18,7 +18,7 @@ from uuid import uuid4
 
 from pcretrieve.errors import CatalogueError, InputError, OptionError
 from pcretrieve.options import NUMBERS_VERSION, PipelineOptions, options_difference
-from pcretrieve.values import UNIT, FloatArray, Shape, Step, Verdict
+from pcretrieve.values import UNIT, FloatArray, Grade, Shape, Step
 
 SCHEMA_VERSION = 1
 
@@ -48,8 +48,8 @@ TABLES = {
         "n_vertices": "bigint",  # of the first surface, as the next two
         "n_faces": "bigint",
         "euler": "bigint",
-        "judgement": "{text}",  # good, poor or incomplete; NULL: not judged
-        "uncertainty": "double precision",  # log-signature error that the checks let expect
+        "grade": "{text}",  # good, poor or incomplete; NULL: not known
+        "expected_error": "double precision",  # log-signature error that the checks let expect
         "metres_per_unit": "double precision",  # length of the unit of the area; NULL: unknown
         "stamp": "{text}",  # by which an unchanged file is known without reading it; NULL: unknown
         "checksum": "bigint NOT NULL",  # of the record: `checksum`
@@ -60,7 +60,7 @@ TABLES = {
         "options_digest": "{text} NOT NULL",
         "versions": "{text} NOT NULL",  # JSON
         "added": "{text} NOT NULL",  # UTC, ISO 8601
-        "reasons": "{text}",  # JSON: of the judgement; NULL: not judged
+        "reasons": "{text}",  # JSON: of the grade; NULL: not known
     },
     # All digests of signatures, without which the signatures of one shape are not found by their key.
     "descriptors": {"digest": "{text} PRIMARY KEY"},
@@ -87,7 +87,7 @@ KEYS = {"signatures": ("digest", "shape")}
 INDEXES = (
     "CREATE INDEX shapes_by_content ON shapes (content_hash)",
     "CREATE INDEX shapes_by_status ON shapes (status, id)",
-    "CREATE INDEX incomplete_shapes ON shapes (id) WHERE judgement <> 'good'",
+    "CREATE INDEX incomplete_shapes ON shapes (id) WHERE grade <> 'good'",
 )
 
 # Number of rows that are read at a time.
@@ -216,13 +216,13 @@ class Record:
     options_digest: str = ""
     versions: dict[str, str] = field(default_factory=dict)
     added: str = ""
-    verdict: Verdict | None = None
+    grade: Grade | None = None
     stamp: str | None = None
 
     @property
     def is_incomplete(self) -> bool:
-        """Whether the scan is poor or incomplete; false if the shape was not judged."""
-        return self.verdict is not None and not self.verdict.is_good
+        """Whether the scan is poor or incomplete; false if its grade is not known."""
+        return self.grade is not None and not self.grade.is_good
 
     @property
     def metres_per_unit(self) -> float | None:
@@ -273,7 +273,7 @@ RECORDS = (
     f"SELECT number, {', '.join(SHAPE_COLUMNS + PROVENANCE_COLUMNS)} "
     "FROM shapes LEFT JOIN provenance ON shape = number"
 )
-FIELDS = [one.name for one in fields(Record) if one.name != "verdict"]
+FIELDS = [one.name for one in fields(Record) if one.name != "grade"]
 STEP_FIELDS = [one.name for one in fields(Step)]
 
 # Columns with the checksum: not itself, and not the stamp, without which a file is read once more.
@@ -294,16 +294,16 @@ def checksum(row: Mapping[str, Any]) -> int:
 
 def row_of(record: Record) -> dict[str, Any]:
     """The values of a record, by column."""
-    verdict = record.verdict
+    grade = record.grade
     # Not by asdict, which copies the steps and takes most of the time of a merge.
     row = {name: getattr(record, name) for name in FIELDS} | {
         "steps": json.dumps(
             [{name: getattr(step, name) for name in STEP_FIELDS} for step in record.steps]
         ),
         "versions": json.dumps(record.versions),
-        "judgement": None if verdict is None else verdict.judgement,
-        "uncertainty": None if verdict is None else verdict.uncertainty,
-        "reasons": None if verdict is None else json.dumps(verdict.reasons),
+        "grade": None if grade is None else grade.name,
+        "expected_error": None if grade is None else grade.error,
+        "reasons": None if grade is None else json.dumps(grade.reasons),
         # A column of its own, so that the units of a large catalogue are known without its provenance.
         "metres_per_unit": record.metres_per_unit,
     }
@@ -319,15 +319,15 @@ def record_of(row: Sequence[Any], location: str) -> Record:
         raise changed_row(
             location, f"shape {values['id']!r}: its record has changed since it was stored"
         )
-    verdict = None
-    if values["judgement"] is not None:
-        verdict = Verdict(values["judgement"], values["uncertainty"], json.loads(values["reasons"]))
+    grade = None
+    if values["grade"] is not None:
+        grade = Grade(values["grade"], values["expected_error"], json.loads(values["reasons"]))
     decoded = {
         "steps": tuple(
             Step(**s | {"notes": tuple(s["notes"])}) for s in json.loads(values["steps"])
         ),
         "versions": json.loads(values["versions"]),
-        "verdict": verdict,
+        "grade": grade,
     }
     return Record(**{name: values[name] for name in FIELDS} | decoded)
 

@@ -65,7 +65,7 @@ STATES = {
     "": "1 = 1",
     "done": "status = 'done'",
     "failed": "status = 'failed'",
-    "incomplete": "judgement <> 'good'",
+    "incomplete": "grade <> 'good'",
 }
 
 
@@ -177,7 +177,7 @@ class Rows:
         """The records, including failed ones, in ascending order of id, in pages that are read one by one."""
         chosen = "AND status = ?" if status else ""
         # In the words of the index.
-        chosen += " AND judgement <> 'good'" if incomplete else ""
+        chosen += " AND grade <> 'good'" if incomplete else ""
         query = f"{RECORDS} WHERE id > ? {chosen} ORDER BY id LIMIT ? OFFSET ?"
         after, left = "", limit
         while left is None or left > 0:

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from pcretrieve.values import FloatArray, Verdict
+from pcretrieve.values import FloatArray, Grade
 
 Outcome = Literal["passed", "look", "failed"]
 
@@ -18,7 +18,7 @@ Outcome = Literal["passed", "look", "failed"]
 OUTCOMES: tuple[Outcome, ...] = ("failed", "look", "passed")
 
 #: What a scan is called if a check fails; nothing if the check only states a fact.
-Grade = Literal["", "poor", "incomplete"]
+CheckGrade = Literal["", "poor", "incomplete"]
 
 #: Of a check, the largest value with which it is passed, and the largest with which it is not failed.
 Limits = tuple[float, float]
@@ -56,12 +56,12 @@ class Check:
     """
 
     name: str
-    verdict: Outcome
+    outcome: Outcome
     value: float | None
     shown: str
     words: str
     error: float = 0.0
-    grade: Grade = ""
+    grade: CheckGrade = ""
     says: str = ""
     places: tuple[tuple[float, float, float], ...] = ()
 
@@ -79,7 +79,7 @@ class Measure(NamedTuple):
     passed: str
     poor: str
     says: str
-    grade: Grade = ""
+    grade: CheckGrade = ""
 
 
 MEASURES = {
@@ -275,16 +275,16 @@ def percent(share: float) -> str:
     return f"{100 * share:.2g} %" if share < 0.995 else "100 %"
 
 
-def verdict_of(checks: Sequence[Check], *, spread: float | None = None) -> Verdict:
+def grade_of(checks: Sequence[Check], *, rescan_error: float | None = None) -> Grade:
     """The grade of a scan.
 
     It is incomplete if a part is missing that a person would see missing, and poor if a check says so or if
     the expected error is so large that the nearest shape may be another one. The errors of the checks are
     assumed to be independent, so that the expected error is the root of the sum of their squares, or the
-    spread if that is larger.
+    error of rescans if that is larger.
     """
     squared = float(sum(check.error**2 for check in checks))
-    error = max(float(np.sqrt(squared)), spread or 0.0)
+    error = max(float(np.sqrt(squared)), rescan_error or 0.0)
     missing = [check for check in checks if check.grade == "incomplete"]
     poor = [check for check in checks if check.grade == "poor"]
     if error > LARGEST_ERROR:
@@ -292,11 +292,15 @@ def verdict_of(checks: Sequence[Check], *, spread: float | None = None) -> Verdi
         large.sort(key=lambda check: -check.error)
         poor += [check for check in large if check not in poor and check not in missing]
     if not missing and not poor and error <= LARGEST_ERROR:
-        return Verdict("good", error)
+        return Grade("good", error)
     reasons = [_reason(check) for check in (*missing, *poor)]
-    if spread and spread > LARGEST_ERROR and all(check.name != "Signature" for check in poor):
-        reasons.append(f"rescans differ by ± {spread:.2g}")
-    return Verdict("incomplete" if missing else "poor", error, tuple(reasons))
+    if (
+        rescan_error
+        and rescan_error > LARGEST_ERROR
+        and all(check.name != "Signature" for check in poor)
+    ):
+        reasons.append(f"rescans differ by ± {rescan_error:.2g}")
+    return Grade("incomplete" if missing else "poor", error, tuple(reasons))
 
 
 def _reason(check: Check) -> str:

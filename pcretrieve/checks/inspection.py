@@ -8,15 +8,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.checks.grading import Check, Outcome, verdict_of
+from pcretrieve.checks.grading import Check, Outcome, grade_of
 from pcretrieve.values import (
     Failure,
     FloatArray,
+    Grade,
     PointCloud,
     Signature,
     Step,
     TriangleMesh,
-    Verdict,
 )
 
 
@@ -50,10 +50,10 @@ class Inspection:
         Places where parts of the surface that touch were separated, and where a loose part was connected.
     signature : Signature or None
         That of `r_bihdm`, L = 23, which the error bar is of.
-    rescan_deviation : (L,) float64 or None
+    rescan_errors : (L,) float64 or None
         Standard deviation (ddof 0) of the logarithm of each value of the signature over simulated rescans. It
-        is not `Signature.deviation`, which is over surfaces reconstructed from one scan.
-    spread : float or None
+        is not `Signature.errors`, which is over surfaces reconstructed from one scan.
+    rescan_error : float or None
         Root mean square distance of the log-signatures of rescans to their mean; dimensionless.
     failure : Failure or None
         The stage that failed, and its error; None if there is a signature.
@@ -74,43 +74,43 @@ class Inspection:
     cuts: FloatArray
     bridges: FloatArray
     signature: Signature | None
-    rescan_deviation: FloatArray | None
-    spread: float | None
+    rescan_errors: FloatArray | None
+    rescan_error: float | None
     failure: Failure | None
     steps: tuple[Step, ...]
 
     @property
-    def verdict(self) -> Outcome:
-        """That of the shape: "passed" if it is good, "look" if incomplete, "failed" if there is none."""
-        judged = self.shape_verdict
-        return "failed" if judged is None else "passed" if judged.is_good else "look"
+    def outcome(self) -> Outcome:
+        """That of the scan: "passed" if it is good, "look" if incomplete, "failed" if there is none."""
+        grade = self.grade
+        return "failed" if grade is None else "passed" if grade.is_good else "look"
 
     @property
-    def shape_verdict(self) -> Verdict | None:
-        """The verdict on the shape by all checks and the rescans; None without a signature.
+    def grade(self) -> Grade | None:
+        """The grade of the scan by all checks and the rescans; None without a signature.
 
-        Its uncertainty is the error bar of the signature.
+        Its error is that of the signature.
         """
         if self.signature is None:
             return None
-        return verdict_of(self.checks, spread=self.spread)
+        return grade_of(self.checks, rescan_error=self.rescan_error)
 
     @property
     def summary(self) -> str:
         """The grade in one or two sentences: the error bar of the signature, and what to look at."""
-        look = [check.name.lower() for check in self.checks if check.verdict != "passed"]
-        judged = self.shape_verdict
-        if judged is None:
+        look = [check.name.lower() for check in self.checks if check.outcome != "passed"]
+        grade = self.grade
+        if grade is None:
             stage = "" if self.failure is None else self.failure.stage
             causes = [name for name in look if stage not in name]
             because = f"; look at: {', '.join(causes)}" if causes else ""
             return f"No signature, the {stage} stage failed{because}."
-        error = f"the error bar of its signature is ± {judged.uncertainty:.2g}."
-        if judged.is_good:
+        error = f"the error bar of its signature is ± {grade.error:.2g}."
+        if grade.is_good:
             after = f" Look at: {', '.join(look)}." if look else ""
             return f"A good scan: {error}{after}"
-        word = "An incomplete" if judged.judgement == "incomplete" else "A poor"
-        return f"{word} scan, may answer wrongly: {'; '.join(judged.reasons)}; {error}"
+        word = "An incomplete" if grade.name == "incomplete" else "A poor"
+        return f"{word} scan, may answer wrongly: {'; '.join(grade.reasons)}; {error}"
 
     @property
     def rings(self) -> FloatArray:

@@ -238,7 +238,7 @@ def _say_summary(summary: pr.Summary, catalogue: str, labels: str | None = None)
         f"duplicates: {catalogue}{'; --retry-failed processes the failed shapes again' if failures else ''}"
     )
     if incomplete := _incomplete(summary):
-        grades = Counter(record.verdict.judgement for record in incomplete if record.verdict)
+        grades = Counter(record.grade.name for record in incomplete if record.grade)
         counts = " and ".join(f"{n} {grade}" for grade, n in sorted(grades.items()))
         listed = f"`pcretrieve list --incomplete -c {quote(catalogue)}`"
         messages.say(f"{counts}, which may answer wrongly: {listed} gives the reasons")
@@ -278,9 +278,7 @@ def _known(summary: pr.Summary) -> list[pr.Record]:
 
 def _commonest_reason(records: Sequence[pr.Record]) -> tuple[str, int]:
     """The most frequent first reason of scans that are not good, without its place; and how often."""
-    firsts = [
-        reason for record in records if record.verdict for reason in record.verdict.reasons[:1]
-    ]
+    firsts = [reason for record in records if record.grade for reason in record.grade.reasons[:1]]
     counts = Counter(reason.partition(", near (")[0] for reason in firsts)
     return counts.most_common(1)[0] if counts else ("", 0)
 

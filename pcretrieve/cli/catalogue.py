@@ -19,10 +19,10 @@ from pcretrieve.values.files import check_no_links
 
 MIB = 1 << 20
 
-START = {"ID": "text", "VERDICT": "text", "CLASS": "text"}
+START = {"ID": "text", "GRADE": "text", "CLASS": "text"}
 ALL = START | {"EULER": "number", "SECONDS": "number", "FILE": "path"}
 INCOMPLETE = START | {"FILE": "path", "REASON": "words"}
-FAILED = {"STAGE" if name == "VERDICT" else name: kind for name, kind in INCOMPLETE.items()}
+FAILED = {"STAGE" if name == "GRADE" else name: kind for name, kind in INCOMPLETE.items()}
 
 
 @opt.command("list")
@@ -32,9 +32,9 @@ FAILED = {"STAGE" if name == "VERDICT" else name: kind for name, kind in INCOMPL
 @opt.option("--limit N", "List at most N shapes.", opt.COUNT)
 @opt.option("--offset N", "Skip N shapes.", opt.NUMBER, default=0)
 def list_command(catalogue: str, failed: bool, **chosen: Any) -> out.Result:
-    """List shapes: id, verdict, class, Euler characteristic, seconds, path.
+    """List shapes: id, grade, class, Euler characteristic, seconds, path.
 
-    The verdict is good, poor, incomplete or failed; done means that the shape was not judged.
+    The grade is good, poor, incomplete or failed; done means that it is not known.
 
     \b
     pcretrieve list --catalogue bodies.sqlite --failed
@@ -68,13 +68,13 @@ def _row(record: pr.Record, columns: out.Columns, counts: Counter[str]) -> list[
         counts["failed" if record.status == "failed" else "incomplete"] += 1
     cells = {
         "ID": record.id,
-        "VERDICT": record.verdict.judgement if record.verdict else record.status,
+        "GRADE": record.grade.name if record.grade else record.status,
         "STAGE": record.stage or "-",
         "CLASS": record.label or "-",
         "EULER": "-" if record.euler is None else str(record.euler),
         "SECONDS": f"{record.seconds:.2f}",
         "FILE": shown_path(record.path),
-        "REASON": (record.message or str(record.verdict or "")).removeprefix(f"{record.path}: "),
+        "REASON": (record.message or str(record.grade or "")).removeprefix(f"{record.path}: "),
     }
     return [cells[name] for name in columns]
 
@@ -99,7 +99,7 @@ def _show(record: pr.Record, stored: dict[str, int]) -> None:
         "versions": ", ".join(
             f"{package} {version}" for package, version in record.versions.items()
         ),
-        "verdict": None if record.status == "failed" else str(record.verdict or "not judged"),
+        "grade": None if record.status == "failed" else str(record.grade or "not known"),
         "steps": None,
     }
     rows = [(name, str(value)) for name, value in shown.items() if value is not None]

@@ -76,7 +76,7 @@ def evaluate_command(
     elif matrix is None or labels is None:
         raise click.UsageError("give --catalogue, or both --matrix and --labels")
     elif good_only:
-        raise click.UsageError("--good-only needs --catalogue, which has the verdicts")
+        raise click.UsageError("--good-only needs --catalogue, which has the grades")
     else:
         found = pr.evaluate(matrix, options=opt.changes(values), labels=labels)
     how = _how(found, options, file, rerank)

@@ -16,14 +16,14 @@ from pcretrieve.cli.scans import each_scan
 # What JSON has of an inspection, beside the files and the signature.
 FOUND = (
     *(
-        "verdict",
+        "outcome",
         "summary",
-        "shape_verdict",
+        "grade",
         "checks",
         "cuts",
         "bridges",
-        "rescan_deviation",
-        "spread",
+        "rescan_errors",
+        "rescan_error",
     ),
     *("failure", "steps"),
 )
@@ -75,7 +75,7 @@ def inspect_command(scan: Path, output: Path | None, png: Path | None, **run: An
     def show() -> None:
         for one in found:
             if "page" in one:
-                words = "" if is_alone else f"  {one['verdict']}  {one['summary']}"
+                words = "" if is_alone else f"  {one['outcome']}  {one['summary']}"
                 out.write_lines(shown_path(one["page"]) + words)
 
     failed = any("page" not in one or one["failure"] is not None for one in found)
@@ -92,10 +92,10 @@ def _inspected(scan: Path, page: Path, **asked: Any) -> dict[str, Any]:
 
 def _say_checks(found: dict[str, Any]) -> None:
     for check in found["checks"]:
-        advice = "" if check.verdict == "passed" else f": {check.words}"
-        say(f"{check.verdict:<6}  {check.name:<16}  {check.shown}{advice}", indent=26)
-    if found["shape_verdict"] is not None:
-        say(f"The shape is {found['shape_verdict']}.")
+        advice = "" if check.outcome == "passed" else f": {check.words}"
+        say(f"{check.outcome:<6}  {check.name:<16}  {check.shown}{advice}", indent=26)
+    if found["grade"] is not None:
+        say(f"The scan is {found['grade']}.")
     say(found["summary"])
 
 

@@ -282,11 +282,7 @@ def _described(path: Path, options: pr.PipelineOptions) -> dict[str, Any]:
 def _facts(signature: pr.Signature) -> dict[str, Any]:
     """What JSON has of a signature."""
     facts = {"kind": signature.kind, "unit": signature.unit, "values": signature.values.tolist()}
-    return (
-        facts
-        if signature.deviation is None
-        else facts | {"deviation": signature.deviation.tolist()}
-    )
+    return facts if signature.errors is None else facts | {"errors": signature.errors.tolist()}
 
 
 def _of_catalogue(

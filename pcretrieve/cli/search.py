@@ -62,8 +62,8 @@ PAIR = {"DISTANCE": "number", "LIMIT": "number", "FIRST": "text", "SECOND": "tex
     click.FloatRange(0, 1),
 )
 @opt.rare_option(
-    "--far RATE",
-    "Name a class only if so few pairs of two classes are as near (false-match rate).",
+    "--false-match-rate --far RATE",
+    "Name a class only if so few pairs of two classes are as near.",
     click.FloatRange(0, 1, min_open=True, max_open=True),
 )
 @opt.matrix_option
@@ -144,11 +144,9 @@ def _told(failures: list[ShapeError], is_alone: bool, found: Outcome) -> Outcome
         failures.append(outcome)
         say(f"failed: {outcome}")
     else:
-        verdict = getattr(
-            outcome.query, "verdict", None
-        )  # of a scan that the catalogue does not have
-        if verdict and not verdict.is_good:
-            say(f"{shown_path(name)} is {verdict}")
+        grade = getattr(outcome.query, "grade", None)  # of a scan that is not stored
+        if grade and not grade.is_good:
+            say(f"{shown_path(name)} is {grade}")
         n_faces = getattr(outcome.query, "n_faces", None)
         others = [record.n_faces for record in outcome.records if record.n_faces]
         if (
@@ -192,7 +190,7 @@ def _write_table(answer: pr.Answer, name: str | None) -> None:
     rows = []
     for row, record in zip(answer.rows(), answer.records, strict=True):
         score = "-" if row["score"] is None else f"{row['score']:.2f}"
-        scan = record.verdict.judgement if record.verdict and record.is_incomplete else ""
+        scan = record.grade.name if record.grade and record.is_incomplete else ""
         label, path = row["label"] or "-", shown_path(row["path"])
         cells = (str(row["rank"]), f"{row['distance']:#.4g}", score, label, row["id"], path, scan)
         rows.append(cells[: len(columns)])

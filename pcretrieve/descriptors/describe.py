@@ -104,7 +104,7 @@ def describe(
         In the order and the units of the method. If w > 0, the last value is the size: area^w, unit
         length^(2 w) of the shape, for the metric ``logarithms``, and w log area for ``values``.
         `Signature.unit` is the unit of length, if values depend on the size.
-        `Signature.deviation` is None if there is one surface only.
+        `Signature.errors` is None if there is one surface only.
 
     Raises
     ------
@@ -133,8 +133,8 @@ def _mean(made: Sequence[Signature]) -> Signature:
     rows = np.array([signature.values for signature in made])  # (s, L)
     if first.metric == "logarithms":
         logs = np.log(rows)
-        return replace(first, values=np.exp(logs.mean(axis=0)), deviation=logs.std(axis=0, ddof=1))
-    return replace(first, values=rows.mean(axis=0), deviation=rows.std(axis=0, ddof=1))
+        return replace(first, values=np.exp(logs.mean(axis=0)), errors=logs.std(axis=0, ddof=1))
+    return replace(first, values=rows.mean(axis=0), errors=rows.std(axis=0, ddof=1))
 
 
 def _measured(function: MeshFunction, mesh: TriangleMesh) -> Signature:
@@ -201,7 +201,7 @@ def _described(descriptor: Descriptor, part: Shape, options: SignatureOptions) -
     logarithm = options.size_weight * np.log(part.area)
     size = part.area**options.size_weight if descriptor.metric == "logarithms" else logarithm
     # The error bar that a method of another package may return has no entry for the size.
-    return replace(made, values=np.append(made.values, size), deviation=None)
+    return replace(made, values=np.append(made.values, size), errors=None)
 
 
 def _needed(descriptor: Descriptor, part: Shape, options: SignatureOptions) -> Shape:

@@ -36,17 +36,17 @@ def plot_surface(vertices: FloatArray, faces: IntArray, axes: Any = None) -> Any
 
 
 def plot_signature(
-    values: FloatArray, kind: str, deviation: FloatArray | None = None, axes: Any = None
+    values: FloatArray, kind: str, errors: FloatArray | None = None, axes: Any = None
 ) -> Any:
     """Draw the values of a signature by their number, on a logarithmic scale if all are positive.
 
-    deviation: (L,), standard deviation of the logarithm of each value, drawn as an error bar.
+    errors: (L,), standard deviation of the logarithm of each value, drawn as an error bar.
     """
     axes = _axes(axes)
     numbers = np.arange(1, len(values) + 1)
     bars = None
-    if deviation is not None:
-        bars = [values - values * np.exp(-deviation), values * np.exp(deviation) - values]
+    if errors is not None:
+        bars = [values - values * np.exp(-errors), values * np.exp(errors) - values]
     axes.errorbar(
         numbers, values, yerr=bars, marker="o", markersize=3, linewidth=1, capsize=2, label=kind
     )

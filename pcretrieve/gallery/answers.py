@@ -22,7 +22,7 @@ from pcretrieve.gallery.fitted import index
 from pcretrieve.options import OptionsLike, PipelineOptions, check_many
 from pcretrieve.retrieval.covariances import LEAST_SHAPES
 from pcretrieve.retrieval.distances import checked_k, nearest_of, position_of
-from pcretrieve.values import Neighbors, Signature, Verdict
+from pcretrieve.values import Grade, Neighbors, Signature
 from pcretrieve.values.base import Value
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class Question:
 
     options, k, labels, exclude_self, min_score, unit, matrix: as in `search`.
     timeout, memory: limits of the process of a scan, seconds and GiB; without a timeout, it is this process.
-    has_picture, up: as for `described_scan`. far: as in `search_many`.
+    has_picture, up: as for `described_scan`. false_match_rate: as in `search_many`.
     """
 
     options: PipelineOptions
@@ -59,14 +59,16 @@ class Question:
     memory: float | None = None
     has_picture: bool = False
     up: str | None = None
-    far: float | None = None
+    false_match_rate: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "k", checked_k(self.k))
         if self.min_score is not None and not 0 <= self.min_score <= 1:
             raise OptionError(f"min_score must be between 0 and 1, got {self.min_score}")
-        if self.far is not None and not 0 < self.far < 1:
-            raise OptionError(f"far must be between 0 and 1, got {self.far}")
+        if self.false_match_rate is not None and not 0 < self.false_match_rate < 1:
+            raise OptionError(
+                f"false_match_rate must be between 0 and 1, got {self.false_match_rate}"
+            )
 
     def scan_options(self, catalogue: Catalogue) -> PipelineOptions:
         """The options by which a scan that the catalogue does not have is processed."""
@@ -76,10 +78,10 @@ class Question:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Described:
-    """The signature of a query; the verdict on it, and picture and size of its surface, if they are known."""
+    """The signature of a query; the grade on it, and picture and size of its surface, if they are known."""
 
     signature: Signature
-    verdict: Verdict | None = None
+    grade: Grade | None = None
     picture: bytes | None = None
     n_faces: int | None = None
 
@@ -153,7 +155,7 @@ class Answer(Value):
                 "label": record.label,
                 "distance": float(self.neighbors.distances[row]),
                 "score": None if known is None else float(known[row]),
-                "verdict": None if record.verdict is None else asdict(record.verdict),
+                "grade": None if record.grade is None else asdict(record.grade),
             }
             for row, record in enumerate(self.records)
         ]
@@ -238,7 +240,7 @@ def search_many(
     memory: float | None = None,
     has_pictures: bool = False,
     up: str | None = None,
-    far: float | None = None,
+    false_match_rate: float | None = None,
 ) -> Iterator[tuple[str, Answer | ShapeError]]:
     """Answer several queries, in their order.
 
@@ -258,8 +260,8 @@ def search_many(
         Whether `Answer.query` has a picture of a scan that is processed.
     up : {"x", "-x", "y", "-y", "z", "-z"}, optional
         The axis of the files that points upwards on it; by default found for each scan.
-    far : float, optional
-        The false-match rate: a query is "not in this collection" if a larger share of pairs of two classes
+    false_match_rate : float, optional
+        A query is "not in this collection" if a larger share of pairs of two classes
         is as near as its nearest shape.
 
     Yields
@@ -276,7 +278,7 @@ def search_many(
     check_many("queries", queries)
     with Catalogue.opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
-        how = (matrix, timeout, memory, has_pictures, up, far)
+        how = (matrix, timeout, memory, has_pictures, up, false_match_rate)
         question = Question(chosen, k, labels, exclude_self, min_score, unit, *how)
         yield from _answers(store, queries, question)
 
@@ -322,12 +324,15 @@ def answer_to(catalogue: Catalogue, query: str | Described, question: Question) 
     )
     found = _cut(catalogue, ranked, question)
     return Answer(
-        found, tuple(known[i] for i in found.ids), _match(labelled, scores, question.far), query
+        found,
+        tuple(known[i] for i in found.ids),
+        _match(labelled, scores, question.false_match_rate),
+        query,
     )
 
 
 def _match(
-    found: list[tuple[float, str]], scores: MatchScores | None, far: float | None
+    found: list[tuple[float, str]], scores: MatchScores | None, false_match_rate: float | None
 ) -> Match | None:
     """Who a query is, by the distances and the classes of its neighbours."""
     if not found:
@@ -336,8 +341,12 @@ def _match(
     others = [one for one in found if one[1] != label]
     # Without another class among the neighbours, the next one is at least as far as the last of them.
     distance, other = min(others) if others else (max(found)[0], None)
-    certainty = None if scores is None else scores.sureness(nearest, distance)
-    if scores is not None and far is not None and nearest > scores.reach(far):
+    certainty = None if scores is None else scores.certainty(nearest, distance)
+    if (
+        scores is not None
+        and false_match_rate is not None
+        and nearest > scores.limit(false_match_rate)
+    ):
         certainty = 0.0
     return Match(label, other, certainty)
 
@@ -353,7 +362,7 @@ def described_scan(
     mesh = shape.surfaces[0].mesh
     drawn = mesh.thumbnail(up) if has_picture and mesh is not None else None
     picture = None if drawn is None else drawn.png
-    return Described(signature, shape.verdict, picture, None if mesh is None else len(mesh.faces))
+    return Described(signature, shape.grade, picture, None if mesh is None else len(mesh.faces))
 
 
 def _attempted(

@@ -34,7 +34,7 @@ from pcretrieve.values import (
 logger = logging.getLogger(__name__)
 
 # Version of the arrays of an index, which is incremented when their meaning changes.
-FORMAT = 11
+FORMAT = 12
 
 # Smallest number of shapes for which an index is stored, or a map.
 SMALLEST_KEPT = 1_000

@@ -36,7 +36,7 @@ else:
 # order of sums has changed them by 7e-10, and distances between shapes are above 1e-2.
 NUMBERS_VERSION = 1
 
-#: The signature that has error bars, and that uncertainties are of: that of the paper, of the form alone.
+#: The signature that has error bars, and that expected errors are of: that of the paper, of the form alone.
 JUDGED = {"method": "r-bihdm", "n_values": 23, "scale": "area", "size_weight": 0.0}
 
 #: What public functions take for options: see `PipelineOptions.of`.

@@ -182,11 +182,11 @@ def _point_layers(it: Inspection, scan: PointCloud, cube: Cube) -> list[dict[str
 
 
 def write_inspection_png(inspection: Inspection, path: str | Path) -> Path:
-    """Write the verdict and all pictures into one picture. An existing file is replaced in one step."""
+    """Write the outcome and all pictures into one picture. An existing file is replaced in one step."""
     target = Path(path).absolute()
     rows = rows_of(inspection)
     width = 2 * MARGIN + len(inspection_cameras(inspection) or [0] * 4) * PICTURE_PIXELS
-    lines = [check for check in inspection.checks if check.verdict != "passed"]
+    lines = [check for check in inspection.checks if check.outcome != "passed"]
     height = 3 * MARGIN + TITLE + LINE * (1 + len(lines))
     height += sum(row.pictures[0].height + 2 * LINE + MARGIN for row in rows)
     sheet = Image.new("RGB", (width, height), "white")
@@ -200,10 +200,10 @@ def write_inspection_png(inspection: Inspection, path: str | Path) -> Path:
 
     write(inspection.name, MARGIN, MARGIN, 24)
     y = MARGIN + TITLE
-    write(inspection.summary, MARGIN, y, 16, CUT if inspection.verdict == "failed" else DARK)
+    write(inspection.summary, MARGIN, y, 16, CUT if inspection.outcome == "failed" else DARK)
     for check in lines:
         y += LINE
-        write(f"{check.verdict}: {check.name}: {check.shown}. {check.words}", MARGIN, y, 14, GREY)
+        write(f"{check.outcome}: {check.name}: {check.shown}. {check.words}", MARGIN, y, 14, GREY)
     y += LINE + MARGIN
     for row in rows:
         write(row.title, MARGIN, y, 16)

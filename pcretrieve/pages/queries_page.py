@@ -1,4 +1,4 @@
-"""The page of one search: each query with its picture, its verdict and its nearest shapes.
+"""The page of one search: each query with its picture, its grade and its nearest shapes.
 
 It is one self-contained HTML file: pictures are inlined, and the page makes no requests.
 """
@@ -141,15 +141,15 @@ def settings_in_words(
 
 def _panel(catalogue: pr.Catalogue, answer: pr.Answer, thumbnails: Thumbnails) -> dict[str, Any]:
     """One query as the template shows it."""
-    query, record, picture, verdict = answer.query, None, None, None
+    query, record, picture, grade = answer.query, None, None, None
     if isinstance(query, str):
         record = catalogue.record(query)
-        picture, verdict = thumbnails.of(catalogue, record), record.verdict
+        picture, grade = thumbnails.of(catalogue, record), record.grade
     elif query is not None:
-        picture, verdict = query.picture, query.verdict
+        picture, grade = query.picture, query.grade
     results = [
         row | {"picture": thumbnails.of(catalogue, found)}
         for row, found in zip(answer.rows(), answer.records, strict=True)
     ]
     shown = {"answer": answer, "results": results, "record": record}
-    return shown | {"picture": picture, "verdict": verdict}
+    return shown | {"picture": picture, "grade": grade}

@@ -208,8 +208,8 @@ def _compared(found: pr.Comparison) -> dict[str, Any]:
     rows = []
     for short, numbers in zip(MEASURES, np.transpose(columns).tolist(), strict=True):
         *_, low, high = numbers
-        verdict = "better" if low > 0 else "worse" if high < 0 else "no difference shown"
-        rows.append((short, *numbers, verdict))
+        outcome = "better" if low > 0 else "worse" if high < 0 else "no difference shown"
+        rows.append((short, *numbers, outcome))
     changes = [change for change in found.changes if change.first != change.second][:N_CHANGES]
     return {"of": found, "rows": rows, "changes": changes}
 

@@ -35,11 +35,11 @@ def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int 
     """
     options = PipelineOptions.of(options).changed(signature=JUDGED)
     if n_rescans == 1 or n_rescans < 0:
-        raise OptionError(f"a spread needs at least 2 rescans, got {n_rescans}")
+        raise OptionError(f"the error of rescans needs at least 2 rescans, got {n_rescans}")
     path = printable(Path(scan)) if isinstance(scan, (str, Path)) else ""
     name = Path(path).name or "scan"
     seen, shape, described, failure = Seen(), None, None, None
-    deviation, spread = None, None
+    rescan_errors, rescan_error = None, None
     try:
         with placed(scan):
             for reached in stages(scan, options):
@@ -47,16 +47,16 @@ def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int 
             shape = shape_of(seen, options)
             described = signature_of(shape, options)
             if n_rescans and seen.scan is not None:
-                deviation = _rescan_deviation(seen.scan, options, n_rescans)
-                spread = float(np.sqrt((deviation**2).sum()))
+                rescan_errors = _rescan_errors(seen.scan, options, n_rescans)
+                rescan_error = float(np.sqrt((rescan_errors**2).sum()))
     except ShapeError as error:
         if path and seen.scan is None and not is_scan(split_member(Path(path))[0]):
             raise  # a file of another kind, of which there is nothing to show
         failure = Failure(name, error.stage or "worker", type(error).__name__, error.message)
     found = findings_of(seen.cloud, seen.mesh, seen.marks, shape, scan=seen.cropped)
     checks = [*found.checks]
-    if spread is not None:
-        checks.append(graded("Signature", spread, f"± {spread:.2g} over rescans"))
+    if rescan_error is not None:
+        checks.append(graded("Signature", rescan_error, f"± {rescan_error:.2g} over rescans"))
     if failure is not None and described is None:
         checks.append(
             Check(f"The {failure.stage} stage", "failed", None, failure.error, failure.message)
@@ -68,7 +68,7 @@ def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int 
     return Inspection(
         name=name,
         path=path,
-        checks=tuple(sorted(checks, key=lambda check: OUTCOMES.index(check.verdict))),
+        checks=tuple(sorted(checks, key=lambda check: OUTCOMES.index(check.outcome))),
         scan=seen.scan,
         cut_away=cut_away,
         dropped=dropped,
@@ -81,8 +81,8 @@ def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int 
         cuts=found.cuts,
         bridges=found.bridges,
         signature=described,
-        rescan_deviation=deviation,
-        spread=spread,
+        rescan_errors=rescan_errors,
+        rescan_error=rescan_error,
         failure=failure if described is None else None,
         steps=next(
             (part.provenance for part in (seen.mesh, seen.cloud, seen.scan) if part is not None), ()
@@ -90,7 +90,7 @@ def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int 
     )
 
 
-def _rescan_deviation(cloud: PointCloud, options: PipelineOptions, n: int) -> FloatArray:
+def _rescan_errors(cloud: PointCloud, options: PipelineOptions, n: int) -> FloatArray:
     """(L,) the standard deviation (ddof 0) of the log-signature over random parts of the points.
 
     It includes the random errors of sampling, and of the cuts, bridges and filled holes that depend on it. It

@@ -26,7 +26,7 @@ from scipy.sparse.csgraph import connected_components
 from threadpoolctl import threadpool_limits
 
 from pcretrieve import points
-from pcretrieve.checks import findings_of, verdict_of
+from pcretrieve.checks import findings_of, grade_of
 from pcretrieve.descriptors import Descriptor, describe
 from pcretrieve.descriptors.describe import MeshFunction
 from pcretrieve.errors import (
@@ -249,7 +249,7 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
     Returns
     -------
     Shape
-        The surfaces with their spectra, the filtered points, the provenance and the verdict. Lengths are in
+        The surfaces with their spectra, the filtered points, the provenance and the grade. Lengths are in
         the unit of the scan; spectra are those of the surfaces scaled to unit area.
 
     Raises
@@ -263,12 +263,10 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
         shape = shape_of(last, options)
         started = time.perf_counter()
         found = findings_of(last.cloud, last.mesh, last.marks, shape, scan=last.cropped)
-        verdict = verdict_of(found.checks)
-        notes = () if verdict.is_good else (str(verdict),)
-        step = Step(
-            "checks", time.perf_counter() - started, {"uncertainty": verdict.uncertainty}, notes
-        )
-        shape = replace(shape, provenance=(*shape.provenance, step), verdict=verdict)
+        grade = grade_of(found.checks)
+        notes = () if grade.is_good else (str(grade),)
+        step = Step("checks", time.perf_counter() - started, {"error": grade.error}, notes)
+        shape = replace(shape, provenance=(*shape.provenance, step), grade=grade)
         log_steps(scan_name(scan), shape.provenance[-2:])
         return shape
 

@@ -8,7 +8,7 @@ neighbours stand for pairs of one class.
 A whitening that was fitted to classes makes these classes more compact than others. Distances within classes
 are then those after a whitening that was fitted to other classes (grouped cross-validation).
 
-How sure an answer is, is estimated for the answer as a whole: each labelled shape is a query in the others,
+Certainty is estimated for an answer as a whole: each labelled shape is a query in the others,
 once with its class among them, and once without. A logistic regression on the distance of the nearest shape,
 and on its ratio to the distance of the nearest shape of another class, tells how often the nearest is right.
 
@@ -73,20 +73,20 @@ class MatchScores(Arrays):
     """The score of a distance: the share of pairs of one class among pairs that near.
 
     It is between 0 and 1, known at some ascending distances (m,), interpolated between them, and constant
-    before the first and behind the last; it does not ascend. With labels there are also the coefficients (3,)
-    of the regression of certainty, and the distances (r,) at the false-match rates `RATES`.
+    before the first and behind the last; it does not ascend. With labels there are also `coefficients` (3,)
+    of the regression of certainty, and `limits` (r,), the distances at the false-match rates `RATES`.
     """
 
     distances: FloatArray
     scores: FloatArray
     reason: str
-    certainty: FloatArray = field(default_factory=lambda: np.zeros(0))
-    far: FloatArray = field(default_factory=lambda: np.zeros(0))
+    coefficients: FloatArray = field(default_factory=lambda: np.zeros(0))
+    limits: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         distances = locked("the distances of scores", self.distances, (None,))
         scores = self._lock("scores", (len(distances),))
-        for name in ("certainty", "far"):
+        for name in ("coefficients", "limits"):
             self._lock(name, (None,))
         if not len(distances) or (np.diff(distances) < 0).any() or (np.diff(scores) > 0).any():
             raise InputError(
@@ -98,17 +98,23 @@ class MatchScores(Arrays):
         """The scores (n,) of distances (n,), which may be infinite."""
         return np.interp(distances, self.distances, self.scores)
 
-    def sureness(self, nearest: float, other: float) -> float | None:
+    def certainty(self, nearest: float, other: float) -> float | None:
         """How often an answer is right, from the distances to its class and to the next; None if unknown."""
-        if not len(self.certainty):
+        if not len(self.coefficients):
             return None
         return float(
-            1 / (1 + np.exp(-_features(np.array([nearest]), np.array([other])) @ self.certainty)[0])
+            1
+            / (
+                1
+                + np.exp(-_features(np.array([nearest]), np.array([other])) @ self.coefficients)[0]
+            )
         )
 
-    def reach(self, rate: float) -> float:
+    def limit(self, false_match_rate: float) -> float:
         """The distance below which a share of the pairs of two classes are, the false-match rate."""
-        return float(np.interp(rate, RATES, self.far)) if len(self.far) else np.inf
+        return (
+            float(np.interp(false_match_rate, RATES, self.limits)) if len(self.limits) else np.inf
+        )
 
 
 class _Sample(NamedTuple):
@@ -159,8 +165,8 @@ def fit_scores(
     if not groups:
         return MatchScores(*_shares(pairs), reason)
     trials = _Trials(*(np.concatenate(part) for part in zip(*map(_trials, groups), strict=True)))
-    far = np.quantile(pairs.distances[~pairs.same], RATES)
-    return MatchScores(*_shares(pairs), reason, _certainty(trials), far)
+    limits = np.quantile(pairs.distances[~pairs.same], RATES)
+    return MatchScores(*_shares(pairs), reason, _coefficients(trials), limits)
 
 
 def _sample(table: SignatureTable) -> _Sample:
@@ -317,7 +323,7 @@ def _trials(group: _Group) -> _Trials:
     return _Trials(*(np.concatenate(part) for part in zip(*tried, strict=True)))
 
 
-def _certainty(trials: _Trials) -> FloatArray:
+def _coefficients(trials: _Trials) -> FloatArray:
     """(3,) coefficients of the logistic regression; none if all answers are right, or all wrong."""
     from scipy.optimize import minimize
 

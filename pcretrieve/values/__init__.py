@@ -11,7 +11,7 @@ check it again. Two values are equal if their arrays are, whatever their provena
 from pcretrieve.arrays import UPWARD, FloatArray, IntArray, bounding_diagonal
 from pcretrieve.values.base import METRES, UNIT, SizeUnit, unit_of
 from pcretrieve.values.geometry import PointCloud, Step, TriangleMesh
-from pcretrieve.values.shapes import Failure, Judgement, Need, Shape, Surface, Verdict
+from pcretrieve.values.shapes import Failure, Grade, GradeName, Need, Shape, Surface
 from pcretrieve.values.signatures import Metric, Neighbors, Signature, SignatureTable
 from pcretrieve.values.spectra import Eigenpairs, LaplaceBeltrami, ModalSpectrum
 
@@ -22,8 +22,9 @@ __all__ = [
     "Eigenpairs",
     "Failure",
     "FloatArray",
+    "Grade",
+    "GradeName",
     "IntArray",
-    "Judgement",
     "LaplaceBeltrami",
     "Metric",
     "ModalSpectrum",
@@ -37,7 +38,6 @@ __all__ = [
     "Step",
     "Surface",
     "TriangleMesh",
-    "Verdict",
     "bounding_diagonal",
     "unit_of",
 ]

@@ -1,4 +1,4 @@
-"""A processed scan: its surfaces with their spectra and its verdict, or the failure of the processing."""
+"""A processed scan: its surfaces with their spectra and its grade, or the failure of the processing."""
 
 from __future__ import annotations
 
@@ -18,56 +18,54 @@ Need = Literal["spectrum", "overlaps", "eigenvectors", "mesh", "points"]
 
 _Part = TypeVar("_Part")
 
-Judgement = Literal["good", "poor", "incomplete"]
+GradeName = Literal["good", "poor", "incomplete"]
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class Grade:
     """Whether the signature of a shape can be relied on, from checks of its points and its surface.
 
     Attributes
     ----------
-    judgement : {"good", "poor", "incomplete"}
+    name : {"good", "poor", "incomplete"}
         "poor": the expected error is so large that the nearest shape may be the wrong one. "incomplete": a
         part of the body is missing that a person would see missing.
-    uncertainty : float
+    error : float
         The log-signature error that is expected from what was filled in, cut off or thinly sampled, and from
         noise; dimensionless, comparable to the distance ``log`` of `SignatureIndex`. Two poses of a body are
-        about 0.1 apart, two similar bodies 0.5. It is not `Signature.deviation`, the error bar over the
+        about 0.1 apart, two similar bodies 0.5. It is not `Signature.errors`, the error bar over the
         surfaces of one scan.
     reasons : tuple of str
-        The checks that led to the judgement, each with its measurement, most severe first; empty if good.
+        The checks that led to the grade, each with its measurement, most severe first; empty if good.
 
     Raises
     ------
     InputError
-        If there is no such judgement, or the uncertainty is negative or not finite.
+        If there is no such grade, or the error is negative or not finite.
     """
 
-    judgement: Judgement
-    uncertainty: float
+    name: GradeName
+    error: float
     reasons: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.judgement not in get_args(Judgement):
+        if self.name not in get_args(GradeName):
             raise InputError(
-                f"a judgement must be one of {', '.join(get_args(Judgement))}, got {self.judgement!r}"
+                f"a grade must be one of {', '.join(get_args(GradeName))}, got {self.name!r}"
             )
-        if not (self.uncertainty >= 0 and math.isfinite(self.uncertainty)):
-            raise InputError(
-                f"an uncertainty must be at least 0 and finite, got {self.uncertainty}"
-            )
+        if not (self.error >= 0 and math.isfinite(self.error)):
+            raise InputError(f"an expected error must be at least 0 and finite, got {self.error}")
         object.__setattr__(self, "reasons", tuple(self.reasons))
 
     def __str__(self) -> str:
         if not self.reasons:
-            return self.judgement
-        return f"{self.judgement}, may answer wrongly: {'; '.join(self.reasons)}"
+            return self.name
+        return f"{self.name}, may answer wrongly: {'; '.join(self.reasons)}"
 
     @property
     def is_good(self) -> bool:
-        """Whether the judgement is "good"."""
-        return self.judgement == "good"
+        """Whether the grade is "good"."""
+        return self.name == "good"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,14 +110,14 @@ class Shape(Value):
         reconstruction, and if the points were not kept.
     provenance : tuple of Step
         All stages from the file to the spectra, and the checks, in order.
-    verdict : Verdict or None
-        Whether the signature can be relied on; None if the shape was not judged.
+    grade : Grade or None
+        Whether the signature can be relied on; None if that is not known.
     """
 
     surfaces: tuple[Surface, ...]
     cloud: PointCloud | None = None
     provenance: tuple[Step, ...] = field(default=(), compare=False)
-    verdict: Verdict | None = None
+    grade: Grade | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "surfaces", tuple(self.surfaces))

@@ -40,7 +40,7 @@ class Signature(Value):
     digest : str
         Hash of the options; two signatures are comparable only if both their kinds and their digests are
         equal.
-    deviation : (L,) float64 or None
+    errors : (L,) float64 or None
         Error bar: standard deviation (ddof = 1) of each value over the surfaces reconstructed from one scan;
         for the metric ``logarithms``, of its logarithm. None if there is one surface only.
     metric : {"logarithms", "values", "histograms"}, default "logarithms"
@@ -55,15 +55,15 @@ class Signature(Value):
     values: FloatArray
     kind: str
     digest: str = ""
-    deviation: FloatArray | None = None
+    errors: FloatArray | None = None
     metric: Metric = "logarithms"
     unit: SizeUnit | None = None
 
     def __post_init__(self) -> None:
         _check_unit(self.unit)
         _check_metric(self._lock("values", (None,)), self.metric)
-        if self.deviation is not None:
-            self._lock("deviation", (len(self.values),))
+        if self.errors is not None:
+            self._lock("errors", (len(self.values),))
 
     def __len__(self) -> int:
         return len(self.values)
@@ -72,11 +72,7 @@ class Signature(Value):
         return np.array(self.values, dtype=dtype, copy=copy)
 
     def __repr__(self) -> str:
-        error = (
-            ""
-            if self.deviation is None
-            else f", deviation up to {self.deviation.max(initial=0):.2g}"
-        )
+        error = "" if self.errors is None else f", error up to {self.errors.max(initial=0):.2g}"
         shown = ", ".join(f"{value:.4g}" for value in self.values[:N_SHOWN])
         more = ", ..." if len(self.values) > N_SHOWN else ""
         return f"Signature({self.kind}, {len(self.values)} values [{shown}{more}]{error})"
@@ -96,8 +92,8 @@ class Signature(Value):
         """Draw values and error bars by matplotlib (the extra ``plot``), into `axes` or new ones."""
         from pcretrieve.draw.plot import plot_signature
 
-        deviation = self.deviation if self.metric == "logarithms" else None
-        return plot_signature(self.values, self.kind, deviation, axes)
+        errors = self.errors if self.metric == "logarithms" else None
+        return plot_signature(self.values, self.kind, errors, axes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

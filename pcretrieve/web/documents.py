@@ -37,7 +37,7 @@ def shape_document(record: Record) -> Document:
         "file": Path(record.path).name,
         "label": record.label,
         "status": record.status,
-        "verdict": None if record.verdict is None else asdict(record.verdict),
+        "grade": None if record.grade is None else asdict(record.grade),
         "added": record.added,
         "area": record.area,
         "n_vertices": record.n_vertices,
@@ -78,8 +78,8 @@ def job_document(job: Job) -> Document:
         "inspection": job.inspection,
         "kept_as": job.kept_as,
     }
-    if job.described is not None and job.described.verdict is not None:
-        document["verdict"] = asdict(job.described.verdict)
+    if job.described is not None and job.described.grade is not None:
+        document["grade"] = asdict(job.described.grade)
     if job.error is not None:
         kind = type(job.error).__name__
         document |= {

@@ -3,7 +3,7 @@
     scripts/benchmark formats --data FOLDER
 
 Parts touch where six pairs of vertices, near each other in space and far along the surface, lie at one
-position. Printed are the defects, the verdict, and the largest change of a log-value of `r-bihdm`.
+position. Printed are the defects, the outcome, and the largest change of a log-value of `r-bihdm`.
 """
 
 from __future__ import annotations
@@ -63,9 +63,9 @@ def _lines(folder: Path, names: Sequence[str]) -> Iterator[str]:
                 path = Path(place) / f"body.{suffix}"
                 _write(mesh, path)
                 change = np.abs(np.log(signature(path, R_BIHDM).values) - expected).max()
-                verdict = inspect_scan(path, n_rescans=0).verdict
+                outcome = inspect_scan(path, n_rescans=0).outcome
                 yield TABLE.row(
-                    name, suffix, change, f"{defects(as_mesh(read_scan(path)))}; {verdict}"
+                    name, suffix, change, f"{defects(as_mesh(read_scan(path)))}; {outcome}"
                 )
 
 

@@ -13,8 +13,8 @@ points on one side, and a second body that is pressed into the first.
 Each individual is scanned whole in two poses, or on two sides. The nearest of a scan is looked for among
 the whole scans by the same sensor in the other pose, by the default descriptor: in the metric of people, or,
 for other kinds, with the whitening that these scans teach. The file of the results has a line of JSON for
-each scan: what it was called, its uncertainty, all checks with outcome, measurement and expected error, its
-coordinates, the distance to the signature of the own clean mesh ("error": of the signature by which scans
+each scan: what it was called, its expected error, all checks with outcome, measurement and expected error,
+its coordinates, the distance to the signature of the own clean mesh ("error": of the signature by which scans
 are judged, "moved": of the default one), and the rank of the own individual. Scans that are in the file are
 not examined again: take a new file after a change of the code.
 """
@@ -354,7 +354,7 @@ def _cell(rows: Sequence[Row]) -> tuple[Any, ...]:
         _share(right, ranked),
         _share([row for row in right if _is_good(row)], right),
         _share([row for row in wrong if not _is_good(row)], wrong),
-        _median(rows, "uncertainty"),
+        _median(rows, "expected_error"),
         _median(rows, "error"),
         _median(rows, "seconds"),
         ", ".join(f"{reason} {n}" for reason, n in reasons.most_common(4)),

@@ -1,4 +1,4 @@
-"""What the pipeline finds of one scan: its signature, its checks, its verdict and its surface."""
+"""What the pipeline finds of one scan: its signature, its checks, its grade and its surface."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from pcretrieve.checks import findings_of, verdict_of
+from pcretrieve.checks import findings_of, grade_of
 from pcretrieve.descriptors import DESCRIPTORS, describe
 from pcretrieve.errors import ShapeError
 from pcretrieve.options import JUDGED, PipelineOptions
@@ -25,13 +25,13 @@ FAILED = "failed"
 class Examined:
     """What is found of one scan.
 
-    word: that of the verdict, or "failed".
+    word: that of the grade, or "failed".
     point, judged: coordinates of the default signature, (68,), and of that by which scans are judged, (23,).
     checks: of each check by its name, the outcome, the measurement and the expected error.
     """
 
     word: str
-    uncertainty: float
+    expected_error: float
     reasons: tuple[str, ...] = ()
     point: tuple[float, ...] = ()
     judged: tuple[float, ...] = ()
@@ -65,7 +65,7 @@ def examined(
             own = point_of(describe(shape, options.signature).values, options)
             found = findings_of(last.cloud, last.mesh, last.marks, shape, scan=last.cropped)
             checks = found.checks
-            verdict = verdict_of(checks)
+            grade = grade_of(checks)
             seconds = time.process_time() - started
             judging = options.changed(signature=JUDGED)
             judged = point_of(describe(shape, judging.signature).values, judging)
@@ -74,13 +74,13 @@ def examined(
         words = (f"{failure.stage}: {failure.message}",)
         return Examined(FAILED, float("nan"), words, n_points=n_points, seconds=seconds), surface
     listed = {
-        check.name: {"outcome": check.verdict, "value": check.value, "error": check.error}
+        check.name: {"outcome": check.outcome, "value": check.value, "error": check.error}
         for check in checks
     }
     return Examined(
-        verdict.judgement,
-        verdict.uncertainty,
-        verdict.reasons,
+        grade.name,
+        grade.error,
+        grade.reasons,
         tuple(own.tolist()),
         tuple(judged.tolist()),
         listed,

@@ -69,11 +69,11 @@ class Case(NamedTuple):
 
 
 class Found(NamedTuple):
-    """The share of the surface with layers, and the verdict of the check."""
+    """The share of the surface with layers, and the outcome of the check."""
 
     case: Case
     share: float
-    verdict: str
+    outcome: str
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -95,12 +95,12 @@ def _lines(seeds: Sequence[int], numbers: Sequence[int]) -> Iterator[str]:
         ]
         found = all_in_workers(_found, cases, "layers")
         shares = np.array([one.share for one in found])
-        verdicts = [one.verdict for one in found]
+        outcomes = [one.outcome for one in found]
         title = f"{error[0]:g} mm, {error[1]:g}°"
-        n_found = len(verdicts) - verdicts.count("passed")
+        n_found = len(outcomes) - outcomes.count("passed")
         least, median, largest = np.quantile(shares, [0, 0.5, 1])
         yield TABLE.row(
-            *(title, noise, n, len(found), n_found, verdicts.count("failed")),
+            *(title, noise, n, len(found), n_found, outcomes.count("failed")),
             *(least, median, largest),
         )
 
@@ -124,7 +124,7 @@ def _found(case: Case) -> Found:
     cloud = oriented_normals(cleaned, ScanOptions(), neighbors)
     checks = {one.name: one for one in findings_of(cloud, None, None, None).checks}
     walls = checks["Double walls"]
-    return Found(case, walls.value or 0.0, walls.verdict)
+    return Found(case, walls.value or 0.0, walls.outcome)
 
 
 @cache

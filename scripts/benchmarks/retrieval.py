@@ -404,7 +404,7 @@ def no_match_measures(
         score = np.zeros(len(queries)) if scores is None else scores.of(distances.min(axis=1))
         others = np.where(found[:, np.newaxis] == labels[gallery], np.inf, distances).min(axis=1)
         pairs = zip(distances.min(axis=1), others, strict=True)
-        sure = [scores is not None and (scores.sureness(*pair) or 0) >= SURE for pair in pairs]
+        sure = [scores is not None and (scores.certainty(*pair) or 0) >= SURE for pair in pairs]
         drawn.append(np.stack([known, score >= min_score, ours == found, sure]).astype(bool))
     known, matched, same, sure_ones = np.concatenate(drawn, axis=1)
 

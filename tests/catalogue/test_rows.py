@@ -18,7 +18,7 @@ from pcretrieve.catalogue import Record, postgresql as postgresql_module
 from pcretrieve.catalogue.records import OWN, PAYLOADS, Entry, settings_of
 from pcretrieve.catalogue.rows import Rows
 from pcretrieve.errors import CatalogueError, OptionError
-from pcretrieve.values import Step, Verdict
+from pcretrieve.values import Grade, Step
 
 SETTINGS = {"options": "{}", "numbers_version": "7"}
 IDS = ("b", "d", "a", "c")
@@ -82,12 +82,12 @@ def test_records_are_found(rows: Rows, new_location: str, monkeypatch: pytest.Mo
 
 def test_wanted_shapes_are_those_of_a_sorted_list(rows: Rows) -> None:
     """All combinations of what is asked, against lists of Python."""
-    bad = Verdict("incomplete", 0.5, ("a hole",))
+    bad = Grade("incomplete", 0.5, ("a hole",))
     added = "2026-01-0{}T23:59:59+00:00"
-    rows.store(done("É", label="z", added=added.format(2), verdict=bad))
+    rows.store(done("É", label="z", added=added.format(2), grade=bad))
     rows.store(done("B", label=None, added=added.format(1)))
     rows.store(failed("f", label="z", added=added.format(3)))
-    rows.store(done("g", label="", added=added.format(3), verdict=bad))
+    rows.store(done("g", label="", added=added.format(3), grade=bad))
     every = records(rows)
     keys = {
         "id": lambda one: one.id,

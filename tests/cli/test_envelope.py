@@ -55,7 +55,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 ASKED: dict[str, tuple[str, int, set[str], bool]] = {
     "lab reconstruct": ("scans/e0.off -o body.off", 0, {"mesh", "faces", "steps"}, True),
     "lab signature": ("scans/e0.off", 0, {"path", "kind", "values"}, True),
-    "inspect": ("scans/e0.off -o page.html --rescans 0", 0, {"page", "verdict", "checks"}, True),
+    "inspect": ("scans/e0.off -o page.html --rescans 0", 0, {"page", "outcome", "checks"}, True),
     "lab report-problem": ("scans/flat.xyz -o problem.zip", 0, {"file", "failure"}, True),
     "ingest": ("scans -c new.sqlite --workers 1 --quiet", 3, {"done", "failed", "held"}, True),
     "status": ("-c c.sqlite", 0, {"state", "n_shapes"}, False),
@@ -65,7 +65,7 @@ ASKED: dict[str, tuple[str, int, set[str], bool]] = {
     "lab map": ("-c c.sqlite -o map.html", 0, {"page"}, True),
     "lab calibrate": ("-c c.sqlite -o metric.npz", 0, {"whitening", "reason"}, True),
     "report": ("-c c.sqlite -o report.html", 0, {"page"}, True),
-    "list": ("-c c.sqlite --limit 2", 0, {"id", "path", "status", "verdict"}, False),
+    "list": ("-c c.sqlite --limit 2", 0, {"id", "path", "status", "grade"}, False),
     "show": ("e1 -c c.sqlite", 0, {"id", "steps", "stored_bytes"}, False),
     "remove": ("e3 -c fewer.sqlite", 0, {"removed"}, False),
     "catalogue merge": ("c.sqlite -o all.sqlite", 0, {"n_added", "n_held"}, False),

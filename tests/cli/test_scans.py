@@ -125,14 +125,14 @@ def test_an_inspection_has_checks_numbers_and_pictures(
     answer = json.loads(done.stdout)["result"]
     assert answer["page"] == str(tmp_path / "page.html")
     assert answer["failure"] is None
-    assert answer["shape_verdict"]["uncertainty"] >= answer["spread"]
+    assert answer["grade"]["error"] >= answer["rescan_error"]
     assert {"Points", "Normals", "Handles", "Signature"} <= {
         check["name"] for check in answer["checks"]
     }
     for check in answer["checks"]:
-        assert f"{check['verdict']:<6}  {check['name']}" in done.stderr
-    assert len(answer["signature"]) == len(answer["rescan_deviation"]) == 23
-    assert "deviation" not in answer, "that is over the surfaces of one scan"
+        assert f"{check['outcome']:<6}  {check['name']}" in done.stderr
+    assert len(answer["signature"]) == len(answer["rescan_errors"]) == 23
+    assert "errors" not in answer, "that is over the surfaces of one scan"
     assert [step["stage"] for step in answer["steps"]][:3] == ["read", "crop", "clean"]
     with Image.open("sheet.png") as sheet:
         assert sheet.format == "PNG" and sheet.width > 1000
@@ -146,7 +146,7 @@ def test_a_scan_that_fails_gets_its_page(tmp_path: Path, monkeypatch: pytest.Mon
         done = run("inspect", scan, "--png", "sheet.png", "--json", code=3)
         answer = json.loads(done.stdout)["result"]
         assert answer["failure"]["stage"] == stage
-        assert answer["signature"] is answer["rescan_deviation"] is answer["spread"] is None
+        assert answer["signature"] is answer["rescan_errors"] is answer["rescan_error"] is None
         page = unescape(Path(answer["page"]).read_text(encoding="utf-8"))
         assert f"the {stage} stage failed" in page
         assert answer["failure"]["message"].replace(f"{tmp_path}/", "") in page

@@ -127,9 +127,9 @@ def test_good_only_asks_for_good_scans_in_the_whole_gallery(tmp_path: Path) -> N
     with pr.Catalogue(catalogue, create=True) as store:
         for number, (kind, width) in enumerate(product("ab", (1, 1.1))):
             shape = pr.process(shapes.ellipsoid((width, 1, 1.8 if kind == "a" else 2.3), 3))
-            verdict = pr.Verdict("poor" if number == 3 else "good", 0.5)
+            grade = pr.Grade("poor" if number == 3 else "good", 0.5)
             values = pr.describe(shape, options.signature).values
-            content = Content(replace(shape, verdict=verdict), values)
+            content = Content(replace(shape, grade=grade), values)
             store.put(Record(f"{number}", f"/{number}.off", f"hash {number}", kind), content)
     assert run("evaluate", "-c", catalogue).stderr.startswith("4 queries in 4 shapes")
     good = run("evaluate", "-c", catalogue, "--good-only")
@@ -245,9 +245,9 @@ def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
             shape = pr.process(
                 shapes.ellipsoid((width, 1, 1.8 if kind else 2.3), 2 if number == 5 else 3)
             )
-            verdict = pr.Verdict("incomplete", 0.5) if number == 5 else pr.Verdict("good", 0.01)
+            grade = pr.Grade("incomplete", 0.5) if number == 5 else pr.Grade("good", 0.01)
             content = Content(
-                replace(shape, verdict=verdict), pr.describe(shape, options.signature).values
+                replace(shape, grade=grade), pr.describe(shape, options.signature).values
             )
             store.put(Record(f"{number}", f"/{number}.off", f"hash {number}", kind), content)
     return location

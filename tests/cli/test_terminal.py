@@ -19,7 +19,7 @@ import pytest
 import shapes
 from commands import run
 
-from pcretrieve import Catalogue, PipelineOptions, Verdict, describe, process
+from pcretrieve import Catalogue, Grade, PipelineOptions, describe, process
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.cli.output import write_table
 from pcretrieve.formats import write_mesh
@@ -36,14 +36,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three ellipsoids in deep folders, one of them incomplete, and a failure."""
     place, options = tmp_path_factory.mktemp("tables").resolve(), PipelineOptions()
     with Catalogue(place / "c.sqlite", create=True) as store:
-        for number, verdict in enumerate(
-            (Verdict("good", 0.1), Verdict("incomplete", 0.4, (REASON,)), None)
+        for number, grade in enumerate(
+            (Grade("good", 0.1), Grade("incomplete", 0.4, (REASON,)), None)
         ):
             shape = process(shapes.ellipsoid((1, 0.6 + 0.1 * number, 0.5), 3), options)
             values = describe(shape, options.signature).values
             path = str(place / DEEP / f"egg{number}.off")
             record = Record(f"egg{number}", path, f"hash {number}", label="egg")
-            store.put(record, Content(replace(shape, verdict=verdict), values))
+            store.put(record, Content(replace(shape, grade=grade), values))
         store.put(
             Record(
                 "bad", str(place / "bad.off"), "", status="failed", stage="read", message="no scan"
@@ -136,7 +136,7 @@ def test_programs_get_whole_values_under_headings(
 ) -> None:
     monkeypatch.chdir(folder)
     lines = run("list", "-c", "c.sqlite").stdout.splitlines()
-    assert lines[0].split() == ["ID", "VERDICT", "CLASS", "EULER", "SECONDS", "FILE"]
+    assert lines[0].split() == ["ID", "GRADE", "CLASS", "EULER", "SECONDS", "FILE"]
     assert [line.split()[-1] for line in lines[1:]] == [
         "bad.off",
         *(f"{DEEP}/egg{n}.off" for n in range(3)),

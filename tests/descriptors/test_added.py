@@ -89,7 +89,7 @@ def test_what_a_descriptor_is_given() -> None:
     assert len(describe(both(), options("lowest")).values) == 3
     # The points of a scan are described once.
     center = describe(both(), options("center"))
-    assert center.deviation is None
+    assert center.errors is None
     np.testing.assert_allclose(center.values, both().points.points.mean(axis=0))
     # Eigenvectors come from the shape or from its mesh.
     kept = Shape((Surface(1.0, eigenpairs=unit_eigenpairs(first.mesh, 31)),))

@@ -189,13 +189,13 @@ def both() -> Shape:
 def test_a_shape_of_several_surfaces_is_described_by_their_mean(method: str) -> None:
     """Each descriptor is given the surface that it describes, be it as a spectrum or as a mesh."""
     mean = describe(both(), options(method))
-    assert mean.deviation is not None
-    assert mean.deviation.max() > 0
-    assert describe(body(), options(method)).deviation is None
+    assert mean.errors is not None
+    assert mean.errors.max() > 0
+    assert describe(body(), options(method)).errors is None
     log = np.log if mean.metric == "logarithms" else np.asarray
     rows = np.array([log(describe(shape, options(method)).values) for shape in (body(), longer())])
     np.testing.assert_allclose(log(mean.values), rows.mean(axis=0), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(mean.deviation, np.abs(rows[0] - rows[1]) / np.sqrt(2), atol=1e-12)
+    np.testing.assert_allclose(mean.errors, np.abs(rows[0] - rows[1]) / np.sqrt(2), atol=1e-12)
 
 
 def test_size_is_one_value_more_beside_the_form(method: str) -> None:
@@ -212,8 +212,8 @@ def test_size_is_one_value_more_beside_the_form(method: str) -> None:
     areas = 6 * np.log([3.0, 3.3])
     size = sized.values[-1] if form.metric == "values" else np.log(sized.values[-1])
     assert size == pytest.approx(areas.mean())
-    assert sized.deviation is not None
-    assert sized.deviation[-1] == pytest.approx(areas.std(ddof=1))
+    assert sized.errors is not None
+    assert sized.errors[-1] == pytest.approx(areas.std(ddof=1))
 
 
 def test_fused_values_are_the_coordinates_of_the_parts_in_units_of_their_spread() -> None:

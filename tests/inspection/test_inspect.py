@@ -36,9 +36,9 @@ def test_a_good_scan_passes_and_its_spread_is_the_rms_distance_to_the_mean() -> 
     cloud = seen_from_far(np.concatenate([shapes.points_on(BODY, 20_000), outliers]))
     good = inspect_scan(cloud, OPTIONS, n_rescans=2)
     assert good.failure is None
-    assert [(bad.name, bad.shown) for bad in good.checks if bad.verdict != "passed"] == []
-    assert good.verdict == "passed"
-    deviation, spread = good.rescan_deviation, good.spread
+    assert [(bad.name, bad.shown) for bad in good.checks if bad.outcome != "passed"] == []
+    assert good.outcome == "passed"
+    deviation, spread = good.rescan_errors, good.rescan_error
     assert good.signature is not None and deviation is not None and spread is not None
     np.testing.assert_allclose(good.signature.values, signature(cloud, OPTIONS).values, rtol=1e-9)
     assert check(good, "Signature").value == spread < 0.15
@@ -93,10 +93,10 @@ def test_what_fails_is_shown_as_far_as_it_came(tmp_path: Path) -> None:
     assert strip.failure is not None and "one-sided" in strip.failure.message
     assert strip.scan is not None and len(strip.scan.points) == len(shapes.mobius_strip().vertices)
     for seen in (unread, few, two, strip):
-        assert seen.verdict == "failed"
+        assert seen.outcome == "failed"
         assert seen.failure is not None
         assert f"the {seen.failure.stage} stage failed" in seen.summary
-        assert seen.checks[0].verdict == "failed"
+        assert seen.checks[0].outcome == "failed"
 
     line = np.linspace([0, 0, 0], [1, 2, 3], 500)
     for points in (np.zeros((0, 3)), np.zeros((1, 3)), np.ones((500, 3)), line):

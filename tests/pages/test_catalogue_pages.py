@@ -202,7 +202,7 @@ def test_doubt_about_an_answer_is_said(eggs: Path, folder: Path) -> None:
     assert "least score 0.99" in words_of(page) and '<ol class="results">' not in page.read_text(
         "utf-8"
     )
-    page = query_page(eggs, folder / "flat.off", folder / "doubt.html", far=1e-4)
+    page = query_page(eggs, folder / "flat.off", folder / "doubt.html", false_match_rate=1e-4)
     assert "not in this collection; the nearest class is " in words_of(page)
     assert 'class="stranger"' in page.read_text("utf-8")
 

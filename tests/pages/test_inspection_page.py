@@ -48,8 +48,8 @@ def inspection() -> Inspection:
         cuts=np.array([[0.0, 0, 1]]),
         bridges=np.zeros((0, 3)),
         signature=Signature(np.geomspace(1, 0.01, 10), "r-bihdm"),
-        rescan_deviation=np.linspace(0.01, 0.1, 10),
-        spread=0.2,
+        rescan_errors=np.linspace(0.01, 0.1, 10),
+        rescan_error=0.2,
         failure=None,
         steps=(),
     )
@@ -154,10 +154,10 @@ def test_the_page_needs_nothing_else_stays_small_and_no_name_can_break_it() -> N
 def test_the_summary_says_what_is_wrong() -> None:
     seen = inspection()  # with a spread of .2
     error = "the error bar of its signature is ± 0.2."
-    assert (seen.verdict, seen.summary) == ("passed", f"A good scan: {error} Look at: outliers.")
+    assert (seen.outcome, seen.summary) == ("passed", f"A good scan: {error} Look at: outliers.")
     much = Check("Noise", "look", 1.0, "much", "Hold still.", 1.5, says="the points scatter")
     noisy = replace(seen, checks=(much, *seen.checks))
-    assert noisy.verdict == "look"
+    assert noisy.outcome == "look"
     assert noisy.summary == (
         "A poor scan, may answer wrongly: the points scatter; "
         "the error bar of its signature is ± 1.5."
@@ -166,7 +166,7 @@ def test_the_summary_says_what_is_wrong() -> None:
         "Largest hole", "failed", 1.0, "wide", "Scan it.", 0.0, "incomplete", "a hole shows"
     )
     failed = replace(seen, checks=(hole, *seen.checks))
-    assert failed.verdict == "look"
+    assert failed.outcome == "look"
     assert failed.summary == f"An incomplete scan, may answer wrongly: a hole shows; {error}"
     stopped = replace(
         failed, signature=None, failure=Failure("b.ply", "surface", "ReconstructionError", "no")
@@ -198,21 +198,21 @@ def test_two_bodies_are_measured_and_compared() -> None:
 
 
 def test_surfaces_are_distinguished() -> None:
-    for mesh, verdicts in (
+    for mesh, outcomes in (
         (SPHERE, ["passed", "passed"]),
         (shapes.torus(), ["passed", "look"]),
         (shapes.square(3), ["look"]),
         (shapes.joined(SPHERE, shapes.moved(SPHERE, 1)), ["look"]),
     ):
-        assert [check.verdict for check in surface_checks(mesh)] == verdicts
+        assert [check.outcome for check in surface_checks(mesh)] == outcomes
 
 
 @pytest.mark.parametrize("name", ["Points", "Filled in", "Gaps", "Left out", "Noise", "Surfaces"])
-def test_worse_numbers_get_worse_verdicts(name: str) -> None:
+def test_worse_numbers_get_worse_outcomes(name: str) -> None:
     limits = MEASURES[name].limits
     assert limits is not None
     values = (0.0, sum(limits) / 2, 2 * limits[1])
-    found = [graded(name, value, "").verdict for value in values]
+    found = [graded(name, value, "").outcome for value in values]
     assert found == ["passed", "look", "failed"]
 
 
@@ -226,6 +226,6 @@ def test_a_place_of_a_failed_check_is_ringed_and_turned_to() -> None:
     assert re.search(r'<a href="#surface,filled,faults@-?\d+,-?\d+"[^>]*>Largest hole</a>', text)
 
 
-def test_rescans_that_differ_more_get_worse_verdicts() -> None:
-    spreads = [graded("Signature", spread, "").verdict for spread in (0.05, 0.3, 1)]
+def test_rescans_that_differ_more_get_worse_outcomes() -> None:
+    spreads = [graded("Signature", spread, "").outcome for spread in (0.05, 0.3, 1)]
     assert spreads == ["passed", "look", "failed"]

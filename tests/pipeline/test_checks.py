@@ -49,14 +49,14 @@ def fit_of(cloud: PointCloud, mesh: TriangleMesh) -> Fit:
 
 def test_a_ball_passes() -> None:
     found = checks_of(cloud_of(on_ball()), BALL)
-    assert {check.name for check in found.values() if check.verdict != "passed"} == set()
+    assert {check.name for check in found.values() if check.outcome != "passed"} == set()
 
 
 def test_a_hole_in_a_ball_shows_at_its_place() -> None:
     points = on_ball()
     pierced = points[np.linalg.norm(points - [0, 0, 1], axis=1) > 0.2]
     found = checks_of(cloud_of(pierced), BALL)["Largest hole"]
-    assert (found.verdict, found.grade) == ("failed", "incomplete")
+    assert (found.outcome, found.grade) == ("failed", "incomplete")
     assert np.linalg.norm(np.array(found.places) - [0, 0, 1]) < 0.05
 
 
@@ -79,10 +79,10 @@ def test_holes_above_and_below_are_expected_of_a_turntable() -> None:
     seen = points[np.abs(points[:, 2]) < 0.97]
     fit = fit_of(cloud_of(seen), BALL)
     assert [hole.is_expected for hole in fit.holes if hole.radius > 0.05] == [True, True]
-    assert hole_check(fit).verdict == "passed"
+    assert hole_check(fit).outcome == "passed"
     and_one_beside = seen[np.linalg.norm(seen - [1, 0, 0], axis=1) > 0.2]
     fit = fit_of(cloud_of(and_one_beside), BALL)
-    assert hole_check(fit).verdict == "failed"
+    assert hole_check(fit).outcome == "failed"
 
 
 def test_a_hole_above_shows_if_sensors_stood_on_all_sides() -> None:
@@ -105,7 +105,7 @@ def test_a_thin_side_is_uneven_however_dense_the_other_is() -> None:
     points = on_ball(200_000)
     thin = points[(points[:, 0] > 0) | (np.random.default_rng(1).random(len(points)) < 0.1)]
     found = checks_of(cloud_of(on_ball()), BALL, PointCloud(thin))["Evenness"]
-    assert (found.verdict, found.grade) == ("failed", "incomplete")
+    assert (found.outcome, found.grade) == ("failed", "incomplete")
     assert found.value == pytest.approx(10**0.5, rel=0.1)
 
 
@@ -177,4 +177,4 @@ def test_two_balls_that_touch_are_two_bodies_and_a_rod_is_one() -> None:
         else:
             mesh = tube(9.0)
         found = body_check(neck(mesh, mesh.vertices[:, 0]))
-        assert (found.verdict != "passed") == is_two, name
+        assert (found.outcome != "passed") == is_two, name

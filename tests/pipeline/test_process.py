@@ -43,7 +43,7 @@ def surface() -> TriangleMesh:
 def test_the_signature_of_the_surface_of_a_scan_is_that_of_the_scan(surface: TriangleMesh) -> None:
     assert len(surface.others) == 1
     expected = signature(POINTS)
-    assert expected.deviation is not None
+    assert expected.errors is not None
     assert signature(surface) == expected
 
 
@@ -106,7 +106,7 @@ def test_a_function_of_a_mesh_is_a_descriptor(surface: TriangleMesh) -> None:
     assert (made.kind, made.metric, len(made)) == ("compactness", "values", 2)
     each = np.array([compactness(mesh) for mesh in (surface, *surface.others)])
     np.testing.assert_allclose(made.values, each.mean(axis=0))
-    assert made.deviation is not None and made.deviation[1] == 0
+    assert made.errors is not None and made.deviation[1] == 0
     with pytest.raises(ShapeError, match="the descriptor 'no_mesh' failed, AttributeError"):
 
         def no_mesh(mesh: TriangleMesh) -> float:
@@ -212,7 +212,7 @@ def test_poisson_makes_the_same_body_and_says_what_it_does_not_use() -> None:
     assert "surface.method = 'poisson' does not use surface.genus, surface.gap" in notes
     assert "the method poisson makes one surface, so that the signature has no error bar" in notes
     described = signature(POINTS, options)
-    assert described.deviation is None
+    assert described.errors is None
     assert np.isfinite(described.values).all()
 
 

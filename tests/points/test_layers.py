@@ -100,17 +100,17 @@ def four_views(mesh: TriangleMesh, move: float, turn: float) -> FloatArray:
 
 
 @pytest.mark.parametrize(
-    ("move", "turn", "verdict"),
+    ("move", "turn", "outcome"),
     [(0.0, 0.0, "passed"), (0.001, 0.003, "passed"), (0.0067, 0.026, "failed")],
     ids=["registered", "2 mm of a person", "12 mm and 1.5 degrees"],
 )
 def test_the_check_finds_views_that_were_registered_badly(
-    move: float, turn: float, verdict: str
+    move: float, turn: float, outcome: str
 ) -> None:
     scan = PointCloud(four_views(shapes.body(5), move, turn))
     cleaned, neighbors = clean(scan, ScanOptions())
     cloud = oriented_normals(cleaned, ScanOptions(), neighbors)
     checks = {check.name: check for check in findings_of(cloud, None, None, None).checks}
     walls = checks["Double walls"]
-    assert walls.verdict == verdict
-    assert ("layers" in walls.shown and walls.error > 0.15) == (verdict == "failed")
+    assert walls.outcome == outcome
+    assert ("layers" in walls.shown and walls.error > 0.15) == (outcome == "failed")

@@ -73,12 +73,14 @@ def test_sure_answers_are_right_and_strangers_are_told() -> None:
     apart = pairwise("log", np.log(table.values[asked]), np.log(table.values[shown]))
     first = shown[apart.argmin(axis=1)] // 6
     others = np.where(first[:, np.newaxis] == shown // 6, np.inf, apart).min(axis=1)
-    sure = np.array([found.sureness(*pair) for pair in zip(apart.min(axis=1), others, strict=True)])
+    sure = np.array(
+        [found.certainty(*pair) for pair in zip(apart.min(axis=1), others, strict=True)]
+    )
     right = first == rows[asked] // 6
     assert right[sure >= SURE].all() and (sure[right] >= SURE).mean() > 0.8
     assert (sure[~is_known[asked]] < UNLIKELY).mean() > 0.8
-    assert found.reach(0.001) < found.reach(0.1) < np.inf
-    _, near, far = scores_of(classes(8, 6, seed=0)).certainty
+    assert found.limit(0.001) < found.limit(0.1) < np.inf
+    _, near, far = scores_of(classes(8, 6, seed=0)).coefficients
     assert (
         near <= 0 <= far
     )  # slopes with the logarithms of the distance, and of its ratio to the next class
@@ -93,8 +95,8 @@ def test_the_reach_of_a_rate_is_farther_than_that_share_of_strangers() -> None:
     strangers = labels[first] != labels[second]
     apart = pairwise("log", logs, logs)[first, second][strangers]
     for rate in (0.003, 0.01, 0.1, 0.3, 0.9):
-        assert (apart <= found.reach(rate)).mean() == pytest.approx(rate, rel=0.1)
-    assert (found.reach(0.0), found.reach(1.0)) == pytest.approx((apart.min(), apart.max()))
+        assert (apart <= found.limit(rate)).mean() == pytest.approx(rate, rel=0.1)
+    assert (found.limit(0.0), found.limit(1.0)) == pytest.approx((apart.min(), apart.max()))
 
 
 def test_two_points_have_scores_that_can_be_counted() -> None:
@@ -125,13 +127,13 @@ def test_a_score_is_known_for_every_five_pairs_and_at_a_hundred_distances() -> N
 def test_a_stranger_counts_as_a_tenth_of_a_known_query() -> None:
     """All distances are 1: the first class is the answer to each query, and right for its two shapes."""
     table = table_of(np.eye(20) / np.sqrt(2), classes_of(20, 2))
-    assert scores_of(table).sureness(1.0, 1.0) == pytest.approx(2 / (20 + 0.1 * 20), rel=1e-3)
+    assert scores_of(table).certainty(1.0, 1.0) == pytest.approx(2 / (20 + 0.1 * 20), rel=1e-3)
 
 
 def test_slopes_of_certainty_are_where_the_ridge_holds_the_likelihood() -> None:
     """The derivative of the likelihood is twice the ridge times the slope, and 0 for the constant."""
     table = classes(8, 6, seed=1, spread=0.25)
-    found, logs = scores_of(table).certainty, np.log(table.values)
+    found, logs = scores_of(table).coefficients, np.log(table.values)
     apart, labels = pairwise("log", logs, logs), np.array(table.labels)
     slope = np.zeros(3)
     for query, label in enumerate(labels):
@@ -147,17 +149,17 @@ def test_slopes_of_certainty_are_where_the_ridge_holds_the_likelihood() -> None:
 
 def test_shapes_nearer_than_a_thousandth_are_equally_near() -> None:
     found = scores_of(classes(8, 6, seed=0))
-    at_limit = found.sureness(0.001, 0.5)
-    assert found.sureness(0.0, 0.5) == found.sureness(0.00095, 0.5) == at_limit
-    assert found.sureness(0.00105, 0.5) != at_limit
+    at_limit = found.certainty(0.001, 0.5)
+    assert found.certainty(0.0, 0.5) == found.certainty(0.00095, 0.5) == at_limit
+    assert found.certainty(0.00105, 0.5) != at_limit
 
 
 def test_the_next_class_is_as_far_as_the_last_neighbour_if_none_of_them_is_of_it() -> None:
     found = scores_of(classes(20, 6, seed=1, spread=0.05))
     near, far = 0.1, 0.5
     alone = _match([(far, "cat"), (near, "cat")], found, None)
-    assert alone == Match("cat", None, found.sureness(near, far))
-    assert found.sureness(near, far) != found.sureness(near, near)
+    assert alone == Match("cat", None, found.certainty(near, far))
+    assert found.certainty(near, far) != found.certainty(near, near)
     assert _match([(far, "dog"), (near, "cat")], found, None) == replace(alone, other="dog")
 
 

@@ -13,13 +13,13 @@ from benchmarks.uniform import UniformOptions, scan_uniformly
 from numpy.typing import NDArray
 
 from pcretrieve import TriangleMesh, process
-from pcretrieve.checks import Check, verdict_of
-from pcretrieve.checks.grading import LARGEST_ERROR, Grade
+from pcretrieve.checks import Check, grade_of
+from pcretrieve.checks.grading import LARGEST_ERROR, CheckGrade
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SignatureOptions
 from pcretrieve.simulation.bodies import POSES, body, make_subject
-from pcretrieve.values import FloatArray, Shape, Verdict
+from pcretrieve.values import FloatArray, Grade, Shape
 
 
 def some(points: FloatArray, share: float) -> NDArray[np.bool_]:
@@ -108,11 +108,11 @@ def test_no_fault_goes_without_a_word(
         shape = process(FAULTS[fault](points) if fault in FAULTS else welded)
     except ReconstructionError:
         return  # refused, with its reason
-    assert shape.verdict is not None
-    if shape.verdict.is_good:
+    assert shape.grade is not None
+    if shape.grade.is_good:
         assert np.linalg.norm(log_values(shape) - true) < LARGEST_ERROR
     else:
-        assert shape.verdict.reasons
+        assert shape.grade.reasons
 
 
 def test_whole_bodies_are_good_also_amid_garbage(
@@ -123,7 +123,7 @@ def test_whole_bodies_are_good_also_amid_garbage(
     typical = scan_uniformly(person, UniformOptions(), np.random.default_rng(4))
     for scan in (person, points, typical, np.concatenate([points, garbage])):
         shape = process(scan)
-        assert shape.verdict is not None and shape.verdict.is_good, shape.verdict
+        assert shape.grade is not None and shape.grade.is_good, shape.grade
         assert np.linalg.norm(log_values(shape) - true) < 0.15
 
 
@@ -131,39 +131,39 @@ def test_whole_bodies_are_good_also_amid_garbage(
 def test_a_body_without_a_forearm_is_incomplete(side: int, points: FloatArray) -> None:
     across = side * (points[:, 0] - np.median(points[:, 0]))
     shape = process(points[across < across.max() - 0.25 * np.ptp(points[:, 1]) / 1.7])
-    assert shape.verdict is not None
-    assert shape.verdict.judgement == "incomplete"
+    assert shape.grade is not None
+    assert shape.grade.name == "incomplete"
     told = ("the end of a limb is missing", "there is a hole that shows")
-    assert any(reason.startswith(told) for reason in shape.verdict.reasons)
+    assert any(reason.startswith(told) for reason in shape.grade.reasons)
 
 
 # --- the grade ----------------------------------------------------------------------------------------
 
 
-def check(name: str, error: float, grade: Grade = "") -> Check:
+def check(name: str, error: float, grade: CheckGrade = "") -> Check:
     return Check(name, "look", None, "much", "Look.", error, grade, f"{name.lower()} is wrong")
 
 
 def test_a_missing_part_makes_a_scan_incomplete_whatever_the_error() -> None:
-    verdict = verdict_of([check("Gaps", 0.2), check("Largest hole", 0.0, "incomplete")])
-    assert verdict == Verdict("incomplete", 0.2, ("largest hole is wrong",))
-    assert str(verdict) == "incomplete, may answer wrongly: largest hole is wrong"
+    grade = grade_of([check("Gaps", 0.2), check("Largest hole", 0.0, "incomplete")])
+    assert grade == Grade("incomplete", 0.2, ("largest hole is wrong",))
+    assert str(grade) == "incomplete, may answer wrongly: largest hole is wrong"
 
 
 def test_a_large_error_makes_a_scan_poor_and_its_largest_cause_is_named() -> None:
-    verdict = verdict_of([check("Gaps", 0.1), check("Surfaces", 1.0)])
-    assert (verdict.judgement, verdict.reasons) == ("poor", ("surfaces is wrong",))
-    assert verdict_of([check("Gaps", LARGEST_ERROR - 0.01)]).is_good
+    grade = grade_of([check("Gaps", 0.1), check("Surfaces", 1.0)])
+    assert (grade.name, grade.reasons) == ("poor", ("surfaces is wrong",))
+    assert grade_of([check("Gaps", LARGEST_ERROR - 0.01)]).is_good
 
 
 def test_a_check_can_make_a_scan_poor_without_an_error() -> None:
-    assert verdict_of([check("One body", 0.0, "poor")]).judgement == "poor"
+    assert grade_of([check("One body", 0.0, "poor")]).name == "poor"
 
 
 def test_facts_make_no_grade() -> None:
-    assert verdict_of([check("Outside", 0.0), check("Cuts and bridges", 0.3)]).is_good
+    assert grade_of([check("Outside", 0.0), check("Cuts and bridges", 0.3)]).is_good
 
 
 def test_rescans_that_differ_make_a_scan_poor() -> None:
-    verdict = verdict_of([check("Gaps", 0.1)], spread=1.2)
-    assert verdict == Verdict("poor", 1.2, ("rescans differ by ± 1.2",))
+    grade = grade_of([check("Gaps", 0.1)], rescan_error=1.2)
+    assert grade == Grade("poor", 1.2, ("rescans differ by ± 1.2",))
