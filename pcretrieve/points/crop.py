@@ -120,12 +120,15 @@ def kept_points(cloud: PointCloud, options: ScanOptions, *, of_view: bool = Fals
     """Find the points of a cloud that a crop keeps, as in `crop`."""
     points, viewpoints = cloud.points, cloud.viewpoints
     kept, notes = np.ones(len(points), dtype=np.bool_), []
+    left = points  # those that are kept
 
     def remove(rest: NDArray[np.bool_], what: str) -> None:
         """Keep those of the kept points that are in the mask `rest`, (k,)."""
+        nonlocal left
         if not rest.all():
             notes.append(f"dropped {(~rest).sum()} of {len(rest)} points {what}")
             kept[kept] = rest
+            left = left[rest]
 
     seen = points if viewpoints is None else points - viewpoints  # (n, 3)
     ranges = np.linalg.norm(seen, axis=1)
@@ -133,6 +136,7 @@ def kept_points(cloud: PointCloud, options: ScanOptions, *, of_view: bool = Fals
         (seen[:, 2] >= 0).all() or (seen[:, 2] <= 0).all()
     )  # of the sensor, along the axis z
     readings = (ranges, abs(seen[:, 2])) if is_ahead else (ranges,)
+    del seen  # as large as the scan
     remove(_measured(readings), "at one range: readings without an answer")
     if not isinstance(options.min_range, str):
         remove(ranges[kept] >= options.min_range, f"nearer than min_range = {options.min_range:g}")
@@ -140,21 +144,21 @@ def kept_points(cloud: PointCloud, options: ScanOptions, *, of_view: bool = Fals
         remove(ranges[kept] <= options.max_range, f"farther than max_range = {options.max_range:g}")
     if not isinstance(options.box, str):
         low, high = np.asarray(options.box)
-        remove(((points[kept] >= low) & (points[kept] <= high)).all(axis=1), "outside the box")
+        remove(((left >= low) & (left <= high)).all(axis=1), "outside the box")
     if not of_view:
-        remove(_near(points[kept]), f"more than {FAR_AWAY} median distances from the middle")
+        remove(_near(left), f"more than {FAR_AWAY} median distances from the middle")
     ground = None
     if options.ground == "auto" and not of_view and kept.sum() >= FEWEST_POINTS:
-        ground = ground_of(points[kept], None if viewpoints is None else viewpoints[kept])
+        ground = ground_of(left, None if viewpoints is None else viewpoints[kept])
         if ground is not None:
             remove(~ground.points, "of the ground on which the body stands")
     if options.keep_largest and kept.any():
-        gap = options.piece_gap * bounding_diagonal(points[kept])
-        remove(_largest_piece(points[kept], gap), "that are not of the largest piece")
+        gap = options.piece_gap * bounding_diagonal(left)
+        remove(_largest_piece(left, gap), "that are not of the largest piece")
     if not of_view:
-        before = bounding_diagonal(points[kept])
-        remove(_without_strays(points[kept]), "as strays outside the box of their quantiles")
-        if (after := bounding_diagonal(points[kept])) < before:
+        before = bounding_diagonal(left)
+        remove(_without_strays(left), "as strays outside the box of their quantiles")
+        if (after := bounding_diagonal(left)) < before:
             notes.append(
                 f"lengths are relative to a diagonal of {after:.4g}, with the strays {before:.4g}"
             )

@@ -14,6 +14,7 @@ from pcretrieve.values import FloatArray
 from pcretrieve.values.compiled import compiled
 
 Index = NDArray[np.intp]
+Order = NDArray[np.int32]
 Shape = tuple[int, int, int]
 
 # Mean number of points in an occupied cell of the grid, relative to the number of neighbours, by which most
@@ -25,6 +26,9 @@ LEAST_OCCUPANCY = 4.0
 # point. Beyond them the density varies so much that a k-d tree is faster than a grid.
 MOST_CROWDED = 40
 MOST_CELLS = 64
+
+# Largest number of cells, which take 67 MB. Only scans of a million points and more would have smaller cells.
+LARGEST_GRID = 1 << 24
 
 # Two distances that are nearer than this, relatively, are equal up to rounding errors.
 ROUNDING = 1e-9
@@ -46,7 +50,7 @@ def nearest(points: FloatArray, places: FloatArray, k: int) -> tuple[FloatArray,
     return np.asarray(distance), np.asarray(near)
 
 
-def _cells(points: FloatArray, k: int) -> tuple[FloatArray, float, Shape, Index, Index] | None:
+def _cells(points: FloatArray, k: int) -> tuple[FloatArray, float, Shape, Order, Order] | None:
     """The points, sorted by the cells of a grid of a suitable edge; None if there is no such edge.
 
     Returns low, edge and shape of the grid, and `order` and `starts` of `_sorted`.
@@ -56,8 +60,12 @@ def _cells(points: FloatArray, k: int) -> tuple[FloatArray, float, Shape, Index,
     wanted = max(OCCUPANCY * k, LEAST_OCCUPANCY)
     # The edge for a box, and then for the number of cells that this edge gives to the surface.
     edge = float(np.sqrt(wanted * (x * y + y * z + z * x) / len(points)))
+    least = float(np.cbrt(x * y * z / LARGEST_GRID))
     cells = None
     for _ in range(2):
+        if edge < least:
+            wanted *= (least / edge) ** 2
+            edge = least
         if not edge > 0:
             return None
         numbers = np.floor((high - low) / edge) + 1
@@ -77,23 +85,23 @@ def _cell(at: float, n: int) -> int:
 
 
 @compiled(error_model="numpy")
-def _sorted(points: FloatArray, low: FloatArray, edge: float, shape: Shape) -> tuple[Index, Index]:
+def _sorted(points: FloatArray, low: FloatArray, edge: float, shape: Shape) -> tuple[Order, Order]:
     """(n,) numbers of the points, grouped by cell; (cells + 1,) position of the first one of each cell."""
-    cell = np.empty(len(points), dtype=np.intp)
-    starts = np.zeros(shape[0] * shape[1] * shape[2] + 1, dtype=np.intp)
+    cell = np.empty(len(points), dtype=np.int32)
+    # Two cells ahead, so that the entries are the positions when all points have their places.
+    starts = np.zeros(shape[0] * shape[1] * shape[2] + 2, dtype=np.int32)
     for i in range(len(points)):
         a = _cell((points[i, 0] - low[0]) / edge, shape[0])
         b = _cell((points[i, 1] - low[1]) / edge, shape[1])
         cell[i] = (a * shape[1] + b) * shape[2] + _cell((points[i, 2] - low[2]) / edge, shape[2])
-        starts[cell[i] + 1] += 1
-    for i in range(1, len(starts)):
+        starts[cell[i] + 2] += 1
+    for i in range(2, len(starts)):
         starts[i] += starts[i - 1]
-    fill = starts[:-1].copy()
-    order = np.empty(len(points), dtype=np.intp)
+    order = np.empty(len(points), dtype=np.int32)
     for i in range(len(points)):
-        order[fill[cell[i]]] = i
-        fill[cell[i]] += 1
-    return order, starts
+        order[starts[cell[i] + 1]] = i
+        starts[cell[i] + 1] += 1
+    return order, starts[:-1]
 
 
 # --- the compiled search ---------------------------------------------------------------------------------
@@ -114,14 +122,16 @@ def _nearest(
     low: FloatArray,
     edge: float,
     shape: Shape,
-    order: Index,
-    starts: Index,
+    order: Order,
+    starts: Order,
     places: FloatArray,
     k: int,
 ) -> tuple[FloatArray, Index]:
     """Distances and numbers (m, k) of the points that are nearest to each place, the nearest first."""
     distance, near = np.empty((len(places), k)), np.empty((len(places), k), dtype=np.intp)
-    grouped, scaled = (points[order] - low) / edge, (places - low) / edge
+    grouped, scaled = points[order], (places - low) / edge
+    grouped -= low
+    grouped /= edge
     low_bits = (1 << int(np.ceil(np.log2(len(points) + 1)))) - 1
     keys, waiting = np.empty(k), np.empty(len(points) + 1)
     numbers = keys.view(np.int64)
@@ -138,7 +148,7 @@ def _nearest(
 @compiled(error_model="numpy")
 def _search(
     grouped: FloatArray,
-    starts: Index,
+    starts: Order,
     shape: Shape,
     place: Place,
     low_bits: int,
@@ -178,7 +188,7 @@ def _block(place: float, n: int, ring: int) -> tuple[int, int]:
 @compiled(error_model="numpy")
 def _collect(
     grouped: FloatArray,
-    starts: Index,
+    starts: Order,
     shape: Shape,
     place: Place,
     ring: int,
@@ -458,7 +468,8 @@ def noise(points: FloatArray, neighbors: Neighborhoods) -> float:
 
 def voxel_numbers(points: FloatArray, edge: float) -> NDArray[np.int64]:
     """(n,) number of the voxel of each point, ascending by the first, the second and the third coordinate."""
-    index = np.floor((points - bounds(points)[0]) / edge).astype(np.int64)  # (n, 3)
-    sides = bounds(index)[1] + 1
-    number: NDArray[np.int64] = (index[:, 0] * sides[1] + index[:, 1]) * sides[2] + index[:, 2]
+    number = np.zeros(len(points), dtype=np.int64)
+    for column in points.T:  # one after the other, in a third of the memory
+        index = np.floor((column - column.min()) / edge).astype(np.int64)
+        number = number * (index.max() + 1) + index
     return number

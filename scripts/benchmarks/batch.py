@@ -45,6 +45,7 @@ TABLE = Table(
 
 # Number of points of a scan.
 N_POINTS = 40_000
+USUAL = UniformOptions(n_points=N_POINTS)
 
 ONE_PROCESS = "in one process, without isolation"
 ONE_WORKER = "processes, one worker"
@@ -102,12 +103,12 @@ def _lines(n_scans: int, n_rounds: int) -> Iterator[str]:
         yield f"{title}: {statistics.median(ratios):.3f} (from {ratios[0]:.3f} to {ratios[-1]:.3f})"
 
 
-def write_scans(folder: Path, n_scans: int) -> None:
+def write_scans(folder: Path, n_scans: int, options: UniformOptions = USUAL) -> None:
     poses = list(POSES["person"].values())
     for number in range(n_scans):
         rng = np.random.default_rng(number)
         person = body(make_subject("person", rng), poses[number % len(poses)], rng)
-        cloud = scan_uniformly(person, UniformOptions(n_points=N_POINTS), rng)
+        cloud = scan_uniformly(person, options, rng)
         write_ply(folder / f"person-{number:03}.ply", cloud.points)
 
 

@@ -19,6 +19,7 @@ import statistics
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -40,6 +41,7 @@ from benchmarks.measuring import (
 )
 from benchmarks.spectral import N_PAIRS, SIZES, lapy_eigenvalues, our_eigenvalues
 from benchmarks.synthetic import bumpy_sphere, signatures, synthetic_catalogue, synthetic_id
+from benchmarks.uniform import UniformOptions
 from pcretrieve.options import PipelineOptions, RetrievalOptions, SignatureOptions
 from pcretrieve.retrieval import SignatureIndex, fit_whitening, people
 from pcretrieve.values import FloatArray, SignatureTable
@@ -55,6 +57,9 @@ TIMEOUT = 600.0
 # Numbers of shapes of the default length, of isotropic ones, and of those that a command searches.
 SEARCHED, ISOTROPIC, STORED = 1_000_000, 300_000, 100_000
 LENGTH = 23
+
+# Number of points of a large scan.
+LARGE = 5_000_000
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -179,26 +184,44 @@ def _query(folder: Path) -> Iterator[str]:
 
 
 def _batch(folder: Path) -> Iterator[str]:
-    peaks: list[float] = []
+    with _watched() as sizes:
+        one, two = (run_of(name, folder).rate for name in (ONE_WORKER, TWO_WORKERS))
+    yield TABLE.row("scans/s by two workers; by one", f"{two:.3g} /s", f"{one:.3g} /s", two / one)
+    middle = max(sizes[: len(sizes) // 2])
+    yield TABLE.row(
+        "largest worker, whole run; its first half",
+        f"{max(sizes):.0f} MiB",
+        f"{middle:.0f} MiB",
+        1.0,
+    )
+
+
+def _large(_: Path) -> Iterator[str]:
+    with tempfile.TemporaryDirectory() as folder:
+        write_scans(Path(folder), 2, UniformOptions(n_points=LARGE, outlier_share=0.0))
+        with _watched() as sizes:
+            rate = run_of(ONE_WORKER, Path(folder)).rate
+    title = f"a scan of {LARGE:,} points in a batch; memory of the worker"
+    yield TABLE.row(title, f"{1 / rate:.3g} s", f"{max(sizes):.0f} MiB", np.nan)
+
+
+@contextmanager
+def _watched() -> Iterator[list[float]]:
+    """The resident memory of the largest worker, ten times a second; MiB."""
+    sizes: list[float] = []
     finished = threading.Event()
 
     def watch() -> None:
         while not finished.wait(0.1):
-            peaks.append(largest_descendant(os.getpid()))
+            sizes.append(largest_descendant(os.getpid()))
 
     watcher = threading.Thread(target=watch)
     watcher.start()
-    one, two = (run_of(name, folder).rate for name in (ONE_WORKER, TWO_WORKERS))
-    finished.set()
-    watcher.join()
-    yield TABLE.row("scans/s by two workers; by one", f"{two:.3g} /s", f"{one:.3g} /s", two / one)
-    middle = max(peaks[: len(peaks) // 2])
-    yield TABLE.row(
-        "largest worker, whole run; its first half",
-        f"{max(peaks):.0f} MiB",
-        f"{middle:.0f} MiB",
-        1.0,
-    )
+    try:
+        yield sizes
+    finally:
+        finished.set()
+        watcher.join()
 
 
 PARTS: dict[str, Callable[[Path], Iterator[str]]] = {
@@ -208,4 +231,5 @@ PARTS: dict[str, Callable[[Path], Iterator[str]]] = {
     "search": _search,
     "query": _query,
     "batch": _batch,
+    "large": _large,
 }

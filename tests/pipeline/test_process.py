@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import pickle
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +19,7 @@ from commands import run
 import pcretrieve as pr
 from pcretrieve import Catalogue, PipelineOptions, PointCloud, TriangleMesh, reconstruct, signature
 from pcretrieve.errors import InputError, ReconstructionError, ScanReadError, ShapeError
-from pcretrieve.formats import ScanLike, write_mesh
+from pcretrieve.formats import ScanLike, write_cloud, write_mesh
 from pcretrieve.options import PRESETS
 from pcretrieve.pipeline.process import moved, process, stages
 from pcretrieve.surface import defects
@@ -144,6 +146,32 @@ def test_points_need_no_surface(scan: ScanLike) -> None:
         signature(body, {"signature": form}).values
     )
     assert np.abs(error[:23]).max() < 0.15  # which grows with the frequency
+
+
+# Prints the largest memory of a process that processes one scan; kB.
+PEAK = """
+import re, sys
+from pathlib import Path
+from pcretrieve.pipeline.process import process
+
+process(sys.argv[1])
+print(re.search("VmHWM:(.*) kB", Path("/proc/self/status").read_text())[1])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", ["ply", "pcd", "xyz"])
+def test_five_million_points_take_a_gigabyte(tmp_path: Path, suffix: str) -> None:
+    points = shapes.points_on(shapes.body(), 5_000_000, noise=0.001)
+    path = tmp_path / f"body.{suffix}"
+    if suffix == "xyz":
+        np.savetxt(path, points, fmt="%.6f")
+    else:
+        write_cloud(PointCloud(points), path)
+    output = subprocess.run(
+        [sys.executable, "-c", PEAK, path], check=True, capture_output=True, text=True
+    )
+    assert int(output.stdout) < 1e6
 
 
 @pytest.mark.slow
