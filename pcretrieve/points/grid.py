@@ -255,7 +255,8 @@ def _lower_along_y(planes: NDArray[Any], most: int, n_y: int) -> None:
     n_z = size // n_y
     begin = most * n_z
     padded = np.full(size + 2 * begin, most * most, dtype=planes.dtype)
-    for best in planes:
+    for x in range(len(planes)):
+        best = planes[x]  # an iterator would give numba rows with gaps, which it does not vectorise
         padded[begin : begin + size] = best
         # A square that is less than k² cannot become smaller by a neighbour k voxels away.
         largest, k = best.max(), 1
