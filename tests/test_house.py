@@ -10,6 +10,7 @@ from benchmarks.house import (
     PACKAGE,
     arrows,
     imported,
+    n_tokens,
     option_names,
     room,
     sources,
@@ -213,6 +214,11 @@ def test_the_package_can_be_read() -> None:
     assert set(tokens) == {*ROOMS, "__init__", "__main__"}
     assert sum(tokens.values()) <= MOST_TOKENS
     assert len(sources()) <= MOST_MODULES
+
+
+def test_tokens_are_those_of_every_python() -> None:
+    """From Python 3.12 on, what is inside an f-string is tokens of its own."""
+    assert n_tokens('x = f"{a + b:{c}} and {d(1)}" + "e"  # f\n') == n_tokens('x = "" + ""\n') == 3
 
 
 def test_functions_are_small() -> None:

@@ -26,6 +26,9 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "pcretrieve"
 SOURCES = (".py", ".pyi", ".html", ".css", ".js", ".sql")
 
+# Columns from which a line of code counts as wide.
+WIDE = 90
+
 # Written into a folder of PYTHONPATH: notes the frames of pcretrieve when a process starts and at the solver.
 HOOK = """
 import os, sys, threading
@@ -72,10 +75,55 @@ def tokens_by_room() -> dict[str, int]:
     """Names, operators and numbers of the code: strings, docstrings, comments and air are free."""
     counted: dict[str, int] = {}
     for path in sources():
-        words = tokenize.generate_tokens(io.StringIO(path.read_text(encoding="utf-8")).readline)
-        tokens = sum(word.type in (tokenize.NAME, tokenize.OP, tokenize.NUMBER) for word in words)
+        tokens = n_tokens(path.read_text(encoding="utf-8"))
         counted[room(path)] = counted.get(room(path), 0) + tokens
     return counted
+
+
+def n_tokens(text: str) -> int:
+    """Names, operators and numbers of a source, but none inside f-strings: one token up to Python 3.11."""
+    counted, depth = 0, 0
+    for word in tokenize.generate_tokens(io.StringIO(text).readline):
+        kind = tokenize.tok_name[word.type]
+        depth += kind.endswith("STRING_START")
+        counted += not depth and word.type in (tokenize.NAME, tokenize.OP, tokenize.NUMBER)
+        depth -= kind.endswith("STRING_END")
+    return counted
+
+
+def law(name: str) -> str:
+    """A ceiling in tests/test_house.py."""
+    laws = tree(ROOT / "tests" / "test_house.py").body
+    return next(
+        f"{ast.literal_eval(each.value):,}"
+        for each in laws
+        if isinstance(each, ast.Assign) and ast.unparse(each.targets[0]) == name
+    )
+
+
+def wide_lines(path: Path) -> int:
+    """Lines of code of 90 columns or more, without docstrings and comments."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    texts = {
+        number
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+        for number in range(node.lineno, (node.end_lineno or node.lineno) + 1)
+    }
+    return sum(
+        len(line) >= WIDE and number not in texts and not line.lstrip().startswith("#")
+        for number, line in enumerate(lines, 1)
+    )
+
+
+def tuple_assignments(path: Path) -> int:
+    """Assignments of several constants in one statement, which have no comment each."""
+    return sum(
+        isinstance(target, ast.Tuple) and all(ast.unparse(name).isupper() for name in target.elts)
+        for node in tree(path).body
+        if isinstance(node, ast.Assign)
+        for target in node.targets
+    )
 
 
 def imported(path: Path) -> Iterator[tuple[str, bool]]:
@@ -217,14 +265,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--path", action="store_true", help="follow a query to the solver too")
     given = parser.parse_args(arguments)
     rooms = lines_by_room()
+    tokens, lines = tokens_by_room(), sum(map(code_lines, sources()))
+    n_tuples, n_wide = sum(map(tuple_assignments, sources())), sum(map(wide_lines, sources()))
+    largest = max(tokens, key=tokens.__getitem__)
     rows = [
-        ("tokens", "228,000", f"{sum(tokens_by_room().values()):,}"),
+        ("tokens", law("MOST_TOKENS"), f"{sum(tokens.values()):,}"),
+        (f"tokens of the largest room, {largest}", "22,000", f"{tokens[largest]:,}"),
+        ("tokens a line of code", "9", f"{sum(tokens.values()) / lines:.1f}"),
+        (f"lines of code of {WIDE} columns and more", "3 %", f"{n_wide / lines:.1%}"),
+        ("tuple assignments of constants", "0", str(n_tuples)),
         ("lines of pcretrieve/, with templates", "", f"{sum(rooms.values()):,}"),
-        ("modules", "200", str(len(sources()))),
-        ("lines of code", "", f"{sum(map(code_lines, sources())):,}"),
+        ("modules", law("MOST_MODULES"), str(len(sources()))),
+        ("lines of code", "", f"{lines:,}"),
         ("lines of docstrings", "", f"{sum(map(docstring_lines, sources())):,}"),
-        ("arrows between rooms", "120", str(len(arrows()))),
-        ("options", "45", str(len(option_names()))),
+        ("arrows between rooms", law("MOST_ARROWS"), str(len(arrows()))),
+        ("options", law("MOST_OPTIONS"), str(len(option_names()))),
         ("groups of entry points", "2", str(len(entry_point_groups()))),
         ("lines of tests", "", f"{test_lines():,}"),
         ("KB of documents, of README", "", "{:.0f} + {:.0f}".format(*prose())),
@@ -238,6 +293,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         rows.append(("frames from query to the solver", "14", str(len(frames))))
     for title, asked, measured in rows:
         print(f"{title:40} {asked:>18} {measured:>12}")
-    print("\nlines by room")
-    for name, lines in sorted(rooms.items(), key=lambda item: -item[1]):
-        print(f"  {name:20} {lines:6,}")
+    print("\ntokens and lines by room")
+    for name, n in sorted(tokens.items(), key=lambda item: -item[1]):
+        print(f"  {name:20} {n:6,} {rooms[name]:6,}")
