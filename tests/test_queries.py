@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,30 +58,34 @@ def among(found: Neighbors, ids: Sequence[str], k: int) -> Neighbors:
     return Neighbors(tuple(found.ids[row] for row in rows), found.distances[rows])
 
 
+def nearest(*asked: Any, **how: Any) -> Neighbors:
+    return pr.search(*asked, **how).neighbors
+
+
 def test_a_file_an_id_and_a_signature_are_answered_alike(
     catalogue: Path, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A file wins over an id of its name, a folder does not."""
     stored = folder / "stored" / "11.off"
-    expected = pr.search(catalogue, "11", k=4)
+    expected = nearest(catalogue, "11", k=4)
     assert (expected.ids[0], expected.distances[0]) == ("11", 0)
     for query in (stored, str(stored), pr.signature(stored)):
-        assert pr.search(catalogue, query, k=4) == expected
+        assert nearest(catalogue, query, k=4) == expected
     monkeypatch.chdir(tmp_path)
     shutil.copy(stored, "20")
-    assert pr.search(catalogue, "20").ids[0] == "11"
+    assert nearest(catalogue, "20").ids[0] == "11"
     shutil.move("20", "20.off")
     Path("20").mkdir()
-    assert [pr.search(catalogue, name).ids[0] for name in ("20", "20.off")] == ["20", "11"]
+    assert [nearest(catalogue, name).ids[0] for name in ("20", "20.off")] == ["20", "11"]
 
 
 def test_what_is_no_query(catalogue: Path, folder: Path) -> None:
     for query, message in (
         ("nobody", "'nobody' is no file and no shape of .*; `pcretrieve list` names the shapes"),
-        ("broken", "shape 'broken' has no signature: it failed in read: "),
+        ("broken", "shape 'broken' failed in read: "),
     ):
         with pytest.raises(InputError, match=message):
-            pr.search(catalogue, query)
+            nearest(catalogue, query)
         with pytest.raises(InputError, match=message):  # before the work
             next(pr.search_many(catalogue, [folder / "new", query]))
     with pytest.raises(
@@ -90,9 +95,9 @@ def test_what_is_no_query(catalogue: Path, folder: Path) -> None:
     with pytest.raises(
         InputError, match="is of the class none or nothing; `pcretrieve list` shows"
     ):
-        pr.search(catalogue, "11", labels=["nothing", "none"])
+        nearest(catalogue, "11", labels=["nothing", "none"])
     with pytest.raises(OptionError, match="labels must be a list, got 'kind1'"):
-        pr.search(catalogue, "11", labels="kind1")
+        nearest(catalogue, "11", labels="kind1")
 
 
 def test_signatures_that_were_computed_are_kept(catalogue: Path, tmp_path: Path) -> None:
@@ -126,23 +131,23 @@ def test_ranks_in_some_classes_are_those_among_all_shapes(distance: str, catalog
     signature = pr.signature(new, {"signature": {"method": "r-bihdm"}})
     some = [f"{kind}{number}" for kind in (0, 2) for number in range(N_EACH)]
     for query in ("11", "01", signature):
-        everything = pr.search(catalogue, query, k=N_KINDS * N_EACH, options=options)
-        found = pr.search(catalogue, query, k=5, options=options, labels=["kind2", "kind0"])
+        everything = nearest(catalogue, query, k=N_KINDS * N_EACH, options=options)
+        found = nearest(catalogue, query, k=5, options=options, labels=["kind2", "kind0"])
         assert found == among(everything, some, 5)
 
 
 @pytest.mark.parametrize("rerank", ["none", "k-reciprocal"])
 def test_a_query_can_be_left_out_of_its_results(rerank: str, catalogue: Path, folder: Path) -> None:
     options = {"retrieval": {"rerank": rerank}}
-    with_itself = pr.search(catalogue, "11", k=4, options=options)
+    with_itself = nearest(catalogue, "11", k=4, options=options)
     assert with_itself.ids[0] == "11"
-    without = pr.search(catalogue, "11", k=3, options=options, exclude_self=True)
+    without = nearest(catalogue, "11", k=3, options=options, exclude_self=True)
     assert without.ids == with_itself.ids[1:]
     np.testing.assert_array_equal(without.distances, with_itself.distances[1:])
     stored = folder / "stored" / "11.off"
-    assert pr.search(catalogue, stored, k=3, options=options, exclude_self=True) == without
+    assert nearest(catalogue, stored, k=3, options=options, exclude_self=True) == without
     other = folder / "new" / "new0.off"
-    assert pr.search(catalogue, other, exclude_self=True) == pr.search(catalogue, other)
+    assert nearest(catalogue, other, exclude_self=True) == nearest(catalogue, other)
 
 
 def test_many_queries_are_answered_like_each(catalogue: Path, folder: Path) -> None:
@@ -152,35 +157,31 @@ def test_many_queries_are_answered_like_each(catalogue: Path, folder: Path) -> N
     assert list(answers) == ["11", *scans, queries[2]]
     for name, answer in answers.items():
         assert isinstance(answer, pr.Answer)
-        assert answer.neighbors == pr.search(catalogue, name, k=3)
-        assert answer.labels == tuple(f"kind{shape_id[0]}" for shape_id in answer.neighbors.ids)
+        assert answer.neighbors == nearest(catalogue, name, k=3)
+        alone = pr.search(catalogue, name, k=3)
+        assert replace(answer, query=None) == replace(alone, query=None)
+        classes = [f"kind{shape_id[0]}" for shape_id in answer.neighbors.ids]
+        assert [record.label for record in answer.records] == classes
 
 
 def test_what_is_printed_of_many(catalogue: Path, folder: Path) -> None:
+    """One table of what is said of each; their neighbours with -v, in JSON and in CSV."""
     names = ["11", *(str(folder / "new" / f"new{kind}.off") for kind in range(2))]
-    answers = dict(pr.search_many(catalogue, names, k=2))
-    rows = [
-        (name, row)
-        for name, one in answers.items()
-        if isinstance(one, pr.Answer)
-        for row in one.rows()
-    ]
+    answers = [pr.search(catalogue, name, k=2) for name in names]
     lines = run("query", "11", folder / "new", "-c", catalogue, "-k", 2).stdout.splitlines()
-    assert lines[::5] == names
-    assert {line.split()[4] for line in lines[1::5]} == {"ID"}
-    assert [line.split()[4] for line in lines if line.startswith("   ")] == [
-        row["id"] for _, row in rows
+    assert lines[0].split() == ["SCAN", "VERDICT", "CLASS", "SCORE"]
+    assert [line.split()[:3] for line in lines[1:]] == [
+        [name, one.verdict, one.label] for name, one in zip(names, answers, strict=True)
     ]
-    assert lines[4::5] == [str(answer) for answer in answers.values()]
-    asked = ("query", *names, "-c", catalogue, "-k", 2)
-    documents = result(*asked)
-    assert [document["query"] for document in documents] == names
-    found = [row["distance"] for document in documents for row in document["results"]]
-    assert found == [row["distance"] for _, row in rows]
-    table = csv.DictReader(run(*asked, "--csv").stdout.splitlines())
-    assert [(row["query"], row["rank"], row["id"]) for row in table] == [
-        (name, str(row["rank"]), row["id"]) for name, row in rows
+    long = run("query", "11", folder / "new", "-c", catalogue, "-k", 2, "-v").stdout.splitlines()
+    assert long[::5] == names
+    assert [line.split()[4] for line in long if line.startswith("   ")] == [
+        name for one in answers for name in one.neighbors.ids
     ]
+    assert long[4::5] == [f"{one}, because {one.because}" for one in answers]
+    broken = folder / "stored" / "broken.off"
+    some = run("query", "11", broken, "-c", catalogue, "-k", 1, code=3).stdout.splitlines()
+    assert some[2].split() == [str(broken), "-", "-", "-"]
 
 
 def test_a_scan_that_fails_does_not_stop_the_others(catalogue: Path, folder: Path) -> None:
@@ -188,7 +189,7 @@ def test_a_scan_that_fails_does_not_stop_the_others(catalogue: Path, folder: Pat
     queries = (folder / "new" / "new0.off", broken, "11")
     done = run("query", *queries, "-c", catalogue, "-k", 1, "--json", code=3)
     documents = json.loads(done.stdout)["result"]
-    assert ["results" in document for document in documents] == [True, False, True]
+    assert ["neighbors" in document for document in documents] == [True, False, True]
     assert (documents[1]["error"], documents[1]["stage"]) == ("ScanReadError", "read")
     assert f"failed: [broken.off / read] {documents[1]['message']}" in done.stderr
     answers = dict(pr.search_many(catalogue, queries, k=1))
@@ -197,33 +198,74 @@ def test_a_scan_that_fails_does_not_stop_the_others(catalogue: Path, folder: Pat
 
 
 def test_scores_come_with_distances_and_least_ones_leave_no_match(catalogue: Path) -> None:
-    found = pr.search(catalogue, "11", k=12)
+    found = nearest(catalogue, "11", k=12)
     with pr.Catalogue(catalogue) as store:
         scores = pr.index(store).scores
-        plain = pr.search(store, "11", k=12, options={"retrieval": {"whitening": "none"}})
+        plain = nearest(store, "11", k=12, options={"retrieval": {"whitening": "none"}})
         made = {shape_id: pr.stored_signature(store, shape_id) for shape_id in store}
         assert repr(store) == f"Catalogue({catalogue}: {len(made)} shapes)"
     assert [made["11"].distance(made[one]) for one in plain.ids] == plain.distances.tolist()
     assert scores is not None and found.scores is not None
     np.testing.assert_array_equal(found.scores, scores.of(found.distances))
     assert found.to_pandas().columns.tolist() == ["id", "distance", "score"]
-    again = pr.search(catalogue, "11", k=12, options={"retrieval": {"rerank": "k-reciprocal"}})
+    again = nearest(catalogue, "11", k=12, options={"retrieval": {"rerank": "k-reciprocal"}})
     assert again.scores is not None
     score_of = dict(zip(found.ids, found.scores.tolist(), strict=True))
     assert again.scores.tolist() == [score_of[shape_id] for shape_id in again.ids]
     least = float(found.scores[5])
-    kept = pr.search(catalogue, "11", k=12, min_score=least)
+    kept = nearest(catalogue, "11", k=12, min_score=least)
     assert kept.ids == tuple(name for name in found.ids if score_of[name] >= least) != found.ids
     done = run("query", "11", "-c", catalogue, "--min-score", 1, "--verbose")
-    assert done.stdout == "no match\n"
+    assert done.stdout == "stranger, because no shape has a score of 1 or more\n"
     assert f"score: {scores.reason}" in done.stderr
-    assert len(pr.search(catalogue, "11", min_score=1)) == 0
+    stranger = pr.search(catalogue, "11", min_score=1)
+    assert (len(stranger.neighbors), stranger.verdict) == (0, "stranger")
     html = pickle.loads(pickle.dumps(found))._repr_html_()
     assert html.count("<img") == 10
     with pytest.raises(OptionError, match="min_score must be between 0 and 1, got 2"):
-        pr.search(catalogue, "11", min_score=2)
+        nearest(catalogue, "11", min_score=2)
     with pytest.raises(InputError, match="a least score needs calibrated scores"):
-        pr.search(catalogue, "11", min_score=0.5, matrix=pr.matrix(catalogue))
+        nearest(catalogue, "11", min_score=0.5, matrix=pr.matrix(catalogue))
+
+
+SAID = ("verdict", "label", "other", "certainty", "because")
+
+
+@pytest.mark.parametrize("query", ["00", "new0.off", "another body"])
+def test_one_question_has_one_answer(
+    query: str, catalogue: Path, folder: Path, tmp_path: Path
+) -> None:
+    """By Python, alone and among others, by the command, its JSON and CSV, and on its page."""
+    scan = folder / "new" / query if query.endswith(".off") else tmp_path / "sphere.off"
+    if query == "another body":
+        pr.write_mesh(shapes.ellipsoid((1, 1, 4), subdivisions=3), scan)
+    asked = query if query == "00" else str(scan)
+    answer = pr.search(catalogue, asked, k=3)
+    assert answer.verdict in ("sure", "between", "stranger") and answer.certainty is not None
+    assert (answer.verdict == "stranger") == (query == "another body")
+    assert answer.scan is not None and answer.scan.name in ("good", "poor", "incomplete")
+    ((name, among),) = pr.search_many(catalogue, [asked], k=3)
+    assert isinstance(among, pr.Answer) and name == asked
+    assert replace(among, query=None) == replace(answer, query=None)
+    page = tmp_path / "page.html"
+    command = ("query", asked, "-c", catalogue, "-k", 3)
+    (document,) = result(*command, "--html", page)
+    assert {key: document[key] for key in SAID} == {key: getattr(answer, key) for key in SAID}
+    assert document["scan"]["name"] == answer.scan.name
+    assert [row["id"] for row in document["neighbors"]] == list(answer.neighbors.ids)
+    assert [row["distance"] for row in document["neighbors"]] == answer.neighbors.distances.tolist()
+    rows = list(csv.DictReader(run(*command, "--csv").stdout.splitlines()))
+    assert {row["query"] for row in rows} == {asked}
+    for key in SAID:
+        value = getattr(answer, key)
+        assert {row[key] for row in rows} == {"" if value is None else str(value)}
+    assert [row["neighbor"] for row in rows] == list(answer.neighbors.ids)
+    assert {row["scan"] for row in rows} == {answer.scan.name}
+    printed = run(*command).stdout.splitlines()
+    assert printed[-1] == f"{answer}, because {answer.because}"
+    text = page.read_text(encoding="utf-8")
+    assert f"<b>{answer}</b>" in text and f"Because {answer.because}." in text
+    assert f"The scan is <b>{answer.scan.name}</b>" in text
 
 
 def test_a_question_has_one_answer(catalogue: Path, folder: Path, tmp_path: Path) -> None:
@@ -231,12 +273,12 @@ def test_a_question_has_one_answer(catalogue: Path, folder: Path, tmp_path: Path
     scan = folder / "stored" / "00.off"
     for whitening in ("none", "pca", "within-class"):
         options = {"retrieval": {"whitening": whitening}}
-        neighbors = pr.search(catalogue, scan, k=3, options=options)
+        neighbors = nearest(catalogue, scan, k=3, options=options)
         assert neighbors.ids[0] == "00"
         asked = (scan, "-c", catalogue, "-k", 3, "--whitening", whitening)
         (answer,) = result("query", *asked, "--html", tmp_path / "command.html")
-        assert [row["id"] for row in answer["results"]] == list(neighbors.ids)
-        assert [row["distance"] for row in answer["results"]] == neighbors.distances.tolist()
+        assert [row["id"] for row in answer["neighbors"]] == list(neighbors.ids)
+        assert [row["distance"] for row in answer["neighbors"]] == neighbors.distances.tolist()
         page = pr.query_page(catalogue, scan, tmp_path / "python.html", k=3, options=options)
         text = page.read_text(encoding="utf-8")
         assert text == (tmp_path / "command.html").read_text(encoding="utf-8")
@@ -245,7 +287,7 @@ def test_a_question_has_one_answer(catalogue: Path, folder: Path, tmp_path: Path
         (by_matrix,) = result(
             "query", scan, "-c", catalogue, "-k", 3, "--matrix", tmp_path / "run.npy"
         )
-        assert [row["id"] for row in by_matrix["results"]] == list(neighbors.ids)
+        assert [row["id"] for row in by_matrix["neighbors"]] == list(neighbors.ids)
 
 
 def test_measures_are_the_same_numbers(catalogue: Path, tmp_path: Path) -> None:
@@ -284,19 +326,19 @@ def test_a_metric_of_labelled_scans_is_used_in_another_catalogue(
     np.testing.assert_array_equal(used.matrix, learnt.matrix)
     assert (used.kind, used.reason) == ("calibrated", f"{reason}, from {metric}")
     (found,) = result("query", "new0", "-c", other, "--whitening", metric)
-    neighbors = pr.search(other, "new0", options=chosen)
-    assert [row["distance"] for row in found["results"]] == neighbors.distances.tolist()
+    neighbors = nearest(other, "new0", options=chosen)
+    assert [row["distance"] for row in found["neighbors"]] == neighbors.distances.tolist()
     plain = result("query", "new0", "-c", other, "--whitening", "none")
-    assert found["results"] != plain[0]["results"]
+    assert found["neighbors"] != plain[0]["neighbors"]
     evaluated = result("evaluate", "-c", catalogue, "--whitening", metric)
     assert evaluated["whitening_used"] == f"{reason}, from {metric}"
     pr.calibrate(catalogue, metric, options={"signature": {"n_values": 9}})
     with pytest.raises(InputError, match="must be fitted on signatures made by the same options"):
-        pr.search(catalogue, "00", options=chosen)
+        nearest(catalogue, "00", options=chosen)
     for content in (b"", b"PK no archive", b"words"):
         metric.write_bytes(content)
         with pytest.raises(InputError, match="a whitening must be a name such as auto, or a file"):
-            pr.search(catalogue, "00", options=chosen)
+            nearest(catalogue, "00", options=chosen)
 
 
 def test_atoms_of_labelled_scans_are_used_in_another_catalogue(
@@ -331,7 +373,7 @@ def test_atoms_of_labelled_scans_are_used_in_another_catalogue(
     file.unlink()
     with pytest.raises(OptionError, match=r"cannot read the options file .*atoms.toml"):
         pr.signature(egg, file)
-    assert len(result("query", egg, "-c", other)[0]["results"]) == 2
+    assert len(result("query", egg, "-c", other)[0]["neighbors"]) == 2
     # Signatures of two dictionaries are not compared.
     with pytest.raises(
         CatalogueError, match=r"built with other options: .*signature.atoms: \(\(.* there, None"
@@ -340,7 +382,7 @@ def test_atoms_of_labelled_scans_are_used_in_another_catalogue(
     with pytest.raises(
         InputError, match="must be made by the same method and options as the table"
     ):
-        pr.search(other, pr.signature(egg, shipped))
+        nearest(other, pr.signature(egg, shipped))
     for bad, message in (
         (
             content.replace("atoms = [[", "atoms = [[nan, "),
@@ -357,7 +399,7 @@ def test_atoms_of_labelled_scans_are_used_in_another_catalogue(
     ):
         file.write_text(bad)
         with pytest.raises(OptionError, match=rf"atoms.toml: in \[signature\], {message}"):
-            pr.search(catalogue, "11", options=file)
+            nearest(catalogue, "11", options=file)
 
 
 def test_what_atoms_cannot_be_learned_from(folder: Path, tmp_path: Path) -> None:

@@ -45,6 +45,14 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 
+# The payloads that are read for what is needed of a shape, beside its eigenvalues.
+SERVED: dict[Payload, set[Need]] = {
+    "moments": {"spectrum", "overlaps"},
+    "overlaps": {"overlaps"},
+    "meshes": {"mesh", "eigenvectors"},
+}
+
+
 class Catalogue(Mapping[str, Record]):
     """Shapes with their provenance, spectra, signatures and meshes: the records of shapes by id.
 
@@ -195,12 +203,8 @@ class Catalogue(Mapping[str, Record]):
 
     def shape(self, shape_id: str, needs: tuple[Need, ...] = ("spectrum", "mesh")) -> Shape:
         """Read a shape with some of its parts; those that were not stored are missing in it."""
-        with_mesh = bool({"mesh", "eigenvectors"} & {*needs})
-        names: list[Payload] = ["spectra"]
-        names += ["moments"] if {"overlaps", "spectrum"} & {*needs} else []
-        names += ["overlaps"] if "overlaps" in needs else []
-        names += ["meshes"] if with_mesh else []
-        entry = self.rows.entry(shape_id, names)
+        names = [name for name, served in SERVED.items() if served & {*needs}]
+        entry = self.rows.entry(shape_id, ["spectra", *names])
         record = entry.record
         if record.status != "done":
             raise InputError(

@@ -41,10 +41,6 @@ STORED_AT_ONCE = 500
 # Number of conflicts that a message names.
 NAMED = 5
 
-# Steps of SQLite between two looks at how far a copy is, and bytes between two lines of the log.
-STEPS_AT_ONCE = 1000
-LOGGED_BYTES = 1 << 30
-
 
 @dataclass(frozen=True, slots=True)
 class MergedCatalogues:
@@ -172,27 +168,12 @@ def _copy_file(source: Path, target: Path) -> None:
     create_private(target)
     with closing(connect(source, create=False)) as connection, translated(source):
         check_tables(source, connection)
-        connection.set_progress_handler(_Progress(target), STEPS_AT_ONCE)
         # By rows, not by pages, whose free space has bytes of what was removed.
         connection.execute("VACUUM INTO ?", [str(target.absolute())])
     with translated(target), closing(sqlite3.connect(target, isolation_level=None)) as copy:
         copy.execute("PRAGMA secure_delete = ON")
         copy.execute(f"PRAGMA journal_mode = {journal(target)}")
         copy.execute("DELETE FROM meta WHERE key = 'batch'")  # no ingest counts in the copy
-
-
-class _Progress:
-    """Logs how large a file has become."""
-
-    def __init__(self, file: Path) -> None:
-        self._file = file
-        self._logged = 0
-
-    def __call__(self) -> None:
-        size = self._file.stat().st_size
-        if size >= self._logged + LOGGED_BYTES:
-            self._logged = size
-            logger.info("copied: %.1f GiB", size / LOGGED_BYTES)
 
 
 def _copy_rows(rows: Rows, target: Path) -> None:

@@ -477,14 +477,9 @@ class Rows:
             return False
         return True
 
-    @property
-    def up(self) -> str | None:
-        """The axis of the files that points upwards, such as ``-y``, if it was said."""
-        return self.settings().get("up")
-
     @repeated
     def keep_up(self, axis: str | None) -> None:
-        """Store which axis points upwards, or with None that pictures show it for each shape, drawn again."""
+        """Store which axis, such as ``-y``, points upwards; with None, pictures are drawn again without."""
         if not self.database.is_writable:
             return
         with self.database.writing():

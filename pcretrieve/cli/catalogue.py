@@ -139,8 +139,8 @@ def remove_command(shape_ids: tuple[str, ...], catalogue: str, before: str | Non
     chosen = dict.fromkeys(shape_ids)
     with pr.Catalogue(catalogue) as store:
         if before is not None:
-            days = (date.min.isoformat(), (date.fromisoformat(before) - timedelta(1)).isoformat())
-            chosen = dict.fromkeys(store.rows.wanted(days=days)[1])
+            last = (date.fromisoformat(before) - timedelta(1)).isoformat()
+            chosen = dict.fromkeys(store.rows.wanted(days=("0", last))[1])
         files = [record.path for record in store.rows.several(chosen)]
         if chosen:
             store.remove(*chosen)

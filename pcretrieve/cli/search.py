@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Iterator
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,12 +22,13 @@ if TYPE_CHECKING:
 
 MEGABYTE = 1_000_000
 
-CSV_COLUMNS = ("query", "rank", "id", "label", "distance", "score", "path")
-
 COLUMNS = {"RANK": "number", "DISTANCE": "number", "SCORE": "number"}
 COLUMNS |= {"CLASS": "text", "ID": "text", "FILE": "path"}
 # Of a result whose scan is incomplete; `show` and --json give the reasons.
 SCAN = {"SCAN": "text"}
+
+# Of several queries: what is said of each, and the score of its nearest shape.
+SAID = {"SCAN": "path", "VERDICT": "text", "CLASS": "text", "SCORE": "number"}
 
 # Ratio of the numbers of faces from which distances are less exact: see docs/benchmarks.md, resolution.
 FINER = 4
@@ -58,7 +58,7 @@ PAIR = {"DISTANCE": "number", "LIMIT": "number", "FIRST": "text", "SECOND": "tex
 @opt.rare_option("--exclude-self", "Leave stored queries out of their results.")
 @opt.option(
     "--min-score SHARE",
-    'Hide results below this score; "no match" if none is left.',
+    'Hide neighbours below this score; "stranger" if none is left.',
     click.FloatRange(0, 1),
 )
 @opt.rare_option(
@@ -89,8 +89,8 @@ def query_command(
     """Find the shapes most similar to a scan, nearest first.
 
     A query is a scan, a folder of scans, or the id of a stored shape. The score tells how often two shapes so
-    near are of one class. The last line is the verdict: the class that the scan is of, and whether that is
-    sure, or "not in this collection".
+    near are of one class. The last line is the verdict: sure of a class, between two, a stranger to this
+    collection, or unknown. Several queries get a line each; -v shows their neighbours too.
 
     \b
     pcretrieve query --catalogue bodies.sqlite scan.ply -k 5
@@ -117,18 +117,16 @@ def query_command(
         if as_csv:
             _write_csv(outcomes)
             return
-        for name, answer in outcomes:
-            if not isinstance(answer, ShapeError):
-                _write_table(answer, None if is_alone else name)
+        if is_alone or is_verbose:
+            for name, answer in outcomes:
+                if not isinstance(answer, ShapeError):
+                    _write_answer(answer, None if is_alone else name)
+        else:
+            out.write_table(SAID, map(_said, outcomes))
         if is_verbose and asked["matrix"] is None:
             index = pr.index(store, options=options)
             say(f"whitening: {index.whitening.reason}")
-            score = (
-                index.scores.reason
-                if index.scores
-                else "none, because labels and shapes are too few"
-            )
-            say(f"score: {score}")
+            say(f"score: {index.reason}")
 
     return out.Result(
         _documents(outcomes, store, options, asked["matrix"]), options, show, failures
@@ -144,9 +142,8 @@ def _told(failures: list[ShapeError], is_alone: bool, found: Outcome) -> Outcome
         failures.append(outcome)
         say(f"failed: {outcome}")
     else:
-        grade = getattr(outcome.query, "grade", None)  # of a scan that is not stored
-        if grade and not grade.is_good:
-            say(f"{shown_path(name)} is {grade}")
+        if outcome.scan and not outcome.scan.is_good:
+            say(f"{shown_path(name)} is {outcome.scan}")
         n_faces = getattr(outcome.query, "n_faces", None)
         others = [record.n_faces for record in outcome.records if record.n_faces]
         if (
@@ -177,34 +174,42 @@ def _documents(
         if isinstance(outcome, ShapeError):
             yield {"query": name} | out.failure_facts(outcome)
         else:
-            match = None if outcome.match is None else asdict(outcome.match)
-            found = {"results": outcome.rows(), "match": match, "verdict": str(outcome)}
-            yield {"query": name} | found | how
+            yield {"query": name} | outcome.document() | how
 
 
-def _write_table(answer: pr.Answer, name: str | None) -> None:
-    """A table of the results, below a line with the query if there are several, and the verdict."""
+def _said(outcome: Outcome) -> tuple[str, str, str, str]:
+    """The row of one of several queries."""
+    name, answer = outcome
+    if isinstance(answer, ShapeError):
+        return shown_path(name), "-", "-", "-"
+    scores = [f"{row['score']:.2f}" for row in answer.rows() if row["score"] is not None]
+    return shown_path(name), answer.verdict, answer.named or "-", (scores or ["-"])[0]
+
+
+def _write_answer(answer: pr.Answer, name: str | None) -> None:
+    """A table of the neighbours, below a line with the query if there are several, and the verdict."""
     if name is not None:
         out.write_lines(shown_path(name))
     columns = COLUMNS | (SCAN if any(record.is_incomplete for record in answer.records) else {})
     rows = []
-    for row, record in zip(answer.rows(), answer.records, strict=True):
+    for row in answer.rows():
         score = "-" if row["score"] is None else f"{row['score']:.2f}"
-        scan = record.grade.name if record.grade and record.is_incomplete else ""
+        grade = row["grade"]
+        scan = "" if grade is None or grade["name"] == "good" else grade["name"]
         label, path = row["label"] or "-", shown_path(row["path"])
         cells = (str(row["rank"]), f"{row['distance']:#.4g}", score, label, row["id"], path, scan)
         rows.append(cells[: len(columns)])
     out.write_table(columns, rows)
-    out.write_words(str(answer))
+    out.write_words(f"{answer}, because {answer.because}")
 
 
 def _write_csv(outcomes: Outcomes) -> None:
-    """One row for each result of each query."""
+    """One row for each neighbour of each query."""
     from pcretrieve.values.files import csv_text
 
     answers = ((name, answer) for name, answer in outcomes if not isinstance(answer, ShapeError))
-    rows = ({"query": name, **row} for name, answer in answers for row in answer.rows())
-    out.write_csv(csv_text(CSV_COLUMNS, ([row[column] for column in CSV_COLUMNS] for row in rows)))
+    rows = (row for name, answer in answers for row in answer.table(name))
+    out.write_csv(csv_text(pr.Answer.columns, rows))
 
 
 @opt.command("duplicates")

@@ -167,19 +167,18 @@ def _check_size(descriptor: Descriptor, options: SignatureOptions) -> None:
 
 def with_overlaps(shape: Shape, element: str) -> Shape:
     """The shape with the overlaps of its eigenfunctions, from its meshes as far as it has some."""
-    return replace(shape, surfaces=tuple(_with_overlaps(one, element) for one in shape.surfaces))
-
-
-def _with_overlaps(surface: Surface, element: str) -> Surface:
-    spectrum = surface.spectrum
-    if surface.mesh is None or spectrum is None or spectrum.overlaps is not None:
-        return surface
     from threadpoolctl import threadpool_limits
 
-    with threadpool_limits(limits=1):  # as in the pipeline, so that rounding errors are the same
-        pairs = unit_eigenpairs(surface.mesh, len(spectrum.eigenvalues), element)
-        overlaps = ModalSpectrum.of(pairs).overlaps
-    return replace(surface, spectrum=replace(spectrum, overlaps=overlaps))
+    surfaces = [*shape.surfaces]
+    for at, surface in enumerate(surfaces):
+        spectrum = surface.spectrum
+        if surface.mesh is not None and spectrum is not None and spectrum.overlaps is None:
+            # As in the pipeline, so that rounding errors are the same.
+            with threadpool_limits(limits=1):
+                pairs = unit_eigenpairs(surface.mesh, len(spectrum.eigenvalues), element)
+                overlaps = ModalSpectrum.of(pairs).overlaps
+            surfaces[at] = replace(surface, spectrum=replace(spectrum, overlaps=overlaps))
+    return replace(shape, surfaces=tuple(surfaces))
 
 
 def _described(descriptor: Descriptor, part: Shape, options: SignatureOptions) -> Signature:

@@ -120,7 +120,7 @@ def _of_catalogue(
 
 def check_known(matrix: DistanceMatrix, catalogue: Catalogue) -> None:
     """Check that a catalogue holds all shapes of a distance matrix."""
-    if unknown := sorted(set(matrix.ids).difference(record.id for record in catalogue.records())):
+    if unknown := sorted({*matrix.ids} - catalogue.labels().keys()):
         raise InputError(
             f"a distance matrix must be of shapes in {catalogue.location}, got {len(unknown)} others, such "
             f"as {unknown[0]!r}: make it again with pcretrieve.matrix, or correct its ids"

@@ -19,7 +19,7 @@ from pcretrieve.evaluation.comparison import (
     result_scores,
     write_evaluation,
 )
-from pcretrieve.gallery.fitted import index, shape_with, signatures
+from pcretrieve.gallery.fitted import index, signatures
 from pcretrieve.options import OptionsLike, PipelineOptions, describe_options
 from pcretrieve.retrieval import DistanceMatrix, Whitening, people
 from pcretrieve.retrieval.whitening import calibrated_whitening, write_whitening
@@ -265,8 +265,7 @@ def matrix(
         If there is no such matcher.
     """
     with Catalogue.opened(catalogue) as store:
-        labels = {record.id: record.label for record in store.records(status="done")}
-        if not labels:
+        if not len(store):
             raise InputError(f"{store.location} holds no shapes: ingest some first")
         if matcher is None:
             known = index(store, options=options)
@@ -275,5 +274,5 @@ def matrix(
             from pcretrieve.shrec.matcher import known_matcher, match_all
 
             method = known_matcher(matcher)
-            made = match_all(method, labels, lambda name: shape_with(store, name, method.needs))
-        return replace(made, labels=tuple(labels[shape_id] for shape_id in made.ids))
+            made = match_all(method, [*store], lambda name: store.shape(name, method.needs))
+        return replace(made, labels=tuple(map(store.labels().get, made.ids)))

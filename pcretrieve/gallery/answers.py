@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pcretrieve.catalogue import Catalogue, CatalogueLike, Record, thumbnails
 from pcretrieve.errors import (
@@ -63,12 +63,10 @@ class Question:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "k", checked_k(self.k))
-        if self.min_score is not None and not 0 <= self.min_score <= 1:
-            raise OptionError(f"min_score must be between 0 and 1, got {self.min_score}")
-        if self.false_match_rate is not None and not 0 < self.false_match_rate < 1:
-            raise OptionError(
-                f"false_match_rate must be between 0 and 1, got {self.false_match_rate}"
-            )
+        for name in ("min_score", "false_match_rate"):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value <= 1:
+                raise OptionError(f"{name} must be between 0 and 1, got {value}")
 
     def scan_options(self, catalogue: Catalogue) -> PipelineOptions:
         """The options by which a scan that the catalogue does not have is processed."""
@@ -78,7 +76,7 @@ class Question:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Described:
-    """The signature of a query; the grade on it, and picture and size of its surface, if they are known."""
+    """The signature of a query; its grade, and picture and size of its surface, if they are known."""
 
     signature: Signature
     grade: Grade | None = None
@@ -86,32 +84,16 @@ class Described:
     n_faces: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Match:
-    """Who a query is.
+Verdict = Literal["sure", "between", "stranger", "unknown"]
 
-    label, other: the class of the nearest shape, and the next class, if results have one.
-    certainty: how often such an answer is right, estimated from the labelled shapes of the catalogue; 0
-        beyond the false-match rate that is asked for; None if there are too few labels.
-    """
-
-    label: str
-    other: str | None
-    certainty: float | None
-
-    def __str__(self) -> str:
-        if self.certainty is None:
-            return f"nearest class {self.label}"
-        if self.certainty < UNLIKELY:
-            return f"not in this collection; the nearest class is {self.label}"
-        if self.certainty >= SURE:
-            return f"{self.label}, sure"
-        return f"{self.label}, not sure" if self.other is None else f"{self.label} or {self.other}"
+# What an answer says of a query, in JSON and CSV as in Python; a table has the neighbours after it.
+SAID = ("verdict", "label", "other", "certainty", "because")
+NEIGHBOR = ("rank", "neighbor", "neighbor_label", "distance", "score", "path")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer(Value):
-    """The nearest neighbours of one query, and what the catalogue knows of them.
+    """Who a query is, and its nearest neighbours.
 
     Attributes
     ----------
@@ -119,33 +101,57 @@ class Answer(Value):
         The neighbours, nearest first.
     records : tuple of Record, length k
         The record of each neighbour.
-    match : Match, optional
-        Who the query is, itself left out; None without labels.
+    verdict : {"sure", "between", "stranger", "unknown"}
+        "sure": the query is of the class `label`. "between": of `label` or of `other`, or of a class that the
+        collection does not have. "stranger": of no class of the collection. "unknown": too few shapes have
+        classes to tell.
+    label : str or None
+        Class of the nearest shape, the query itself left out; None if no shape nearby has a class.
+    other : str or None
+        The next class, if neighbours have one.
+    certainty : float or None
+        Probability that `label` is right, estimated from the labelled shapes of the catalogue.
+    because : str
+        The distances that the verdict is from.
+    scan : Grade or None
+        The grade of the query; None if that is not known.
     query : str or Described, optional
         The query: its id in the catalogue, or its signature.
     """
 
     neighbors: Neighbors
     records: tuple[Record, ...]
-    match: Match | None = None
+    verdict: Verdict = "unknown"
+    label: str | None = None
+    other: str | None = None
+    certainty: float | None = None
+    because: str = ""
+    scan: Grade | None = None
     query: str | Described | None = None
+    #: Columns of a table of answers.
+    columns: ClassVar = ("query", *SAID, "scan", *NEIGHBOR)
 
     @property
-    def labels(self) -> tuple[str | None, ...]:
-        """Class of each neighbour; None if unknown."""
-        return tuple(record.label for record in self.records)
+    def named(self) -> str:
+        """The class that is meant, or both; empty if none is."""
+        meant = {"between": (self.label, self.other), "stranger": ()}
+        return " or ".join(filter(None, meant.get(self.verdict, (self.label,))))
 
     def __str__(self) -> str:
-        """The verdict, in one line."""
-        if not self.records:
-            return "no match"
-        return f"nearest {self.records[0].id}" if self.match is None else str(self.match)
+        """The verdict in one line."""
+        return f"{self.verdict}: {self.named}" if self.named else self.verdict
 
     def _repr_html_(self) -> str:
-        return f"{self.neighbors._repr_html_()}<p>{escape(str(self))}</p>"
+        return f"{self.neighbors._repr_html_()}<p>{escape(f'{self}, because {self.because}')}</p>"
+
+    def document(self) -> dict[str, Any]:
+        """The answer for JSON, in the names of its attributes."""
+        said: dict[str, Any] = {name: getattr(self, name) for name in SAID}
+        scan = None if self.scan is None else asdict(self.scan)
+        return said | {"scan": scan, "neighbors": self.rows()}
 
     def rows(self) -> list[dict[str, Any]]:
-        """The results, with the names that commands and the search page give their columns."""
+        """The neighbours, with the names that commands and the search page give their columns."""
         known = self.neighbors.scores
         return [
             {
@@ -160,6 +166,14 @@ class Answer(Value):
             for row, record in enumerate(self.records)
         ]
 
+    def table(self, name: str) -> list[list[Any]]:
+        """Rows of `columns`, one for each neighbour, or one without; `name` is that of the query."""
+        said = [getattr(self, each) for each in SAID]
+        scan = None if self.scan is None else self.scan.name
+        keys = ("rank", "id", "label", "distance", "score", "path")
+        found = [[row[key] for key in keys] for row in self.rows()]
+        return [[name, *said, scan, *row] for row in found or [[None] * len(NEIGHBOR)]]
+
 
 def search(
     catalogue: CatalogueLike,
@@ -172,8 +186,9 @@ def search(
     labels: Collection[str] | None = None,
     exclude_self: bool = False,
     min_score: float | None = None,
-) -> Neighbors:
-    """The shapes of a catalogue nearest to a scan.
+    false_match_rate: float | None = None,
+) -> Answer:
+    """Who a scan is: the shapes of a catalogue nearest to it, and a verdict.
 
     Parameters
     ----------
@@ -195,13 +210,16 @@ def search(
     exclude_self : bool, default False
         Whether a query that is a shape of the catalogue is left out of its own results.
     min_score : float, optional
-        Least score of a result, between 0 and 1; no results then mean "no match".
+        Least score of a neighbour, between 0 and 1; without neighbours, the query is a stranger.
+    false_match_rate : float, optional
+        The query is a stranger too if a larger share of pairs of two classes is as near as its nearest shape.
 
     Returns
     -------
-    Neighbors
-        Nearest first; equal distances by id. They have scores, the shares of pairs of one class among pairs
-        that near, unless there is a `matrix`, or the catalogue has neither labels nor enough shapes.
+    Answer
+        A verdict, and the neighbours, nearest first; equal distances by id. They have scores, the shares of
+        pairs of one class among pairs that near, unless there is a `matrix`, or the catalogue has neither
+        labels nor enough shapes.
 
     Raises
     ------
@@ -214,7 +232,16 @@ def search(
     """
     with Catalogue.opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
-        question = Question(chosen, k, labels, exclude_self, min_score, unit, matrix)
+        question = Question(
+            chosen,
+            k,
+            labels,
+            exclude_self,
+            min_score,
+            unit,
+            matrix,
+            false_match_rate=false_match_rate,
+        )
         asked = (
             _query_of(store, query, question)
             if isinstance(query, (str, Path, Signature))
@@ -222,7 +249,7 @@ def search(
         )
         if not isinstance(asked, (str, Described)):
             asked = described_scan(question.scan_options(store), False, None, asked)
-        return _cut(store, _ranked(store, asked, question), question)
+        return answer_to(store, asked, question)
 
 
 def search_many(
@@ -250,7 +277,7 @@ def search_many(
         The catalogue that is searched.
     queries : iterable of str, Path or Signature
         Each as in `search`, or a folder, which stands for all scans in it, unless it has the id of a shape.
-    k, options, matrix, unit, labels, exclude_self, min_score : object
+    k, options, matrix, unit, labels, exclude_self, min_score, false_match_rate : object
         As in `search`, for each query.
     timeout : float, optional
         Longest time in seconds for each scan, which is then processed in another process.
@@ -260,9 +287,6 @@ def search_many(
         Whether `Answer.query` has a picture of a scan that is processed.
     up : {"x", "-x", "y", "-y", "z", "-z"}, optional
         The axis of the files that points upwards on it; by default found for each scan.
-    false_match_rate : float, optional
-        A query is "not in this collection" if a larger share of pairs of two classes
-        is as near as its nearest shape.
 
     Yields
     ------
@@ -312,8 +336,10 @@ def _answers(
 
 def answer_to(catalogue: Catalogue, query: str | Described, question: Question) -> Answer:
     """Answer one query that is known already. No file is read, whatever the query is called."""
-    ranked = _ranked(catalogue, query, question, LOOKED_AT)
+    ranked = _ranked(catalogue, query, question)
     known = {record.id: record for record in catalogue.rows.several(ranked.ids)}
+    # Without shapes that another process has removed meanwhile.
+    ranked = _some(ranked, [row for row, name in enumerate(ranked.ids) if name in known])
     labelled = [
         (float(distance), label)
         for shape_id, distance in zip(ranked.ids, ranked.distances, strict=True)
@@ -323,32 +349,42 @@ def answer_to(catalogue: Catalogue, query: str | Described, question: Question) 
         None if question.matrix is not None else index(catalogue, options=question.options).scores
     )
     found = _cut(catalogue, ranked, question)
-    return Answer(
-        found,
-        tuple(known[i] for i in found.ids),
-        _match(labelled, scores, question.false_match_rate),
-        query,
-    )
+    records = tuple(known[shape_id] for shape_id in found.ids)
+    scan = catalogue.record(query).grade if isinstance(query, str) else query.grade
+    answer = _judged(Answer(found, records, scan=scan, query=query), labelled, scores, question)
+    if question.min_score is None or records:
+        return answer
+    because = f"no shape has a score of {question.min_score:g} or more"
+    return replace(answer, verdict="stranger", because=because)
 
 
-def _match(
-    found: list[tuple[float, str]], scores: MatchScores | None, false_match_rate: float | None
-) -> Match | None:
-    """Who a query is, by the distances and the classes of its neighbours."""
+def _judged(
+    answer: Answer,
+    found: list[tuple[float, str]],
+    scores: MatchScores | None,
+    question: Question,
+) -> Answer:
+    """An answer with a verdict, by the distances and the classes of the neighbours of its query."""
     if not found:
-        return None
+        return replace(answer, because="no shape nearby has a class")
     nearest, label = min(found)
     others = [one for one in found if one[1] != label]
     # Without another class among the neighbours, the next one is at least as far as the last of them.
     distance, other = min(others) if others else (max(found)[0], None)
+    beyond = f"the next class is {other}, at {distance:.3g}" if other else "no other class is near"
+    because = f"the nearest class is {label}, at a distance of {nearest:.3g}; {beyond}; "
+    answer = replace(answer, label=label, other=other)
     certainty = None if scores is None else scores.certainty(nearest, distance)
-    if (
-        scores is not None
-        and false_match_rate is not None
-        and nearest > scores.limit(false_match_rate)
-    ):
-        certainty = 0.0
-    return Match(label, other, certainty)
+    if scores is None or certainty is None:
+        return replace(answer, because=f"{because}how often that is right is not known")
+    verdict: Verdict = "sure" if certainty >= SURE else "between"
+    rate = question.false_match_rate
+    if rate is not None and nearest > scores.limit(rate):
+        verdict, because = "stranger", f"{because}{rate:g} of pairs of two classes are nearer; "
+    elif certainty < UNLIKELY:
+        verdict = "stranger"
+    because += f"such an answer is right in {certainty:.0%} of cases"
+    return replace(answer, verdict=verdict, certainty=certainty, because=because)
 
 
 def described_scan(
@@ -441,26 +477,19 @@ def _is_in_a_file(path: Path) -> bool:
 
 def _stored(catalogue: Catalogue, shape_id: str) -> str:
     """An id, after a check that its shape has a signature."""
-    known = catalogue.rows.several([shape_id])
-    if not known:
+    if not catalogue.rows.several([shape_id]):
         raise InputError(
             f"a query must be the file of a scan or the id of a shape, {shape_id!r} is no file and no shape "
             f"of {catalogue.location}; `pcretrieve list` names the shapes{catalogue.rows.suggested(shape_id)}"
         )
-    if known[0].status != "done":
-        raise InputError(
-            f"shape {shape_id!r} has no signature: it failed in {known[0].stage}: {known[0].message}"
-        )
-    return shape_id
+    return catalogue[shape_id].id
 
 
-def _ranked(
-    catalogue: Catalogue, query: str | Described, question: Question, least: int = 0
-) -> Neighbors:
-    """The first results, at least so many, without the query if it is to be left out."""
+def _ranked(catalogue: Catalogue, query: str | Described, question: Question) -> Neighbors:
+    """The first results, at least `LOOKED_AT`, without the query if it is to be left out."""
     among = None if question.labels is None else _labelled(catalogue, question.labels)
     # A query that is left out of its results is one of them before.
-    most = max(question.k, least) + question.exclude_self
+    most = max(question.k, LOOKED_AT) + question.exclude_self
     matrix = question.matrix
     if matrix is not None and isinstance(query, str):
         row = matrix.values[position_of(matrix.ids, query)]

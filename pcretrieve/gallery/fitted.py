@@ -24,8 +24,6 @@ from pcretrieve.retrieval.scores import fit_scores
 from pcretrieve.retrieval.whitening import read_whitening
 from pcretrieve.values import (
     FloatArray,
-    Need,
-    Shape,
     Signature,
     SignatureTable,
     SizeUnit,
@@ -99,10 +97,15 @@ def stored_signature(
         If a part of the shape that the descriptor needs was not stored.
     """
     from pcretrieve.descriptors import DESCRIPTORS, describe
+    from pcretrieve.descriptors.describe import with_overlaps
 
     with Catalogue.opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options).signature
-        return describe(shape_with(store, shape_id, DESCRIPTORS[chosen.method].needs), chosen)
+        needs = DESCRIPTORS[chosen.method].needs
+        if "overlaps" not in needs or "overlaps" in store.options.catalogue.keep:
+            return describe(store.shape(shape_id, needs), chosen)
+        shape = store.shape(shape_id, (*needs, "mesh"))
+        return describe(with_overlaps(shape, store.options.spectral.element), chosen)
 
 
 def index(catalogue: CatalogueLike, *, options: OptionsLike = None) -> SignatureIndex:
@@ -263,13 +266,3 @@ def calibrated(options: PipelineOptions) -> Whitening | None:
     whitening = read_whitening(Path(options.retrieval.calibration))
     whitening.check_made_for(options.signature_digest)
     return whitening
-
-
-def shape_with(catalogue: Catalogue, shape_id: str, needs: tuple[Need, ...]) -> Shape:
-    """A stored shape with what a descriptor needs: overlaps are computed from the mesh if need be."""
-    if "overlaps" not in needs or "overlaps" in catalogue.options.catalogue.keep:
-        return catalogue.shape(shape_id, needs)
-    from pcretrieve.descriptors.describe import with_overlaps
-
-    shape = catalogue.shape(shape_id, (*needs, "mesh"))
-    return with_overlaps(shape, catalogue.options.spectral.element)

@@ -11,7 +11,7 @@ import numpy as np
 from pcretrieve.catalogue import Catalogue, CatalogueLike
 from pcretrieve.catalogue.cache import short_digest
 from pcretrieve.errors import OptionError
-from pcretrieve.gallery.fitted import FORMAT, SMALLEST_KEPT, index
+from pcretrieve.gallery.fitted import SMALLEST_KEPT, index
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.retrieval import SignatureIndex
 from pcretrieve.values import FloatArray
@@ -77,7 +77,8 @@ def places(
     with Catalogue.opened(catalogue) as store:
         made = index(store, options=options)
         points = made.points if ids is None else np.concatenate([*map(made.point_of, ids)])
-        name = f"map-{FORMAT}-{zlib.crc32(points.tobytes())}-{short_digest(store.revision())}"
+        # The first number is incremented when maps are drawn otherwise.
+        name = f"map-1-{zlib.crc32(points.tobytes())}-{short_digest(store.revision())}"
         found: FloatArray | None = store.cache.opened(name, lambda arrays: arrays["places"])
         if found is None:
             found = plane_map(points)

@@ -71,35 +71,34 @@ def draw_map(
     with Catalogue.opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options).without_labels
         made = index(store, options=chosen)
-        labels = store.labels()
-        classes = [labels[shape_id] for shape_id in made.ids]
         title = f"Map of {Path(store.location).name}"
         drawn = places(store, options=chosen)
         if target.suffix.lower() == ".png":
             from pcretrieve.draw.plot import draw_places
 
-            groups = [(label, drawn[rows], colour) for label, rows, colour in class_groups(classes)]
+            groups = [
+                (label, drawn[rows], colour)
+                for label, rows, colour in class_groups(made.ids, store)
+            ]
             write_file(target, draw_places(groups, title=title))
             return target
         return write_page(
             target,
             "map.html",
             title=title,
-            drawing=map_drawing(made.ids, classes, drawn),
+            drawing=map_drawing(made.ids, store, drawn),
             pictures=map_pictures(store, made.ids, Thumbnails(store, up, PICTURE_PIXELS)),
             n_shapes=len(made),
             whitening=made.whitening.reason,
         )
 
 
-def map_drawing(
-    ids: Sequence[str], labels: Sequence[str | None], places: FloatArray
-) -> dict[str, object]:
+def map_drawing(ids: Sequence[str], catalogue: Catalogue, places: FloatArray) -> dict[str, object]:
     """What the templates draw of a map; `places`: (n, 2), within [0, 1]²."""
     across, up = (MARGIN + places * (SIDE - 2 * MARGIN)).T
     down = SIDE - up  # the y axis of SVG points down
     groups = []
-    for number, (label, rows, colour) in enumerate(class_groups(labels)):
+    for number, (label, rows, colour) in enumerate(class_groups(ids, catalogue)):
         shapes = [
             {"number": row, "id": ids[row], "x": f"{across[row]:.1f}", "y": f"{down[row]:.1f}"}
             for row in rows.tolist()
@@ -109,10 +108,13 @@ def map_drawing(
     return {"side": SIDE, "top": float(down.min()) - MARGIN, "height": height, "groups": groups}
 
 
-def class_groups(labels: Sequence[str | None]) -> list[tuple[str | None, NDArray[np.intp], str]]:
+def class_groups(
+    ids: Sequence[str], catalogue: Catalogue
+) -> list[tuple[str | None, NDArray[np.intp], str]]:
     """The classes in alphabetical order, then the shapes of unknown class: names, rows and colours."""
-    names = [*sorted({label for label in labels if label is not None}), None]
-    found = [(name, np.flatnonzero([label == name for label in labels])) for name in names]
+    classes = [*map(catalogue.labels().get, ids)]
+    names = [*sorted({label for label in classes if label is not None}), None]
+    found = [(name, np.flatnonzero([label == name for label in classes])) for name in names]
     colours = [*itertools.islice(itertools.cycle(COLOURS), len(names) - 1), UNKNOWN]
     return [
         (name, rows, colour)

@@ -91,7 +91,6 @@ def query_page(
             catalogue=Path(store.location).name,
             panels=panels,
             failures=failures,
-            min_score=least,
             settings=settings_in_words(store, chosen, matrix, labels, least),
             version=pr.__version__,
         )
@@ -133,23 +132,19 @@ def settings_in_words(
         "distance": retrieval.distance,
         "whitening": index.whitening.reason,
         "re-ranking": "none" if retrieval.rerank == "none" else f"by {retrieval.rerank} neighbours",
-        "score": index.scores.reason
-        if index.scores
-        else "none, because labels and shapes are too few",
+        "score": index.reason,
     } | least
 
 
 def _panel(catalogue: pr.Catalogue, answer: pr.Answer, thumbnails: Thumbnails) -> dict[str, Any]:
     """One query as the template shows it."""
-    query, record, picture, grade = answer.query, None, None, None
-    if isinstance(query, str):
-        record = catalogue.record(query)
-        picture, grade = thumbnails.of(catalogue, record), record.grade
-    elif query is not None:
-        picture, grade = query.picture, query.grade
+    record, picture = None, getattr(answer.query, "picture", None)
+    if isinstance(answer.query, str):
+        record = catalogue.record(answer.query)
+        picture = thumbnails.of(catalogue, record)
     results = [
         row | {"picture": thumbnails.of(catalogue, found)}
         for row, found in zip(answer.rows(), answer.records, strict=True)
     ]
     shown = {"answer": answer, "results": results, "record": record}
-    return shown | {"picture": picture, "grade": grade}
+    return shown | {"picture": picture}

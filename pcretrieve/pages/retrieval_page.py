@@ -158,8 +158,7 @@ def report(
             )
         drawing = None
         if isinstance(ranking, pr.SignatureIndex) and len(ranking) <= MOST_MAPPED:
-            labels = [records[shape_id].label for shape_id in ranking.ids]
-            drawing = map_drawing(ranking.ids, labels, pr.places(store, options=chosen))
+            drawing = map_drawing(ranking.ids, store, pr.places(store, options=chosen))
         cards = [card for panel in panels for card in (panel.query, *panel.results)]
         shown = dict.fromkeys(card.picture for card in cards if card.picture is not None)
         return write_page(

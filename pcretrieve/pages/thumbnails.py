@@ -34,7 +34,7 @@ class Thumbnails:
         self._keeps = True
         if up is not None:
             catalogue.rows.keep_up(up)
-        self.up = up or catalogue.rows.up
+        self.up = up or catalogue.rows.settings().get("up")
 
     def of(self, catalogue: Catalogue, record: Record) -> bytes | None:
         """The thumbnail of a shape."""

@@ -180,6 +180,11 @@ class SignatureIndex:
     def __len__(self) -> int:
         return len(self.ids)
 
+    @property
+    def reason(self) -> str:
+        """What the scores are estimated from, in words."""
+        return self.scores.reason if self.scores else "none, because labels and shapes are too few"
+
     def query(self, signature: Signature | ArrayLike, k: int = 10) -> Neighbors:
         """The `k` nearest neighbours of one signature, including the signature itself if it is in the table.
 

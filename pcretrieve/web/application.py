@@ -33,6 +33,7 @@ from starlette.staticfiles import StaticFiles
 
 from pcretrieve import Answer, Catalogue, PipelineOptions, Record
 from pcretrieve.errors import CatalogueError, InputError, PcretrieveError
+from pcretrieve.gallery.answers import Question, answer_to
 from pcretrieve.pages.html import page_of, without_folders
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.values import UPWARD
@@ -44,7 +45,6 @@ from pcretrieve.web.documents import (
     shape_document,
     similar_csv,
     similar_document,
-    similar_to,
 )
 from pcretrieve.web.jobs import Job, Jobs
 from pcretrieve.web.requests import ONE_FILE, Listing, Refused, Similar, checked_suffix, received
@@ -196,16 +196,20 @@ class _Asked:
 
     def answer(self, job: Job | None = None) -> Answer:
         """The neighbours of the scan of a job, or else of the shape that the path names."""
-        if job is None:
-            return similar_to(self.catalogue, self.record.id, self.similar, self.site.options)
-        if job.described is None:
+        query = self.record.id if job is None else job.described
+        if query is None:
             raise InputError(
-                f"the scan has no signature, it is {job.state}: ask for /scans/{job.id} until it is done"
+                f"the scan has no signature: ask for /scans/{self.name} until it is done"
             )
-        return similar_to(self.catalogue, job.described, self.similar, self.site.options)
+        asked = self.similar
+        labels = [asked.label] if asked.label else None
+        question = Question(
+            self.site.options, asked.k, labels, exclude_self=True, min_score=asked.min_score
+        )
+        return answer_to(self.catalogue, query, question)
 
     def found(self, job: Job | None = None) -> dict[str, Any]:
-        """The neighbours as a document."""
+        """The answer as a document."""
         name = self.name if job is None else job.name
         return similar_document(
             self.catalogue, name, self.similar, self.site.options, self.answer(job)

@@ -96,14 +96,14 @@ def mesh_of(catalogue: Catalogue, shape_id: str) -> TriangleMesh:
 def map_of(options: PipelineOptions, location: str) -> dict[str, Any]:
     """What the page of the map of a catalogue shows, of a random sample if there are many shapes."""
     with Catalogue(location) as catalogue:
-        made, labels = index(catalogue, options=options), catalogue.labels()
+        made = index(catalogue, options=options)
         rows = np.arange(len(made))
         if len(rows) > MOST_SHAPES:
             rows = np.sort(np.random.default_rng(SEED).choice(rows, MOST_SHAPES, replace=False))
         ids = [made.ids[row] for row in rows.tolist()]
         drawn = places(catalogue, ids, options=options)
         return {
-            "drawing": map_drawing(ids, [labels.get(name) for name in ids], drawn),
+            "drawing": map_drawing(ids, catalogue, drawn),
             "n_shown": len(ids),
             "n_shapes": len(made),
             "whitening": without_folders(made.whitening.reason),

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pcretrieve import Answer, Catalogue, PipelineOptions, Record, __version__, index
-from pcretrieve.gallery.answers import Described, Question, answer_to
 from pcretrieve.pages.html import without_folders
 from pcretrieve.values.files import csv_text
 from pcretrieve.web.requests import Listing, Refused, Similar
@@ -19,8 +18,6 @@ Document = dict[str, Any]
 
 # Number of shapes on a page of the collection.
 PAGE = 60
-
-CSV_COLUMNS = ("query", "rank", "id", "label", "distance", "score", "file")
 
 
 def record_of(catalogue: Catalogue, shape_id: str) -> Record:
@@ -92,15 +89,6 @@ def job_document(job: Job) -> Document:
     return document
 
 
-def similar_to(
-    catalogue: Catalogue, query: str | Described, asked: Similar, options: PipelineOptions
-) -> Answer:
-    """The neighbours of a shape of the catalogue, without the shape, or of a scan."""
-    labels = [asked.label] if asked.label else None
-    question = Question(options, asked.k, labels, exclude_self=True, min_score=asked.min_score)
-    return answer_to(catalogue, query, question)
-
-
 def similar_document(
     catalogue: Catalogue, name: str, asked: Similar, options: PipelineOptions, answer: Answer
 ) -> Document:
@@ -108,9 +96,8 @@ def similar_document(
     return {
         "query": name,
         "arguments": asked.model_dump(),
-        "results": [_without_path(row) for row in answer.rows()],
-        "match": None if answer.match is None else asdict(answer.match),
-        "verdict": str(answer),
+        **answer.document(),
+        "neighbors": [row | {"path": Path(row["path"]).name} for row in answer.rows()],
         "distance": options.retrieval.distance,
         "whitening": without_folders(index(catalogue, options=options).whitening.reason),
         "version": __version__,
@@ -119,9 +106,5 @@ def similar_document(
 
 def similar_csv(name: str, answer: Answer) -> str:
     """An answer as a table."""
-    rows = [{"query": name, **_without_path(row)} for row in answer.rows()]
-    return csv_text(CSV_COLUMNS, ([row[column] for column in CSV_COLUMNS] for row in rows))
-
-
-def _without_path(row: Document) -> Document:
-    return row | {"file": Path(row.pop("path")).name}
+    rows = [[*row, path and Path(path).name] for *row, path in answer.table(name)]
+    return csv_text(Answer.columns, rows)

@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("-k", type=int, default=4, help="neighbours that are shown")
     given = parser.parse_args(arguments)
     with Catalogue(given.catalogue) as catalogue:
-        found = search(catalogue, given.scan, k=given.k + 1)
+        found = search(catalogue, given.scan, k=given.k + 1).neighbors
         points = as_cloud(read_scan(given.scan)).points
         mesh = reconstruct(given.scan, catalogue.options)
         axes = body_axes(mesh.vertices, mesh.faces)

@@ -23,8 +23,9 @@ from pcretrieve.catalogue.arrays import (
     unpacked_values,
 )
 from pcretrieve.descriptors import describe
+from pcretrieve.descriptors.describe import with_overlaps
 from pcretrieve.errors import CatalogueError, InputError
-from pcretrieve.gallery.fitted import index, shape_with, signatures
+from pcretrieve.gallery.fitted import index, signatures
 from pcretrieve.options import SignatureOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.values import Shape
@@ -94,10 +95,8 @@ def test_what_options_name_is_stored_and_comes_back(keep: tuple[str, ...], tmp_p
             sizes = store.rows.stored_bytes(f"egg{number}")
             parts = {name for name, n_bytes in sizes.items() if n_bytes}
             assert parts == {"record", "signatures", "spectra", "moments", *keep}
-            again, shape = (
-                shape_with(store, f"egg{number}", ("spectrum", "overlaps", "mesh")),
-                egg(number),
-            )
+            again = store.shape(f"egg{number}", ("spectrum", "overlaps", "mesh"))
+            again, shape = with_overlaps(again, "linear"), egg(number)
             for one, other in zip(again.surfaces, shape.surfaces, strict=True):
                 assert one.mesh == (other.mesh if "meshes" in keep else None)
                 assert (one.spectrum == other.spectrum) is bool(keep)

@@ -221,9 +221,9 @@ def test_a_copy_without_names_answers_and_has_no_names(
             str(number) for number in range(1, N_SHAPES + 1)
         }
         assert {record.added for record in store.records()} == {""}
-        assert store.rows.up == "z"
+        assert store.rows.settings().get("up") == "z"
         assert store.options.retrieval.calibration is None
-        first = pr.search(store, folder / f"{REMOVED}.off").ids[0]
+        first = pr.search(store, folder / f"{REMOVED}.off").neighbors.ids[0]
         with Catalogue(path) as whole:
             assert (store.mesh(first).vertices == whole.mesh(REMOVED).vertices).all()
     assert pr.check(copy, sample=0).is_whole

@@ -59,7 +59,12 @@ ASKED: dict[str, tuple[str, int, set[str], bool]] = {
     "lab report-problem": ("scans/flat.xyz -o problem.zip", 0, {"file", "failure"}, True),
     "ingest": ("scans -c new.sqlite --workers 1 --quiet", 3, {"done", "failed", "held"}, True),
     "status": ("-c c.sqlite", 0, {"state", "n_shapes"}, False),
-    "query": ("e0 -c c.sqlite -k 2", 0, {"query", "results", "match", "verdict", "distance"}, True),
+    "query": (
+        "e0 -c c.sqlite -k 2",
+        0,
+        {"query", "verdict", "label", "because", "neighbors"},
+        True,
+    ),
     "evaluate": ("-c c.sqlite", 0, {"map", "n_queries"}, True),
     "duplicates": ("-c c.sqlite", 0, set(), True),
     "lab map": ("-c c.sqlite -o map.html", 0, {"page"}, True),

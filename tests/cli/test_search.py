@@ -74,15 +74,15 @@ def test_sizes_are_compared_in_one_unit_or_not_at_all(tmp_path: Path) -> None:
     for name, height in (("small.glb", 1.0), ("large.glb", 1.2), ("query.off", 120.0)):
         write_mesh(pr.TriangleMesh(body.vertices * height, body.faces), tmp_path / name)
     run("ingest", *sorted(tmp_path.glob("*.glb")), "-c", catalogue, "--workers", 1)
-    first, second = result("query", query, "-c", catalogue, *sized, "--unit", "cm")[0]["results"]
+    first, second = result("query", query, "-c", catalogue, *sized, "--unit", "cm")[0]["neighbors"]
     assert (first["id"], second["id"]) == ("large", "small")
     assert first["distance"] < 0.05
     assert second["distance"] == pytest.approx(6 * np.log(1.2**2), rel=0.01)
     options = {"signature": {"size_weight": 6}}
-    known = pr.search(catalogue, pr.read_scan(query), options=options, unit="cm")
+    known = pr.search(catalogue, pr.read_scan(query), options=options, unit="cm").neighbors
     assert known.distances.tolist() == [first["distance"], second["distance"]]
     signed = pr.signature(query, {**options, "scan": {"unit": "cm"}})
-    assert pr.search(catalogue, signed, options=options) == known
+    assert pr.search(catalogue, signed, options=options).neighbors == known
     said = refusal("query", query, "-c", catalogue, "--scale", "absolute")
     assert "the shapes are in metres, the unit of the query is unknown; say the unit" in said
     for unknown in (query, pr.signature(query, options), pr.read_scan(query)):
@@ -183,7 +183,7 @@ def test_a_matcher_makes_a_matrix_that_ranks(eggs: Path, tmp_path: Path) -> None
     found = result("evaluate", "-c", catalogue, "--matrix", path)
     assert (found["n_queries"], found["n_failed"]) == (17, 1)
     assert (
-        result("query", "-c", catalogue, eggs / "10.off", "--matrix", path)[0]["results"][0]["id"]
+        result("query", "-c", catalogue, eggs / "10.off", "--matrix", path)[0]["neighbors"][0]["id"]
         == "10"
     )
     with pytest.raises(

@@ -115,7 +115,7 @@ def test_what_is_up_can_be_said_for_each_page(
     direction = np.zeros(3)
     direction["xyz".index(up[-1])] = -1 if up[0] == "-" else 1
     pictures = Thumbnails(catalogue, up)
-    assert catalogue.rows.up == up
+    assert catalogue.rows.settings().get("up") == up
     assert [is_upright(pictures.of(catalogue, one) or b"") for one in catalogue.records()] == [
         stands
     ] * 3
@@ -133,9 +133,11 @@ def test_what_is_up_can_be_said_for_each_page(
             "-c",
             catalogue.location,
         )
-        assert catalogue.rows.up == axis and len(drawn) == 3, words
+        assert catalogue.rows.settings().get("up") == axis and len(drawn) == 3, words
     pictures.say(catalogue, None)
-    assert catalogue.rows.up is None and catalogue.thumbnail("0") is None, "drawn again as it shows"
+    assert catalogue.rows.settings().get("up") is None and catalogue.thumbnail("0") is None, (
+        "drawn again as it shows"
+    )
     shown = pictures.of(catalogue, catalogue.record("0")) or b""
     pictures.turn(catalogue, catalogue.record("0"), forwards=False)
     assert is_upright(catalogue.thumbnail("0") or b"") != is_upright(shown)

@@ -108,7 +108,7 @@ def test_a_function_of_a_mesh_is_a_descriptor(surface: TriangleMesh) -> None:
     assert (made.kind, made.metric, len(made)) == ("compactness", "values", 2)
     each = np.array([compactness(mesh) for mesh in (surface, *surface.others)])
     np.testing.assert_allclose(made.values, each.mean(axis=0))
-    assert made.errors is not None and made.deviation[1] == 0
+    assert made.errors is not None and made.errors[1] == 0
     with pytest.raises(ShapeError, match="the descriptor 'no_mesh' failed, AttributeError"):
 
         def no_mesh(mesh: TriangleMesh) -> float:

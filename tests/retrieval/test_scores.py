@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 from tables import classes_of, table_of
 
 from pcretrieve.errors import InputError
-from pcretrieve.gallery.answers import SURE, UNLIKELY, Match, _match
+from pcretrieve.gallery.answers import SURE, UNLIKELY, Answer, Question, Verdict, _judged
 from pcretrieve.gallery.groups import GAP, near_pairs, plane_map
-from pcretrieve.options import RetrievalOptions
+from pcretrieve.options import PipelineOptions, RetrievalOptions
 from pcretrieve.retrieval import SignatureIndex, pairwise, table_whitening
 from pcretrieve.retrieval.scores import MatchScores, _Pairs, _shares, fit_scores
-from pcretrieve.values import SignatureTable
+from pcretrieve.values import Neighbors, SignatureTable
 
 PLAIN = RetrievalOptions(whitening="none")
 
@@ -157,21 +155,30 @@ def test_shapes_nearer_than_a_thousandth_are_equally_near() -> None:
 def test_the_next_class_is_as_far_as_the_last_neighbour_if_none_of_them_is_of_it() -> None:
     found = scores_of(classes(20, 6, seed=1, spread=0.05))
     near, far = 0.1, 0.5
-    alone = _match([(far, "cat"), (near, "cat")], found, None)
-    assert alone == Match("cat", None, found.certainty(near, far))
-    assert found.certainty(near, far) != found.certainty(near, near)
-    assert _match([(far, "dog"), (near, "cat")], found, None) == replace(alone, other="dog")
+    question, answer = Question(PipelineOptions()), Answer(Neighbors((), np.zeros(0)), ())
+    alone = _judged(answer, [(far, "cat"), (near, "cat")], found, question)
+    assert (alone.label, alone.other) == ("cat", None)
+    assert alone.certainty == found.certainty(near, far) != found.certainty(near, near)
+    other = _judged(answer, [(far, "dog"), (near, "cat")], found, question)
+    assert (other.label, other.other, other.certainty) == ("cat", "dog", alone.certainty)
+    rare = Question(PipelineOptions(), false_match_rate=1e-9)
+    assert _judged(answer, [(9.0, "cat"), (9.5, "dog")], found, rare).verdict == "stranger"
+    assert _judged(answer, [], found, question).verdict == "unknown"
 
 
-def test_an_answer_is_one_line() -> None:
-    for match, line in (
-        (Match("ann", "bob", 0.99), "ann, sure"),
-        (Match("ann", "bob", 0.7), "ann or bob"),
-        (Match("ann", None, 0.7), "ann, not sure"),
-        (Match("ann", "bob", 0.1), "not in this collection; the nearest class is ann"),
-        (Match("ann", "bob", None), "nearest class ann"),
-    ):
-        assert str(match) == line
+@pytest.mark.parametrize(
+    ("verdict", "other", "line"),
+    [
+        ("sure", "bob", "sure: ann"),
+        ("between", "bob", "between: ann or bob"),
+        ("between", None, "between: ann"),
+        ("stranger", "bob", "stranger"),
+        ("unknown", "bob", "unknown: ann"),
+    ],
+)
+def test_an_answer_is_one_line(verdict: Verdict, other: str | None, line: str) -> None:
+    answer = Answer(Neighbors((), np.zeros(0)), (), verdict, "ann", other)
+    assert str(answer) == line
 
 
 @pytest.mark.parametrize("n", [1, 2, 50, 1200])

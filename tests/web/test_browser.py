@@ -54,7 +54,7 @@ def names(page: Page) -> list[str]:
 def test_from_a_shape_to_its_nearest_and_on(page: Page, eggs: Path) -> None:
     page.locator("#results").get_by_text("Egg11", exact=True).click()
     page.get_by_role("heading", name="Egg11").wait_for()
-    expected = [name for name in search(eggs, "Egg11", k=12).ids if name != "Egg11"]
+    expected = [name for name in search(eggs, "Egg11", k=12).neighbors.ids if name != "Egg11"]
     assert names(page) == expected
     page.locator("canvas[data-drawn]").wait_for()
     page.get_by_text("Change the search").click()
@@ -70,7 +70,7 @@ def test_from_a_shape_to_its_nearest_and_on(page: Page, eggs: Path) -> None:
     page.locator("select[name=label]").select_option("<kind 2>")
     page.get_by_label("Least score").fill("1")
     page.get_by_label("Least score").press("Enter")
-    page.get_by_text(re.compile("no match", re.IGNORECASE)).wait_for()
+    page.get_by_text(re.compile("no shape has a score")).wait_for()
     assert names(page) == []
 
 
@@ -103,7 +103,7 @@ def test_a_chosen_scan_is_answered_and_kept_when_it_is_asked_for(
             page.wait_for_url("**/scan/*")
             page.get_by_role("heading", name="Nearest shapes").wait_for()
             assert page.locator("#stages").get_by_text("spectrum").is_visible()
-            assert names(page) == list(search(eggs, tmp_path / "egg.off", k=12).ids)
+            assert names(page) == list(search(eggs, tmp_path / "egg.off", k=12).neighbors.ids)
             page.get_by_role("link", name="Inspection of the scan").wait_for()
             assert [*folder.iterdir()] == []
             page.keyboard.press("Tab")
@@ -116,7 +116,7 @@ def test_a_chosen_scan_is_answered_and_kept_when_it_is_asked_for(
             page.get_by_role("heading", name="anna sits").wait_for()
         assert (folder / "anna sits.off").read_bytes() == scan
         found = keeper.outcome("again.off", scan)
-        nearest = keeper.ask(f"/scans/{found['job']}/similar?k=1").json["results"][0]
+        nearest = keeper.ask(f"/scans/{found['job']}/similar?k=1").json["neighbors"][0]
     assert (nearest["id"], nearest["label"]) == ("anna sits", "anna")
     assert nearest["distance"] == pytest.approx(0, abs=1e-6)
     with Catalogue(collection) as store:

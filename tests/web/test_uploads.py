@@ -24,7 +24,7 @@ from processes import PATIENCE, wait_for
 from scan_files import HOSTILE, REFERENCES
 from search_server import Server, egg, raw, running, status
 
-from pcretrieve import search
+from pcretrieve import Answer, search
 
 pytestmark = pytest.mark.slow
 
@@ -112,7 +112,7 @@ def started(eggs: Path, temporary: Path) -> Iterator[Server]:
 def target(started: Server, temporary: Path) -> Iterator[Server]:
     """A server that answers after each attack, and has kept no file."""
     yield started
-    assert started.ask("/shapes/Egg00/similar?k=1").json["results"][0]["id"] == "Egg01"
+    assert started.ask("/shapes/Egg00/similar?k=1").json["neighbors"][0]["id"] == "Egg01"
     assert wait_for(lambda: not scans_in(temporary))
 
 
@@ -276,10 +276,10 @@ def test_a_scan_is_answered_as_by_the_library_and_inspected(
     data, page = f"/scans/{job['job']}", f"/scan/{job['job']}"
     found, expected = (
         target.ask(f"{data}/similar?k=5").json,
-        search(eggs, tmp_path / "egg.off", k=5),
+        search(eggs, tmp_path / "egg.off", k=5).neighbors,
     )
-    assert [row["id"] for row in found["results"]] == list(expected.ids)
-    assert [row["distance"] for row in found["results"]] == pytest.approx(
+    assert [row["id"] for row in found["neighbors"]] == list(expected.ids)
+    assert [row["distance"] for row in found["neighbors"]] == pytest.approx(
         expected.distances.tolist()
     )
     table = target.ask(f"{data}/similar.csv?k=1")
@@ -287,7 +287,7 @@ def test_a_scan_is_answered_as_by_the_library_and_inspected(
     assert table.headers["content-type"].startswith("text/csv")
     assert "set-cookie" not in table.headers
     head, row = csv.reader(io.StringIO(table.body.decode(), newline=""))
-    assert (head[:3], row[0]) == (["query", "rank", "id"], name)
+    assert (tuple(head), row[0], row[1]) == (Answer.columns, name, found["verdict"])
     events = target.ask(f"{data}/events")
     assert events.headers["content-type"].startswith("text/event-stream")
     *_, last = (json.loads(event) for event in events.body.decode().split("data: ") if event)
@@ -297,7 +297,7 @@ def test_a_scan_is_answered_as_by_the_library_and_inspected(
     said = target.ask(page).body.decode()
     assert (
         "&lt;b&gt;" in said
-        and found["results"][0]["id"] in said
+        and found["neighbors"][0]["id"] in said
         and f'href="{page}/inspection"' in said
     )
     assert "/keep" not in said, "this server keeps nothing"
