@@ -196,10 +196,10 @@ def test_lists_are_those_of_this_moment(eggs: Path, tmp_path: Path) -> None:
         assert "Egg00" not in ids() and b"Egg00" not in ask(site, "/").body
         other.rows.revise(moved={other.record("Egg01").path: "/elsewhere/moved.off"})
         assert ask(site, "/shapes?q=Egg01").json["shapes"][0]["file"] == "moved.off"
-        assert b"The axis y is up" not in ask(site, "/").body
+        assert b"the axis y is up" not in ask(site, "/").body
         turned = ask(site, "/up", method="POST", headers=OWN_ORIGIN, chunks=[b"up=y"])
         assert turned.status == 303
-        assert b"The axis y is up" in ask(site, "/").body
+        assert b"the axis y is up" in ask(site, "/").body
 
 
 def test_a_page_names_classes_unless_they_are_too_many(
