@@ -92,14 +92,6 @@ IN_HAIR = 0.005
 # is .35 and more, round a shallow hole 1.
 TILTED = 0.33
 
-# Soles that nobody saw lie in one plane, beyond which there is nothing: the largest distances from the plane,
-# relative to the length, and the least cosine between their axes.
-ON_GROUND = 0.03
-PARALLEL = 0.85
-
-# Soles are oblong, and cut legs are round: the largest ratio of the width to the length of a sole.
-OBLONG = 0.65
-
 # A face closes a cut limb only if the cosine between its normal and that of the nearest point is smaller: in
 # a smooth hole these agree.
 TURNED = 0.8
@@ -145,17 +137,11 @@ class End:
     """Where the surface was closed across a limb.
 
     middle: (3,) float64.
-    axis: (3,) float64, unit vector out of the limb.
     share: of the area of the surface, weighted by how like the rim is to that of a limb.
-    is_lowest: whether nothing of the body lies beyond it.
-    roundness: width of the rim relative to its length, from 0 to 1.
     """
 
     middle: FloatArray
-    axis: FloatArray
     share: float
-    is_lowest: bool
-    roundness: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -409,11 +395,6 @@ class Fit:
         along, at = self.places @ self._blind_axis, place @ self._blind_axis
         return bool(min(along.max() - at, at - along.min()) < AT_END * self.length)
 
-    def beyond(self, faces: Faces, axis: FloatArray) -> float:
-        """How far the body extends beyond some faces along a unit vector, relative to its length."""
-        farthest = (self.places @ axis).max() - (self.middles[faces] @ axis).max()
-        return float(farthest / self.length)
-
     @cached_property
     def ends(self) -> tuple[End, ...]:
         """Where the surface may have been closed across limbs; none of points without normals."""
@@ -422,9 +403,8 @@ class Fit:
         far, _, is_closing = self._closing
         caps = parts(self.mesh, far[is_closing])[:N_ENDS]
         found = [end for cap in caps if (end := self._end(cap)) is not None]
-        cut = [end for end in found if not self._is_sole(end, found)]
         limbs: list[End] = []
-        for end in sorted(cut, key=lambda one: -one.share):
+        for end in sorted(found, key=lambda one: -one.share):
             if all(self._are_apart(end, other) for other in limbs):
                 limbs.append(end)
         return tuple(limbs)
@@ -468,22 +448,7 @@ class Fit:
         is_hair = share < IN_HAIR and self.is_at_end(middle)
         if is_hair or self.is_unseen(faces, middle, 2 * NEAR_END * self.cloud.diagonal):
             return None
-        is_lowest = self.beyond(faces, axis) < ON_GROUND
-        return End(middle, axis, share, is_lowest, _roundness(offsets, axis))
-
-    def _is_sole(self, end: End, ends: list[End]) -> bool:
-        """Whether the body stands on an end and on another one."""
-        return (
-            end.is_lowest
-            and end.roundness < OBLONG
-            and any(
-                other.is_lowest
-                and end.axis @ other.axis > PARALLEL
-                and abs((other.middle - end.middle) @ end.axis) < ON_GROUND * self.length
-                and self._are_apart(end, other)
-                for other in ends
-            )
-        )
+        return End(middle, share)
 
 
 def between(around: Neighborhoods) -> float:
@@ -520,10 +485,3 @@ def rim_of_limb(normals: FloatArray, offsets: FloatArray, axis: FloatArray) -> f
 def _across(directions: FloatArray, axis: FloatArray) -> FloatArray:
     """(r, 3) vectors without their part along a unit vector."""
     return np.asarray(directions - np.outer(directions @ axis, axis))
-
-
-def _roundness(offsets: FloatArray, axis: FloatArray) -> float:
-    """Width relative to length of points with offsets (r, 3), across an axis."""
-    covariance = np.cov(_across(offsets, axis).T, bias=True)
-    _, narrow, wide = np.linalg.eigvalsh(covariance).clip(0)
-    return float(np.sqrt(narrow / wide)) if wide > 0 else 1.0
