@@ -6,8 +6,10 @@ for it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -333,25 +335,44 @@ class Fit:
     @cached_property
     def holes(self) -> tuple[Hole, ...]:
         """The large holes of the scan, in order of descending area."""
-        found = []
-        for faces in self._far_parts[:N_HOLES]:
-            # A face reaches at most its own size beyond its middle.
-            reach = 2 * np.sqrt(self.areas[faces].max()) + self.to_points[0][faces].max()
-            if reach < LEAST_HOLE * self.length:
-                continue
-            corners = self.mesh.vertices[self.mesh.faces[faces]]
-            inner = np.einsum("gk,fkd->fgd", barycentric(STEPS), corners).reshape(-1, 3)
-            apart = nearest(self.cloud.points, inner, 1)[0][:, 0]
-            radius = float(apart.max() / self.length)
-            if radius < LEAST_HOLE:
-                continue
-            deepest = faces[np.argsort(-self.to_points[0][faces])[:N_MIDDLE]]
-            light = float(np.average(self.light(deepest), weights=self.areas[deepest]))
-            middle = inner[apart.argmax()]
-            reach = NEAR_HOLE * radius * self.length
-            is_expected = self.is_at_end(middle) or self.is_unseen(faces, middle, reach)
-            found.append(Hole(faces, middle, radius, light, is_expected))
-        return tuple(found)
+        patches = [faces for faces in self._far_parts[:N_HOLES] if self._may_be_large(faces)]
+        if not patches:
+            return ()
+        inner = [self._inside(faces) for faces in patches]
+        apart = nearest(self.cloud.points, np.concatenate(inner), 1)[0][:, 0]
+        large = []
+        for faces, places, distance in zip(patches, inner, _split(apart, inner), strict=True):
+            radius = float(distance.max() / self.length)
+            if radius >= LEAST_HOLE:
+                large.append((faces, places[distance.argmax()], radius))
+        deepest = [faces[np.argsort(-self.to_points[0][faces])[:N_MIDDLE]] for faces, _, _ in large]
+        lights = _split(self.light(np.concatenate([*deepest, self.far[:0]])), deepest)
+        return tuple(
+            Hole(
+                faces,
+                middle,
+                radius,
+                float(np.average(light, weights=self.areas[seen])),
+                self._is_expected(faces, middle, radius),
+            )
+            for (faces, middle, radius), seen, light in zip(large, deepest, lights, strict=True)
+        )
+
+    def _is_expected(self, faces: Faces, middle: FloatArray, radius: float) -> bool:
+        """Whether the sensors could not see into a hole, whose radius is relative to the length."""
+        reach = NEAR_HOLE * radius * self.length
+        return self.is_at_end(middle) or self.is_unseen(faces, middle, reach)
+
+    def _may_be_large(self, faces: Faces) -> bool:
+        """Whether a ball in a hole may be large: a face reaches at most its own size beyond its middle."""
+        reach = 2 * np.sqrt(self.areas[faces].max()) + self.to_points[0][faces].max()
+        return bool(reach >= LEAST_HOLE * self.length)
+
+    def _inside(self, faces: Faces) -> FloatArray:
+        """(k, 3) places all over some faces."""
+        corners = self.mesh.vertices[self.mesh.faces[faces]]
+        inner = np.einsum("gk,fkd->fgd", barycentric(STEPS), corners)
+        return np.asarray(inner.reshape(-1, 3))
 
     def axis(self, faces: Faces) -> FloatArray:
         """(3,) the unit vector along the sum of the area vectors of some faces; 0 if that is."""
@@ -461,6 +482,11 @@ def _median(values: FloatArray, weights: FloatArray) -> float:
     order = np.argsort(values)
     shares = np.cumsum(weights[order])
     return float(values[order[np.searchsorted(shares, shares[-1] / 2)]])
+
+
+def _split(values: FloatArray, parts: Sequence[NDArray[Any]]) -> list[FloatArray]:
+    """The values of each part of what was measured at once."""
+    return np.split(values, np.cumsum([len(part) for part in parts], dtype=np.intp)[:-1])
 
 
 def parts(mesh: TriangleMesh, faces: Faces) -> list[Faces]:

@@ -21,7 +21,7 @@ from pcretrieve.checks.grading import (
 from pcretrieve.points.layers import Layers
 from pcretrieve.points.neighbors import Neighborhoods
 from pcretrieve.surface import defects
-from pcretrieve.values import FloatArray, PointCloud, Shape, Step, TriangleMesh
+from pcretrieve.values import FloatArray, IntArray, PointCloud, Shape, Step, TriangleMesh
 
 # Log-signature error for each unit of these measurements; that of gaps is for their square, that of ends for
 # what exceeds `ENDS_OF_NOISE`. They were fitted to scans of all kinds of bodies by four sensors.
@@ -342,11 +342,13 @@ def neck(mesh: TriangleMesh, function: FloatArray) -> Neck:
     """
     corners = function[mesh.faces]  # (m, 3)
     areas, values = mesh.face_areas, corners.mean(axis=1)
+    low, high = corners.min(axis=1), corners.max(axis=1)
     order = np.argsort(values)
     shares = np.cumsum(areas[order]) / areas.sum()
     lengths, relative, middles = [], [], []
     for level in values[order[np.searchsorted(shares, LEVELS)]]:
-        start, end = _level_line(mesh, corners, level)
+        crossed = (low <= level) & (level < high)
+        start, end = _level_line(mesh.vertices, mesh.faces[crossed], corners[crossed], level)
         pieces = np.linalg.norm(end - start, axis=1)
         length = float(pieces.sum())
         above = areas[values > level].sum() / areas.sum()
@@ -362,21 +364,19 @@ def neck(mesh: TriangleMesh, function: FloatArray) -> Neck:
 
 
 def _level_line(
-    mesh: TriangleMesh, corners: FloatArray, level: float
+    vertices: FloatArray, faces: IntArray, values: FloatArray, level: float
 ) -> tuple[FloatArray, FloatArray]:
-    """(k, 3) beginnings and ends of the pieces of a level line, one in each face that it crosses."""
-    above = corners > level
-    crossed = above.any(axis=1) & ~above.all(axis=1)
-    faces, values, is_above = mesh.faces[crossed], corners[crossed], above[crossed]
+    """(k, 3) beginnings and ends of the pieces of a level line, one in each of the faces that it crosses."""
+    is_above = values > level
     # One corner is on a side of its own; the line crosses both edges that meet there.
     alone = np.where(is_above.sum(axis=1) == 1, is_above.argmax(axis=1), is_above.argmin(axis=1))
     row = np.arange(len(faces))
-    start, at_start = mesh.vertices[faces[row, alone]], values[row, alone]
+    start, at_start = vertices[faces[row, alone]], values[row, alone]
     ends = []
     for step in (1, 2):
         other = (alone + step) % 3
         share = (level - at_start) / (values[row, other] - at_start)
-        ends.append(start + share[:, np.newaxis] * (mesh.vertices[faces[row, other]] - start))
+        ends.append(start + share[:, np.newaxis] * (vertices[faces[row, other]] - start))
     return ends[0], ends[1]
 
 

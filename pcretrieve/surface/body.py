@@ -33,7 +33,7 @@ from pcretrieve.points.neighbors import (
 from pcretrieve.points.outside import Outside, flood
 from pcretrieve.surface.caps import NO_CAP, Capped, base_of, faces_ground, points_on
 from pcretrieve.surface.coarse import coarse_surface, crossings, filled
-from pcretrieve.surface.fairing import faired, with_ring
+from pcretrieve.surface.fairing import faces_at, faired, with_ring
 from pcretrieve.surface.field import distance_field, folded, hidden_below, normals_of
 from pcretrieve.surface.growth import with_topology
 from pcretrieve.surface.marching import LEAST_SHARE, Crossings, crossed, marched, smoothed
@@ -294,13 +294,13 @@ def _surface(
 def _fair(mesh: TriangleMesh, in_hole: Mask, cloud: PointCloud) -> TriangleMesh:
     """The surface, after patches in holes of the scan have been faired, but for those on the ground."""
     vertices, faces = mesh.vertices, mesh.faces
-    links = edges_of(faces).ends
+    links = edges_of(faces_at(in_hole, faces)).ends
     links = links[in_hole[links].all(axis=1)]
     patch = joined_by(links[:, 0], links[:, 1], len(vertices))
     sizes = np.bincount(patch[in_hole], minlength=1)
     for number in np.flatnonzero(sizes >= LEAST_FAIRED):
         own = in_hole & (patch == number)
-        around = faces[own[faces].any(axis=1)]
+        around = faces_at(own, faces)
         before = TriangleMesh(vertices, around)
         axis = before.area_vectors.sum(axis=0)
         if faces_ground(axis / np.linalg.norm(axis), cloud):

@@ -10,10 +10,10 @@ from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import splu
 
 from pcretrieve.points.grid import Mask, joined_by
-from pcretrieve.surface.fairing import faired
+from pcretrieve.surface.fairing import faces_at, faired
 from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.topology import edges_of
-from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
+from pcretrieve.values import FloatArray, IntArray, PointCloud, TriangleMesh
 
 # Distance to the nearest point beyond which a vertex is in a hole: relative to the diagonal, and in spacings
 # of the points, whichever is larger. A vertex of a large hole exceeds the last distance, relative to the
@@ -76,7 +76,7 @@ def capped(surface: TriangleMesh, cloud: PointCloud, *, spacing: float) -> Cappe
     distance, near = map(np.asarray, tree.query(surface.vertices))  # (n,), (n,)
     far = distance > max(IN_HOLE * cloud.diagonal, IN_SPACINGS * spacing)  # (n,)
     n = len(far)
-    ends = edges_of(surface.faces).ends  # (e, 2)
+    ends = edges_of(faces_at(far, surface.faces)).ends  # (e, 2)
     inner = ends[far[ends].all(axis=1)]
     hole = joined_by(inner[:, 0], inner[:, 1], n)
     farthest = np.zeros(n)
@@ -113,9 +113,9 @@ def faces_ground(axis: FloatArray, cloud: PointCloud) -> bool:
     return cloud.up is not None and bool(axis @ cloud.up < -PARALLEL)
 
 
-def _membrane(vertices: FloatArray, faces: NDArray[np.integer], free: Mask) -> FloatArray:
+def _membrane(vertices: FloatArray, faces: IntArray, free: Mask) -> FloatArray:
     """(n, 3) vertices, of which those in a mask are at the mean of their neighbours."""
-    n, ends = len(vertices), edges_of(faces).ends
+    n, ends = len(vertices), edges_of(faces_at(free, faces)).ends
     joined = csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n))
     joined = joined + joined.T
     laplacian = (diags_array(joined.sum(axis=1)) - joined).tocsr()[free]  # (k, n)

@@ -90,8 +90,14 @@ def _has_collapsed(at: FloatArray, faces: IntArray) -> bool:
 def with_ring(chosen: Mask, faces: IntArray) -> Mask:
     """(n,) mask of some vertices and of their neighbours."""
     grown: Mask = chosen.copy()
-    grown[faces[chosen[faces].any(axis=1)]] = True
+    grown[faces_at(chosen, faces)] = True
     return grown
+
+
+def faces_at(chosen: Mask, faces: IntArray) -> IntArray:
+    """(k, 3) the faces with a vertex in a mask, (n,): edges of a patch are found fast among these."""
+    a, b, c = (chosen[faces[:, corner]] for corner in range(3))
+    return np.asarray(faces[a | b | c])
 
 
 def _operators(at: FloatArray, faces: IntArray) -> tuple[csc_array, FloatArray, FloatArray]:
