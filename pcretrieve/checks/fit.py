@@ -335,7 +335,7 @@ class Fit:
     @cached_property
     def holes(self) -> tuple[Hole, ...]:
         """The large holes of the scan, in order of descending area."""
-        patches = [faces for faces in self._far_parts[:N_HOLES] if self._may_be_large(faces)]
+        patches = self._far_parts[:N_HOLES]
         if not patches:
             return ()
         inner = [self._inside(faces) for faces in patches]
@@ -362,11 +362,6 @@ class Fit:
         """Whether the sensors could not see into a hole, whose radius is relative to the length."""
         reach = NEAR_HOLE * radius * self.length
         return self.is_at_end(middle) or self.is_unseen(faces, middle, reach)
-
-    def _may_be_large(self, faces: Faces) -> bool:
-        """Whether a ball in a hole may be large: a face reaches at most its own size beyond its middle."""
-        reach = 2 * np.sqrt(self.areas[faces].max()) + self.to_points[0][faces].max()
-        return bool(reach >= LEAST_HOLE * self.length)
 
     def _inside(self, faces: Faces) -> FloatArray:
         """(k, 3) places all over some faces."""
