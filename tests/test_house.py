@@ -48,8 +48,9 @@ ROOMS = (
 
 # Names, operators and numbers of the package, as `tokenize` counts them.
 # Docstrings, comments and air are free. The kernels and the checks have just been taken apart into functions
-# that can be read, for which this limit was raised once, from 228,000; it comes down to 205,000.
-MOST_TOKENS = 232_000
+# that can be read, and Python got the doors that it lacked, for which this limit was raised twice, from 228,000;
+# it comes down to 205,000.
+MOST_TOKENS = 233_000
 MOST_MODULES = 180
 MOST_ARROWS = 111
 MOST_OPTIONS = 45
@@ -81,7 +82,7 @@ REFERENCES = {
     "points.normals._disagreeing": "points/test_leaks.py::a_patch_of_normals_that_disagree_is_a_leak",
     "points.outside._regrown": "points/test_voxels.py::the_second_pass_is_a_dilation_within_a_mask",
     "points.outside.sampled": "points/test_voxels.py::values_between_voxels_are_those_of_scipy",
-    "retrieval.compiled.scan": (
+    "retrieval.bounds.scan": (
         "retrieval/test_index.py::no_signature_lies_within_a_distance_and_beyond_its_limit"
     ),
     "shrec.cm_bof._drawn": "shrec/test_matchers.py::pictures_show_the_depth_of_a_ball",
@@ -279,17 +280,20 @@ def test_compiled_loops_have_a_reference() -> None:
 
     A loop that another compiled function of its module calls is tested with that one.
     """
+    there = set()
     for path in sources():
         compiled = {
             each.name: {node.id for node in ast.walk(each) if isinstance(node, ast.Name)}
             for each in functions(path)
-            if any("njit" in ast.unparse(by) for by in each.decorator_list)
+            if any(ast.unparse(by).startswith("compiled(") for by in each.decorator_list)
         }
         module = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
         tested = [name for name in compiled if f"{module}.{name}" in REFERENCES]
         for name in tested:
             tested += [other for other in compiled if other in compiled[name] - {*tested}]
         assert not compiled.keys() - {*tested}, module
+        there |= {f"{module}.{name}" for name in compiled}
+    assert there >= REFERENCES.keys()
     tests = Path(__file__).parent
     for place in REFERENCES.values():
         file, _, test = place.partition("::")
