@@ -345,8 +345,10 @@ class Fit:
             radius = float(distance.max() / self.length)
             if radius >= LEAST_HOLE:
                 large.append((faces, places[distance.argmax()], radius))
+        if not large:
+            return ()
         deepest = [faces[np.argsort(-self.to_points[0][faces])[:N_MIDDLE]] for faces, _, _ in large]
-        lights = _split(self.light(np.concatenate([*deepest, self.far[:0]])), deepest)
+        lights = _split(self.light(np.concatenate(deepest)), deepest)
         return tuple(
             Hole(
                 faces,

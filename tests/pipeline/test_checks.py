@@ -67,6 +67,14 @@ def test_the_radius_of_a_hole_is_measured_between_the_vertices() -> None:
     assert hole.radius == pytest.approx(0.1, rel=0.08)  # of the diameter
 
 
+def test_small_holes_alone_are_none() -> None:
+    points, ball = on_ball(200_000), icosphere(5)
+    middle = ball.vertices[ball.faces[0]].mean(axis=0)
+    fit = fit_of(cloud_of(points[np.linalg.norm(points - middle, axis=1) > 0.027]), ball)
+    assert len(fit.far) > 0
+    assert fit.holes == ()
+
+
 def by_turntable(points: FloatArray, normals: FloatArray) -> FloatArray:
     """(n,) whether a camera beside a turntable with the axis z measures points: seldom at a grazing angle."""
     beside = np.sqrt(1 - normals[:, 2] ** 2).clip(0)

@@ -58,3 +58,15 @@ def test_rings_and_normals_of_a_ball() -> None:
     assert ring.sum() in (6, 7)
     normals = vertex_normals(BALL.vertices, BALL.faces)
     np.testing.assert_allclose(normals, BALL.vertices, atol=0.01)
+
+
+def test_fairing_keeps_the_last_sound_round() -> None:
+    """On a disk with a noisy rim each round draws vertices together, until faces have hardly any area."""
+    disk = shapes.ellipsoid((1, 1, 0.15), subdivisions=4)
+    upper = disk.vertices[:, 2] > 0
+    noise = np.random.default_rng(1).normal(0, 0.003, disk.vertices.shape)
+    vertices = disk.vertices + noise * ~upper[:, np.newaxis]
+    vertices[upper, 2] = 0
+    closed = faired(vertices, disk.faces, upper)
+    areas = TriangleMesh(closed, disk.faces[upper[disk.faces].any(axis=1)]).face_areas
+    assert areas.min() > 1e-4 * areas.mean()
