@@ -24,7 +24,7 @@ from pcretrieve.points.neighbors import (
     neighborhoods,
 )
 from pcretrieve.surface import components
-from pcretrieve.surface.caps import barycentric
+from pcretrieve.surface.caps import grid_points
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 # Number of points of the raw scan by which its density is compared from place to place.
@@ -255,10 +255,8 @@ class Fit:
     def gap(self) -> float:
         """Distance to the nearest point that `COVERED` of the surface do not exceed; the base is left out."""
         distance = np.where(self.on_base, 0, self.to_points[0])
-        order = np.argsort(distance)
-        areas = np.where(self.on_base, 0, self.areas)[order]
-        covered = np.searchsorted(np.cumsum(areas), COVERED * areas.sum())
-        return float(distance[order[min(covered, len(order) - 1)]])
+        (covered,) = _quantiles(distance, np.where(self.on_base, 0, self.areas), (COVERED,))
+        return float(covered)
 
     @cached_property
     def to_surface(self) -> FloatArray:
@@ -284,11 +282,7 @@ class Fit:
     @cached_property
     def unevenness(self) -> float:
         """Spacing of the scan that three quarters of the surface do not exceed, relative to one quarter."""
-        beside = self._beside[0]
-        order = np.argsort(beside)
-        shares = np.cumsum(self.areas[order]) / self.areas.sum()
-        at = np.searchsorted(shares, [0.25, 0.75]).clip(max=len(order) - 1)
-        low, high = beside[order[at]]
+        low, high = _quantiles(self._beside[0], self.areas, (0.25, 0.75))
         return float(high / low) if low > 0 else 1.0
 
     # --- holes ------------------------------------------------------------------------------------------
@@ -338,7 +332,8 @@ class Fit:
         patches = self._far_parts[:N_HOLES]
         if not patches:
             return ()
-        inner = [self._inside(faces) for faces in patches]
+        corners = [self.mesh.vertices[self.mesh.faces[faces]] for faces in patches]
+        inner = [grid_points(each, STEPS) for each in corners]
         apart = nearest(self.cloud.points, np.concatenate(inner), 1)[0][:, 0]
         large = []
         for faces, places, distance in zip(patches, inner, _split(apart, inner), strict=True):
@@ -365,12 +360,6 @@ class Fit:
         reach = NEAR_HOLE * radius * self.length
         return self.is_at_end(middle) or self.is_unseen(faces, middle, reach)
 
-    def _inside(self, faces: Faces) -> FloatArray:
-        """(k, 3) places all over some faces."""
-        corners = self.mesh.vertices[self.mesh.faces[faces]]
-        inner = np.einsum("gk,fkd->fgd", barycentric(STEPS), corners)
-        return np.asarray(inner.reshape(-1, 3))
-
     def axis(self, faces: Faces) -> FloatArray:
         """(3,) the unit vector along the sum of the area vectors of some faces; 0 if that is."""
         axis = self.areas[faces] @ self.normals[faces]
@@ -386,8 +375,9 @@ class Fit:
         facing = elsewhere & (self.normals @ self.axis(faces) > FACING)
         if self.share(facing) < LEAST_FACING:
             return False
-        usual = _median(self.apart[elsewhere], self.areas[elsewhere])
-        return _median(self.apart[facing], self.areas[facing]) > UNSEEN * usual
+        (usual,) = _quantiles(self.apart[elsewhere], self.areas[elsewhere], (0.5,))
+        (there,) = _quantiles(self.apart[facing], self.areas[facing], (0.5,))
+        return bool(there > UNSEEN * usual)
 
     @cached_property
     def _blind_axis(self) -> FloatArray | None:
@@ -474,11 +464,12 @@ def between(around: Neighborhoods) -> float:
     return float(np.median(around.distance[:, 1]))
 
 
-def _median(values: FloatArray, weights: FloatArray) -> float:
-    """The weighted median."""
+def _quantiles(values: FloatArray, weights: FloatArray, shares: Sequence[float]) -> FloatArray:
+    """(q,) values that these shares of the weights do not exceed."""
     order = np.argsort(values)
-    shares = np.cumsum(weights[order])
-    return float(values[order[np.searchsorted(shares, shares[-1] / 2)]])
+    summed = np.cumsum(weights[order])
+    at = np.searchsorted(summed, np.multiply(shares, summed[-1]))
+    return np.asarray(values[order[at.clip(max=len(order) - 1)]])
 
 
 def _split(values: FloatArray, parts: Sequence[NDArray[Any]]) -> list[FloatArray]:

@@ -218,8 +218,8 @@ def search(
     -------
     Answer
         A verdict, and the neighbours, nearest first; equal distances by id. They have scores, the shares of
-        pairs of one class among pairs that near, unless there is a `matrix`, or the catalogue has neither
-        labels nor enough shapes.
+        pairs of one class among all pairs that are as near, unless there is a `matrix`, or the catalogue has
+        neither labels nor enough shapes.
 
     Raises
     ------

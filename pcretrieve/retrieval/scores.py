@@ -70,7 +70,7 @@ CLOSEST = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchScores(Arrays):
-    """The score of a distance: the share of pairs of one class among pairs that near.
+    """The score of a distance: the share of pairs of one class among all pairs that are as near.
 
     It is between 0 and 1, known at some ascending distances (m,), interpolated between them, and constant
     before the first and behind the last; it does not ascend. With labels there are also `coefficients` (3,)

@@ -203,10 +203,11 @@ def points_on(surface: TriangleMesh, faces: Mask, spacing: float) -> FloatArray:
     corners = surface.vertices[surface.faces[faces]]  # (f, 3, 3)
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(initial=0.0)
     n = int(np.ceil(longest / spacing)) + 1
-    return np.asarray(np.einsum("gk,fkd->fgd", barycentric(n), corners).reshape(-1, 3))
+    return grid_points(corners, n)
 
 
-def barycentric(n: int) -> FloatArray:
-    """(g, 3) barycentric coordinates of a regular grid of a triangle, n steps along each side."""
+def grid_points(corners: FloatArray, n: int) -> FloatArray:
+    """(k, 3) points of regular grids on triangles, whose corners are (f, 3, 3), n steps along each side."""
     i, j = np.nonzero(np.add.outer(np.arange(n + 1), np.arange(n + 1)) <= n)
-    return np.asarray(np.column_stack([i, j, n - i - j]) / n)
+    shares = np.column_stack([i, j, n - i - j]) / n  # (g, 3): barycentric coordinates
+    return np.asarray(np.einsum("gk,fkd->fgd", shares, corners).reshape(-1, 3))

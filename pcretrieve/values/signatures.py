@@ -194,9 +194,9 @@ class Neighbors(Value):
     distances : (k,) float64
         Distances to the query, not negative, ascending; dimensionless. May be infinite.
     scores : (k,) float64 or None
-        Calibrated score of each distance: the share of pairs of one class among pairs that near, or of mutual
-        neighbours where there are no labels. After re-ranking, that of the original distance. None if it is
-        not known. Two lists are equal whatever their scores.
+        Calibrated score of each distance: the share of pairs of one class among all pairs that are as near,
+        or of mutual neighbours where there are no labels. After re-ranking, that of the original distance.
+        None if it is not known. Two lists are equal whatever their scores.
     pictures : function or None
         Of some ids, their thumbnails for notebooks: PNG files, or None for shapes without one.
     """
