@@ -24,6 +24,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache, partial
 from multiprocessing import connection, resource_tracker
 from multiprocessing.connection import Connection
@@ -81,6 +82,17 @@ PR_SET_PDEATHSIG = 1
 OOM_SCORE = 500
 
 
+@dataclass(frozen=True, slots=True)
+class Message:
+    """What a worker tells while it starts or works, before its answer."""
+
+    content: object
+
+
+# In a worker process: the pipe to its parent.
+_parent: Connection[Any, Any] | None = None
+
+
 class Executor(Protocol):
     """A callable that applies a function to many items, and yields each item with its outcome."""
 
@@ -111,13 +123,14 @@ def in_processes(
     timeout: float = 600.0,
     memory: float | None = None,
     idle: list[Worker[Item, Answer]] | None = None,
+    told: Callable[[Any], None] | None = None,
 ) -> Generator[tuple[Item, Answer | PcretrieveError], None, None]:
     """The default `Executor`: processes of one thread each on this computer, by default one for each core.
 
     Functions, items and answers must be picklable; a method ``prepare`` of a function is called before items.
     The end of what libraries print is logged, and is in the messages of errors of unknown cause.
     Workers in `idle`, of earlier calls with the same function, are used first, and those that are left at the
-    end are put there.
+    end are put there. `told` is called with what the function tells by `tell` while it works.
     """
     most = workers or len(os.sched_getaffinity(0))
     first = ((item, 1) for item in items)
@@ -140,10 +153,13 @@ def in_processes(
             for worker in tuple(crew):
                 if (news := worker.news()) is None:
                     continue
+                (outcome,) = news
+                if isinstance(outcome, Message):
+                    hear = told if worker.n_items else _tell_once
+                    if hear is not None:
+                        hear(outcome.content)
+                    continue
                 if not worker.n_items:
-                    if isinstance(news[0], str):
-                        _tell_once(news[0])
-                        continue
                     failed_starts = failed_starts + 1 if worker.is_gone else 0
                     if failed_starts == MAX_FAILED_STARTS:
                         raise PcretrieveError(_no_start(worker))
@@ -151,7 +167,7 @@ def in_processes(
                         worker.take(worker.item, worker.attempt, timeout)
                         continue
                     again.append((worker.item, worker.attempt))
-                elif _is_tried_again(worker, *news):
+                elif _is_tried_again(worker, outcome):
                     worker.stop()
                     again.append((worker.item, worker.attempt + 1))
                 else:
@@ -159,7 +175,7 @@ def in_processes(
                         logger.info(
                             "%s: its libraries printed: %s", _name(worker.item), worker.printed
                         )
-                    finished.append((worker.item, *news))
+                    finished.append((worker.item, outcome))
                 if not worker.is_gone and (task := next(first, None)):
                     worker.take(*task, timeout)
                     continue
@@ -275,8 +291,8 @@ class Worker(Generic[Item, Answer]):
         with suppress(OSError):  # the worker has ended, which `news` will report
             self._items.send(item)
 
-    def news(self) -> tuple[Answer | PcretrieveError] | None:
-        """The outcome of the item, or of the start, in a tuple; None while the worker is busy."""
+    def news(self) -> tuple[Answer | Message | PcretrieveError] | None:
+        """A message, or the outcome of the item or the start, in a tuple; None while the worker is busy."""
         has_ended = not self._process.is_alive()
         answer = None
         try:
@@ -285,7 +301,7 @@ class Worker(Generic[Item, Answer]):
         except (EOFError, OSError):
             has_ended = True
         self._listen()  # after the answer, before which the worker has printed
-        outcome: Answer | PcretrieveError
+        outcome: Answer | Message | PcretrieveError
         if answer is not None:
             try:
                 outcome = pickle.loads(answer)
@@ -392,6 +408,12 @@ def _locked(path: Path) -> int | None:
 # --- in the worker process ----------------------------------------------------------------------------
 
 
+def tell(content: object) -> None:
+    """Send a message to the caller of `in_processes`, before the answer; in another process, do nothing."""
+    if _parent is not None:
+        _parent.send(Message(content))
+
+
 def _serve(
     items: Connection[Any, Any],
     output: Connection[Any, Any],
@@ -400,23 +422,25 @@ def _serve(
     function: Callable[[Item], Answer],
 ) -> None:
     """Answer items until the parent process ends: what a worker process does."""
+    global _parent
+    _parent = items
     for standard in (1, 2):
         os.dup2(output.fileno(), standard)
     output.close()
     if not _prepare(folder, memory):
         return
 
-    def tell(record: logging.LogRecord) -> bool:
-        items.send(record.getMessage())  # the parent logs it
+    def passed_on(record: logging.LogRecord) -> bool:
+        tell(record.getMessage())  # the parent logs it
         return False
 
     log = logging.getLogger("pcretrieve")
-    log.addFilter(tell)
+    log.addFilter(passed_on)
     try:
         getattr(function, "prepare", bool)()
     except Exception as error:
         raise SystemExit(f"{type(error).__name__}: {error}") from error
-    log.removeFilter(tell)
+    log.removeFilter(passed_on)
     own = os.getpid()
     with suppress(EOFError, ConnectionError):  # the parent has ended, on a system other than Linux
         items.send(True)

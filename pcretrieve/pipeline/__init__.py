@@ -12,14 +12,14 @@ _LOGGER = logging.getLogger(__name__)
 
 
 def log_steps(scan: str | None, steps: Iterable[Step]) -> None:
-    """Log steps: each at the level INFO, and its notes on repairs and fallbacks at the level WARNING."""
+    """Log steps: each at the level INFO, and its notes on repairs and fallbacks at the level WARNING.
+
+    The records of the level INFO have the attribute ``step``.
+    """
+    name = scan or "scan"
     for step in steps:
-        name, sizes = (
-            scan or "scan",
-            ", ".join(f"{what} {size:.6g}" for what, size in step.sizes.items()),
-        )
-        _LOGGER.info(
-            "%s: %s in %.2f s%s", name, step.stage, step.seconds, f": {sizes}" if sizes else ""
-        )
+        sizes = ", ".join(f"{what} {size:.6g}" for what, size in step.sizes.items())
+        text = f"{name}: {step.stage} in {step.seconds:.2f} s" + (f": {sizes}" if sizes else "")
+        _LOGGER.info("%s", text, extra={"step": step})
         for note in step.notes:
             _LOGGER.warning("%s: %s: %s", name, step.stage, note)

@@ -19,7 +19,7 @@ from pcretrieve.errors import MemoryExceeded, PcretrieveError, StageTimeout, Wor
 from pcretrieve.gallery.answers import Described
 from pcretrieve.ingestion.pool import TemporaryFolder, in_processes
 from pcretrieve.pages.thumbnails import Thumbnails
-from pcretrieve.web.keeping import Collection, described, inspection_page, stages_of
+from pcretrieve.web.keeping import Collection, described, inspection_page
 from pcretrieve.web.requests import Refused
 
 logger = logging.getLogger(__name__)
@@ -56,6 +56,10 @@ class Job:
     def has_ended(self) -> bool:
         """Whether the scan is processed and inspected, as far as that can be done."""
         return self.state in ("done", "failed") and self.inspection != "waiting"
+
+    def hear(self, stage: tuple[str, float]) -> None:
+        """Note a stage that has ended."""
+        self.stages = (*self.stages, stage)
 
     def remove(self) -> None:
         """Remove the folder."""
@@ -131,8 +135,6 @@ class Jobs:
             raise Refused(
                 "there is no such scan: it was uploaded to an earlier server, or is too long ago"
             )
-        if job.state == "running":
-            job.stages = stages_of(job.folder)
         return job
 
     def keep(self, job_id: str, shape_id: str, label: str | None) -> Future[Record]:
@@ -152,8 +154,10 @@ class Jobs:
         outcome: Described | PcretrieveError
         try:
             items = [(scan, self._thumbnails.up)]
-            ((_, outcome),) = in_processes(self._described, items, idle=self._idle, **self._limits)
-            job.stages = stages_of(job.folder)
+            running = in_processes(
+                self._described, items, idle=self._idle, told=job.hear, **self._limits
+            )
+            ((_, outcome),) = running
         except Exception as error:  # noqa: BLE001  processes cannot be started, or the disk is full
             outcome = shape_error(error)
         if isinstance(outcome, PcretrieveError):

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.errors import InputError
 from pcretrieve.gallery.answers import Described, described_scan
+from pcretrieve.ingestion.pool import tell
 from pcretrieve.pages.html import without_folders
 
 if TYPE_CHECKING:
@@ -23,37 +24,30 @@ ID = re.compile(r"\w[\w .+-]{0,99}(?<![ .])")
 
 LONGEST_LABEL = 200
 
-# The name of the log file of a job, beside the scan, and its lines: of a stage that has ended.
-LOG = "stages.log"
-STAGE = re.compile(r"^\S+: ([\w-]+) in ([0-9]+\.?[0-9]*) s", re.MULTILINE)
+
+class _Progress(logging.Handler):
+    """Tells the server of each stage that has ended, and of its time in seconds."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        step = getattr(record, "step", None)
+        if step is not None:
+            tell((step.stage, step.seconds))
 
 
 def described(options: PipelineOptions, item: tuple[Path, str | None]) -> Described:
-    """The signature and the picture of a scan, in a worker process, which logs its stages beside the scan.
+    """The signature and the picture of a scan, in a worker process, which tells of its stages.
 
     item: (Path, str or None), the file, and the axis that points upwards on its picture.
     """
     scan, up = item
-    stages, handler = (
-        logging.getLogger("pcretrieve.pipeline"),
-        logging.FileHandler(scan.parent / LOG),
-    )
+    stages = logging.getLogger("pcretrieve.pipeline")
+    progress = _Progress()
     stages.setLevel(logging.INFO)
-    stages.addHandler(handler)
+    stages.addHandler(progress)
     try:
         return described_scan(options, True, up, scan)
     finally:
-        stages.removeHandler(handler)
-        handler.close()
-
-
-def stages_of(folder: Path) -> tuple[tuple[str, float], ...]:
-    """The stages that have ended, and their times in seconds."""
-    try:
-        text = (folder / LOG).read_text("utf-8", "replace")
-    except FileNotFoundError:
-        return ()
-    return tuple((stage, float(seconds)) for stage, seconds in STAGE.findall(text))
+        stages.removeHandler(progress)
 
 
 def inspection_page(title: str, options: PipelineOptions, item: tuple[str, str, Path]) -> bytes:

@@ -44,6 +44,11 @@ def keep_half_the_memory(item: int) -> int:
     return item
 
 
+def half_way(item: int) -> int:
+    pool.tell(("half", item))
+    return 2 * item
+
+
 def unready(item: int) -> int:
     return item
 
@@ -83,6 +88,19 @@ def do(what: str) -> object:
     if what == "none":
         return None
     return threading.Lock() if what == "lock" else Explosive()
+
+
+def test_what_a_function_tells_arrives_before_its_answer() -> None:
+    heard: list[object] = []
+    for number, (item, outcome) in enumerate(
+        pool.in_processes(half_way, [3, 4], workers=1, told=heard.append), 1
+    ):
+        assert outcome == 2 * item
+        assert len(heard) >= number
+    assert heard == [("half", 3), ("half", 4)]
+    # Nobody has to listen, and the parent process has nobody to tell.
+    assert [outcome for _, outcome in pool.in_processes(half_way, [5], workers=1)] == [10]
+    assert half_way(6) == 12
 
 
 def test_every_item_has_its_outcome_and_no_process_is_left(
