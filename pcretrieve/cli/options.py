@@ -19,6 +19,7 @@ import pcretrieve as pr
 from pcretrieve.cli.messages import say
 from pcretrieve.cli.output import (
     JSON_FLAG,
+    JSON_LINES_FLAG,
     Result,
     choose_json,
     errors_as_json,
@@ -72,8 +73,9 @@ class Command(click.Command):
 
     def __init__(self, *args: Any, has_json: bool = True, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
+        self.params += [_JSON, _JSON_LINES] * has_json
         self._rare = [one.opts[0] for one in self.params if isinstance(one, Option) and one.is_rare]
-        self.params += [_JSON] * has_json + [_HELP_ALL] * bool(self._rare)
+        self.params += [_HELP_ALL] * bool(self._rare)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, and the names of the rare ones."""
@@ -88,7 +90,7 @@ class Command(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse; with ``--json``, an error is a document too."""
         given = [*args]
-        with errors_as_json(ctx, JSON_FLAG in args):
+        with errors_as_json(ctx, bool({JSON_FLAG, JSON_LINES_FLAG} & {*args})):
             try:
                 return super().parse_args(ctx, args)
             except click.UsageError as error:
@@ -165,6 +167,14 @@ _JSON = click.Option(
     expose_value=False,
     callback=choose_json,
     help="Print one JSON document.",
+)
+_JSON_LINES = Option(
+    [JSON_LINES_FLAG],
+    rare=True,
+    is_flag=True,
+    expose_value=False,
+    callback=choose_json,
+    help="Print each element of the result as a line of JSON, as soon as it is known.",
 )
 _HELP_ALL = click.Option(
     ["--help-all"],

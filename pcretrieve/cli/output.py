@@ -29,12 +29,13 @@ EXIT_USAGE = 2
 EXIT_SOME_FAILED = 3
 EXIT_INTERRUPTED = 130
 
-#: The option of commands that print documents.
+#: The options of commands that print one document, or a line for each element of a list.
 JSON_FLAG = "--json"
+JSON_LINES_FLAG = "--jsonl"
 
-# Whether the command prints JSON, and whether its document has begun, in the state of a command.
-AS_JSON = "pcretrieve.json"
-BEGUN = "pcretrieve.document"
+# Which of the two was given, and the elements that the document has, in the state of a command.
+FORM = "pcretrieve.json"
+ELEMENTS = "pcretrieve.elements"
 
 # A JSON document has escaped these in its strings; others are between its values.
 ESCAPES_IN_JSON = {code: escape for code, escape in ESCAPES.items() if code != ord("\n")}
@@ -181,7 +182,7 @@ def _width(text: str) -> int:
 class Result(NamedTuple):
     """What a command returns, to be printed.
 
-    value: for JSON; the elements of an iterator are printed as soon as they are computed.
+    value: for JSON; the elements of an iterator are computed while they are printed.
     options: the settings that led to it.
     show: prints it for people.
     failed: whether the exit code is not 0 but `exit_code`, known when the result is printed.
@@ -196,49 +197,48 @@ class Result(NamedTuple):
 
 def choose_json(context: click.Context, parameter: click.Parameter, is_given: bool) -> None:
     """Let the command print JSON."""
-    context.meta[AS_JSON] = is_given
+    if is_given:
+        context.meta[FORM] = parameter.opts[0]
 
 
 def prints_json() -> bool:
-    """Whether the command prints JSON."""
-    return bool(click.get_current_context().meta.get(AS_JSON))
+    """Whether the command prints JSON, as a document or as lines."""
+    return FORM in click.get_current_context().meta
 
 
 def print_result(result: Result) -> None:
-    """Print a result for people, or its document: what was asked, by which version, and the result."""
+    """Print a result for people, or its document: what was asked, by which version, and the result.
+
+    As JSON Lines, the elements of a list are printed as soon as they are known, and nothing else.
+    """
     context, value = click.get_current_context(), result.value
-    if not prints_json():
+    form = context.meta.get(FORM)
+    if form is None:
         result.show()
-    elif not isinstance(value, Iterator):
-        print_text(_text(_head(context, result.options) | {"result": value}))
+    elif form == JSON_LINES_FLAG:
+        for element in value if isinstance(value, (Iterator, list)) else [value]:
+            print_text(_text(element, indent=None))
     else:
-        for element in value:
-            if BEGUN not in context.meta:
-                context.meta[BEGUN] = True
-                print_text(
-                    _text(_head(context, result.options))[: -len("\n}")] + ',\n  "result": ['
-                )
-            else:
-                print_text(",")
-            print_text(textwrap.indent(_text(element), "    "), nl=False)
-        if BEGUN in context.meta:
-            print_text("\n  ]\n}")
-        else:
-            print_result(result._replace(value=[]))
+        if isinstance(value, Iterator):
+            # Also an error on the way has what was known before it.
+            elements = context.meta[ELEMENTS] = []
+            elements.extend(value)
+            value = elements
+        print_text(_text(_head(context, result.options) | {"result": value}))
 
 
 @contextmanager
 def errors_as_json(context: click.Context, is_json: bool) -> Iterator[None]:
-    """Print the document of a command that fails, and let its error through."""
+    """Print the document, or the line, of a command that fails, and let its error through."""
     try:
         yield
     except (PcretrieveError, click.ClickException) as error:
-        if is_json:
-            facts = failure_facts(error) | {"exit_code": exit_code(error)}
-            if BEGUN in context.meta:
-                print_text("\n  ]," + _text(facts)[len("{") :])
-            else:
-                print_text(_text(_head(context, None) | facts))
+        facts = failure_facts(error) | {"exit_code": exit_code(error)}
+        if is_json and context.meta.get(FORM) == JSON_LINES_FLAG:
+            print_text(_text(facts, indent=None))
+        elif is_json:
+            known = {"result": elements} if (elements := context.meta.get(ELEMENTS)) else {}
+            print_text(_text(_head(context, None) | known | facts))
         raise
 
 
@@ -273,10 +273,9 @@ def _head(context: click.Context, options: pr.PipelineOptions | None) -> dict[st
     }
 
 
-def _text(document: object) -> str:
-    return json.dumps(document, indent=2, ensure_ascii=False, default=_plain).translate(
-        ESCAPES_IN_JSON
-    )
+def _text(document: object, indent: int | None = 2) -> str:
+    text = json.dumps(document, indent=indent, ensure_ascii=False, default=_plain)
+    return text.translate(ESCAPES_IN_JSON)
 
 
 def _plain(value: object) -> object:

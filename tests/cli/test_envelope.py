@@ -170,3 +170,16 @@ def test_an_error_after_some_results_ends_the_list() -> None:
     assert (found["result"], found["error"]) == ([1], "CatalogueError")
     assert found["message"] == "the second is damaged"
     assert isinstance(done.exception, CatalogueError)
+    done = CliRunner().invoke(numbers_command, ["--jsonl"], prog_name="pcretrieve numbers")
+    first, error = map(json.loads, done.stdout.splitlines())
+    assert (first, [*error]) == (1, ERROR)
+
+
+def test_json_lines_have_an_element_each(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    rows = run("list", "-c", "c.sqlite", "--jsonl").stdout.splitlines()
+    assert list(map(json.loads, rows)) == document("list", "-c", "c.sqlite")["result"]
+    (row,) = run("show", "e1", "-c", "c.sqlite", "--jsonl").stdout.splitlines()
+    assert json.loads(row) == document("show", "e1", "-c", "c.sqlite")["result"]
+    (row,) = run("list", "-c", "nowhere.sqlite", "--jsonl", code=1).stdout.splitlines()
+    assert json.loads(row)["exit_code"] == 1
