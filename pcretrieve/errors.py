@@ -15,6 +15,7 @@ identifier of the shape. `str(error)` is then, for example, ``[T17 / remesh] no 
 
 from __future__ import annotations
 
+import re
 import traceback
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -197,13 +198,20 @@ def _words(error: BaseException) -> str:
         return "an exception without words"
 
 
-# Smallest share of common characters of a name that is suggested (the ratio of difflib). Names that differ by
-# one or two mistakes in typing have more.
-SIMILARITY = 0.7
+# Zeros in front of a number, not those in it.
+LEADING_ZEROS = re.compile(r"(?<!\d)0+(?=\d)")
+
+# Smallest share of common characters of a name that is suggested (the ratio of difflib): that of three
+# letters, two of which have changed places. Names with one or two mistakes in typing have more.
+SIMILARITY = 0.66
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """The question whether another name was meant."""
-    names = {other.casefold(): other for other in known}
-    close = get_close_matches(name.casefold(), names, n=1, cutoff=SIMILARITY)
+    """The question whether another name was meant; case and leading zeros of numbers do not count."""
+    names = {_folded(other): other for other in known}
+    close = get_close_matches(_folded(name), names, n=1, cutoff=SIMILARITY)
     return f"; did you mean {names[close[0]]!r}?" if close else ""
+
+
+def _folded(name: str) -> str:
+    return LEADING_ZEROS.sub("", name.casefold())

@@ -93,9 +93,10 @@ def test_what_is_no_query(catalogue: Path, folder: Path) -> None:
     ):
         next(pr.search_many(catalogue, ["11", folder / "new"], matrix=pr.matrix(catalogue)))
     with pytest.raises(
-        InputError, match="is of the class none or nothing; `pcretrieve list` shows"
+        InputError,
+        match="is of the class kind; `pcretrieve list` shows the classes; did you mean 'kind",
     ):
-        nearest(catalogue, "11", labels=["nothing", "none"])
+        nearest(catalogue, "11", labels=["kind1", "kind"])
     with pytest.raises(OptionError, match="labels must be a list, got 'kind1'"):
         nearest(catalogue, "11", labels="kind1")
 

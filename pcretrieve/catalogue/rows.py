@@ -281,10 +281,15 @@ class Rows:
         query = "SELECT stage, error, count(*) FROM shapes WHERE status = 'failed' GROUP BY stage, error"
         return {(stage, error): number for stage, error, number in self._all(query)}
 
-    def areas(self) -> dict[float | None, tuple[float, float]]:
-        """The smallest and the largest area of a shape, by `Record.metres_per_unit`."""
-        query = "SELECT metres_per_unit, min(area), max(area) FROM shapes WHERE status = 'done' GROUP BY 1"
-        return {unit: (smallest, largest) for unit, smallest, largest in self._all(query)}
+    def units(self) -> set[float | None]:
+        """The units of the shapes that did not fail: `Record.metres_per_unit`."""
+        query = "SELECT DISTINCT metres_per_unit FROM shapes WHERE status = 'done'"
+        return {unit for (unit,) in self._all(query)}
+
+    def areas(self) -> list[float]:
+        """The areas of the first shapes that did not fail."""
+        query = "SELECT area FROM shapes WHERE status = 'done' ORDER BY id LIMIT ?"
+        return [area for (area,) in self._all(query, [N_COMPARED])]
 
     # --- everything of a shape --------------------------------------------------------------------------
 

@@ -200,15 +200,15 @@ def _write_status(catalogue: str, found: pr.BatchStatus) -> None:
 def _progress_lines(found: pr.BatchStatus) -> list[str]:
     if found.state == "none":
         return ["no ingest into it is known on this computer"]
-    n_finished = found.n_done + found.n_failed + found.n_skipped
+    counts = _counts(found.n_done, found.n_failed, found.n_known, found.n_duplicates)
+    n_finished = found.n_done + found.n_failed + found.n_known + found.n_duplicates
     left = (
         ""
         if found.seconds_left is None
         else f", about {messages.duration(found.seconds_left)} left"
     )
     lines = [
-        f"ingest {found.state}: {n_finished} of {found.n_scans} scans: {found.n_done} done, "
-        f"{found.n_failed} failed, {found.n_skipped} known already or duplicates",
+        f"ingest {found.state}: {n_finished} of {found.n_scans} scans: {counts}",
         f"started {found.started}, last counted {found.updated}",
         f"rate: {found.scans_per_second * 60:.3g} scans/min{left}",
     ]
@@ -218,6 +218,11 @@ def _progress_lines(found: pr.BatchStatus) -> list[str]:
     if found.state in ("stopped", "killed"):
         lines.append("the same command of ingest goes on from there")
     return lines
+
+
+def _counts(n_done: int, n_failed: int, n_known: int, n_duplicates: int, done: str = "done") -> str:
+    """What became of scans, as `ingest` and `status` say it."""
+    return f"{n_done} {done}, {n_failed} failed, {n_known} known already, {n_duplicates} duplicates"
 
 
 def _say_summary(summary: pr.Summary, catalogue: str, labels: str | None = None) -> None:
@@ -232,11 +237,10 @@ def _say_summary(summary: pr.Summary, catalogue: str, labels: str | None = None)
             + (f" and {more} more" if more > 0 else "")
         )
     failures = _failures(summary)
-    done = f"{len(summary.planned)} to process" if summary.planned else f"{len(summary.done)} done"
-    messages.say(
-        f"{done}, {len(failures)} failed, {len(_known(summary))} known already, {len(summary.duplicates)} "
-        f"duplicates: {catalogue}{'; --retry-failed processes the failed shapes again' if failures else ''}"
-    )
+    done, word = (summary.planned, "to process") if summary.planned else (summary.done, "done")
+    counts = _counts(len(done), len(failures), len(_known(summary)), len(summary.duplicates), word)
+    again = "; --retry-failed processes the failed shapes again" if failures else ""
+    messages.say(f"{counts}: {catalogue}{again}")
     if incomplete := _incomplete(summary):
         grades = Counter(record.grade.name for record in incomplete if record.grade)
         counts = " and ".join(f"{n} {grade}" for grade, n in sorted(grades.items()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import date, timedelta
 from functools import partial
@@ -13,9 +14,9 @@ import click
 
 import pcretrieve as pr
 from pcretrieve.cli import options as opt, output as out
-from pcretrieve.cli.messages import Progress, may_fetch, say, shown_path, without_password
+from pcretrieve.cli.messages import Progress, may, say, shown_path, without_password
 from pcretrieve.errors import InputError
-from pcretrieve.values.files import check_no_links
+from pcretrieve.values.files import check_no_links, make_folder
 
 MIB = 1 << 20
 
@@ -127,8 +128,14 @@ def _day(text: str) -> str:
     "Remove the shapes that were stored before this day, such as 2026-01-31 (UTC).",
     _day,
 )
-def remove_command(shape_ids: tuple[str, ...], catalogue: str, before: str | None) -> out.Result:
+@opt.option("--dry-run", "Show what would be removed, and remove nothing.")
+@opt.option("--yes", "Remove several shapes without a question.")
+def remove_command(
+    shape_ids: tuple[str, ...], catalogue: str, before: str | None, dry_run: bool, yes: bool
+) -> out.Result:
     """Remove shapes from a catalogue, and their bytes from its file. The scans stay where they are.
+
+    On a terminal, several shapes are removed after a question only.
 
     \b
     pcretrieve remove cat0 cat1 --catalogue bodies.sqlite
@@ -141,17 +148,26 @@ def remove_command(shape_ids: tuple[str, ...], catalogue: str, before: str | Non
         if before is not None:
             last = (date.fromisoformat(before) - timedelta(1)).isoformat()
             chosen = dict.fromkeys(store.rows.wanted(days=("0", last))[1])
-        files = [record.path for record in store.rows.several(chosen)]
+        paths = {record.id: record.path for record in store.rows.several(chosen)}
+        for shape_id in chosen:
+            if shape_id not in paths:
+                raise store.rows.unknown(shape_id)
+        question = f"Remove {len(chosen)} shapes from {catalogue}?"
+        if dry_run:
+            say(f"would remove {len(chosen)} from {catalogue}: {', '.join(chosen) or 'none'}")
+            return out.Result({"chosen": [*chosen], "removed": []})
+        if len(chosen) > 1 and not yes and not may(question, otherwise=True):
+            raise InputError("nothing was removed; --yes removes without a question")
         if chosen:
             store.remove(*chosen)
         is_file = store.rows.database.is_file
     say(f"removed {len(chosen)} from {catalogue}")
-    files = [file for file in files if Path(file).exists()]
+    files = [path for path in paths.values() if Path(path).exists()]
     if chosen:
         scans = f"their {len(files)} scans, and copies" if files else "copies"
         server = "" if is_file else ", and PostgreSQL keeps the bytes until VACUUM"
         say(f"not removed: {scans} elsewhere, such as backups, exports and pages{server}")
-    return out.Result({"removed": [*chosen], "files": files})
+    return out.Result({"chosen": [*chosen], "removed": [*chosen], "files": files})
 
 
 @opt.command("merge")
@@ -205,7 +221,7 @@ def check_command(catalogue: str, sample: int, repair: bool, remote: bool) -> ou
                 shown.advance({})
 
         shown.start(len(store) + sum(store.rows.failures().values()))
-        allowed = remote or may_fetch
+        allowed = remote or _may_fetch
         result = pr.check(store, sample=sample, repair=repair, remote=allowed, on_shapes=advance)
         options = store.options
     document = {"catalogue": without_password(catalogue), "is_whole": result.is_whole} | asdict(
@@ -213,6 +229,11 @@ def check_command(catalogue: str, sample: int, repair: bool, remote: bool) -> ou
     )
     show = partial(_write_check, catalogue, result)
     return out.Result(document, options, show, failed=not result.is_whole, exit_code=out.EXIT_ERROR)
+
+
+def _may_fetch(hosts: Sequence[str]) -> bool:
+    question = f"The catalogue names scans at {', '.join(hosts)}. Fetch them?"
+    return may(question, otherwise=False)
 
 
 def _write_check(catalogue: str, result: pr.Check) -> None:
@@ -307,10 +328,7 @@ def _export_meshes(store: pr.Catalogue, shape_ids: tuple[str, ...], output: Path
     names = {one: one.replace("/", "%2F").replace("\0", "%00") + ".ply" for one in chosen}
     files = {shape_id: output / name for shape_id, name in names.items()}
     check_no_links(files.values())
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot make the folder {output}: {error.strerror}") from error
+    make_folder(output)
     for shape_id, file in files.items():
         pr.write_mesh(store.mesh(shape_id), file)
     return list(files.values())

@@ -75,15 +75,9 @@ class _LazyGroup(click.Group):
         return list(self._table)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        # A script may call a command of a group by its name alone.
-        tables = (
-            self._table,
-            *(found for found, _ in self._table.values() if isinstance(found, dict)),
-        )
-        table = next((one for one in tables if cmd_name in one), None)
-        if table is None:
+        if cmd_name not in self._table:
             return None
-        module, text = table[cmd_name]
+        module, text = self._table[cmd_name]
         if isinstance(module, dict):
             return _LazyGroup(module, name=cmd_name, help=f"{text}.")
         found = getattr(

@@ -10,7 +10,7 @@ import shutil
 import sys
 import textwrap
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
 from threading import Event, RLock, Thread
@@ -89,12 +89,11 @@ def say(message: str, *, indent: int | None = 0) -> None:
         silence(sys.stderr)
 
 
-def may_fetch(hosts: Sequence[str]) -> bool:
-    """Ask whether scans may be fetched; no, where nobody can answer."""
+def may(question: str, *, otherwise: bool) -> bool:
+    """Ask people whether something may be done; `otherwise` is the answer where nobody can be asked."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        return False
+        return otherwise
     stop_waiting()
-    question = f"The catalogue names scans at {', '.join(hosts)}. Fetch them?"
     with _between_bars():
         return click.confirm(escaped(without_password(question)), err=True)
 

@@ -16,7 +16,6 @@ import click
 from click.shell_completion import CompletionItem
 
 import pcretrieve as pr
-from pcretrieve.cli.messages import say
 from pcretrieve.cli.output import (
     JSON_FLAG,
     JSON_LINES_FLAG,
@@ -50,10 +49,6 @@ WHITENING_NAMES = ("auto", "unsupervised", "none", "people", "neighbours", "pca"
 
 # What messages call the values of these types.
 KINDS = {click.IntRange: "whole number", click.FloatRange: "number"}
-
-# Ratio of the largest to the smallest area, from which files probably have different units: the areas of a
-# horse and a mouse have a smaller ratio, those of one body in centimetres and in metres a larger one (1e4).
-MIXED_UNITS = 3000
 
 
 class Option(click.Option):
@@ -407,16 +402,7 @@ def opened(catalogue: str, *, any_numbers: bool = False) -> pr.Catalogue:
 
 def compared(store: pr.Catalogue, values: dict[str, Any]) -> pr.PipelineOptions:
     """The options with which a command compares shapes, taken from its values."""
-    options = pr.PipelineOptions.of(values.pop("config"), store.options).changed(**changes(values))
-    smallest, largest = (
-        store.rows.areas().get(None, (1.0, 1.0)) if options.signature.compares_sizes else (1.0, 1.0)
-    )
-    if largest > MIXED_UNITS * smallest:
-        say(
-            f"the largest body in {store.location} has {largest / smallest:.0f} times the area of the "
-            "smallest: size tells them apart only if all files have one unit"
-        )
-    return options
+    return pr.PipelineOptions.of(values.pop("config"), store.options).changed(**changes(values))
 
 
 def changes(values: dict[str, Any]) -> dict[str, dict[str, Any]]:

@@ -9,9 +9,8 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
+from functools import partial
 from itertools import islice, zip_longest
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from unicodedata import combining, east_asian_width
 
@@ -274,16 +273,9 @@ def _head(context: click.Context, options: pr.PipelineOptions | None) -> dict[st
 
 
 def _text(document: object, indent: int | None = 2) -> str:
-    text = json.dumps(document, indent=indent, ensure_ascii=False, default=_plain)
+    from pydantic_core import to_jsonable_python
+
+    # It knows paths, options and other dataclasses; the rest is arrays and their elements.
+    plain = partial(to_jsonable_python, fallback=lambda array: array.tolist())
+    text = json.dumps(document, indent=indent, ensure_ascii=False, default=plain)
     return text.translate(ESCAPES_IN_JSON)
-
-
-def _plain(value: object) -> object:
-    """What JSON has for a value of the library, an array or a path."""
-    if is_dataclass(value):
-        return {part.name: getattr(value, part.name) for part in fields(value)}
-    if isinstance(value, Path):
-        return str(value)
-    if isinstance(value, pr.PipelineOptions):
-        return value.model_dump(mode="json")
-    return value.tolist()  # type: ignore[attr-defined]

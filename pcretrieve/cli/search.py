@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -29,9 +28,6 @@ SCAN = {"SCAN": "text"}
 
 # Of several queries: what is said of each, and the score of its nearest shape.
 SAID = {"SCAN": "path", "VERDICT": "text", "CLASS": "text", "SCORE": "number"}
-
-# Ratio of the numbers of faces from which distances are less exact: see docs/benchmarks.md, resolution.
-FINER = 4
 
 PAIR = {"DISTANCE": "number", "LIMIT": "number", "FIRST": "text", "SECOND": "text"}
 
@@ -144,16 +140,8 @@ def _told(failures: list[ShapeError], is_alone: bool, found: Outcome) -> Outcome
     else:
         if outcome.scan and not outcome.scan.is_good:
             say(f"{shown_path(name)} is {outcome.scan}")
-        n_faces = getattr(outcome.query, "n_faces", None)
-        others = [record.n_faces for record in outcome.records if record.n_faces]
-        if (
-            n_faces
-            and others
-            and max(ratio := n_faces / statistics.median(others), 1 / ratio) > FINER
-        ):
-            say(
-                f"{shown_path(name)} has {ratio:.2g} times the faces of the results: distances are less exact"
-            )
+        for note in outcome.notes:
+            say(f"{shown_path(name)}: {note}")
         if isinstance(outcome.query, str) and outcome.query != name:
             say(f"{shown_path(name)} is stored as {outcome.query}")
     return found
@@ -295,6 +283,10 @@ def serve_command(catalogue: str, max_upload: int, **chosen: Any) -> None:
         raise click.UsageError("choose one of --read-only and --keep")
     with pr.Catalogue(catalogue) as store:
         options = opt.compared(store, chosen)
-    say("Open the address in a browser; end the server with Ctrl-C.")
-    chosen |= {"most_bytes": max_upload * MEGABYTE, "on_start": out.write_lines}
+    chosen |= {"most_bytes": max_upload * MEGABYTE, "on_start": _say_address}
     pr.serve(catalogue, options=options, **chosen)
+
+
+def _say_address(address: str) -> None:
+    say("Open the address in a browser; end the server with Ctrl-C.")
+    out.write_lines(address)

@@ -24,7 +24,7 @@ from pcretrieve.options import OptionsLike
 from pcretrieve.retrieval import DistanceMatrix, ids_path, read_matrix
 from pcretrieve.values import FloatArray
 from pcretrieve.values.base import Value
-from pcretrieve.values.files import check_no_links, csv_text, write_file
+from pcretrieve.values.files import check_no_links, csv_text, make_folder, write_file
 
 # Columns of the file of queries, and the attributes of `QueryScores` in the same order.
 SCORES = (*measures.MEASURES[:-1], "ap")
@@ -96,11 +96,7 @@ def compare_scores(first: measures.QueryScores, second: measures.QueryScores) ->
 
 def write_evaluation(ranked: Rankings, folder: str | Path) -> tuple[Path, ...]:
     """Write the measures of an evaluation as CSV files."""
-    folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot make the folder {folder}: {error.strerror}") from error
+    folder = make_folder(Path(folder))
     scores, confused, curve = (
         measures.query_scores(ranked),
         measures.confusion(ranked),

@@ -32,6 +32,7 @@ from pcretrieve.values.files import check_members
 MARK = "#"
 # Largest number of names in a message.
 MOST_QUOTED = 5
+ARCHIVES = (".zip", ".gz", ".tgz", ".tar", ".bz2", ".xz", ".zst", ".7z", ".rar")
 # What other programs write instead, for formats without a specification or a reader that is free.
 EXPORTS = {
     ".glb": ".fbx .blend .usd .usda .usdc .usdz .abc .max .ma .mb .c4d .3ds",
@@ -40,7 +41,11 @@ EXPORTS = {
     ".e57": ".fls .fws .zfs .zfprj .rcp .rcs .rdbx .imp .lgs",
     ".ply": ".vtk .vtp .vtu .ctm .nvm .mesh .wrp",
 }
-INSTEAD = {suffix: target for target, suffixes in EXPORTS.items() for suffix in suffixes.split()}
+INSTEAD = {
+    suffix: f"export it as {target}"
+    for target, suffixes in EXPORTS.items()
+    for suffix in suffixes.split()
+} | dict.fromkeys(ARCHIVES, "unpack it first")
 
 
 def suffixes() -> tuple[str, ...]:
@@ -52,6 +57,12 @@ def missing_extra(suffix: str) -> Extra | None:
     """What must be installed, and is not, to read files of a suffix."""
     extra = FORMATS.own[suffix].extra if suffix in FORMATS.own else None
     return extra if extra is not None and extra.missing else None
+
+
+def instead(suffix: str) -> str:
+    """What to do with files of a suffix that are not read; empty if there is no advice."""
+    extra = missing_extra(suffix)
+    return extra.command if extra else INSTEAD.get(suffix, "")
 
 
 def split_member(path: Path) -> tuple[Path, str | None]:
@@ -117,7 +128,7 @@ def read_raw(path: Path) -> RawScan:
     found = _format_of(file)
     if found is None:
         kind = f"in {path.suffix}" if suffix else "without a suffix"
-        advice = f": export the scan as {INSTEAD[suffix]}" if suffix in INSTEAD else ""
+        advice = f": {INSTEAD[suffix]}" if suffix in INSTEAD else ""
         raise ScanReadError(
             f"there is no reader for names {kind}, only for {' '.join(sorted(suffixes()))}{advice}"
         )

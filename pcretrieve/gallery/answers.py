@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import statistics
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -23,7 +25,7 @@ from pcretrieve.options import OptionsLike, PipelineOptions, check_many
 from pcretrieve.retrieval.covariances import LEAST_SHAPES
 from pcretrieve.retrieval.distances import checked_k, nearest_of, position_of
 from pcretrieve.values import Grade, Neighbors, Signature
-from pcretrieve.values.base import Value
+from pcretrieve.values.base import Value, unit_note
 
 if TYPE_CHECKING:
     from pcretrieve.formats import ScanLike
@@ -34,6 +36,9 @@ if TYPE_CHECKING:
 # measured on classes that were left out, see docs/decisions.md, sure.
 SURE = 0.8
 UNLIKELY = 0.5
+
+# Ratio of the numbers of faces from which distances are less exact: see docs/benchmarks.md, resolution.
+FINER = 4
 
 # Number of results, or more, among which the next class is looked for.
 LOOKED_AT = 30
@@ -82,6 +87,7 @@ class Described:
     grade: Grade | None = None
     picture: bytes | None = None
     n_faces: int | None = None
+    area: float | None = None
 
 
 Verdict = Literal["sure", "between", "stranger", "unknown"]
@@ -117,6 +123,9 @@ class Answer(Value):
         The grade of the query; None if that is not known.
     query : str or Described, optional
         The query: its id in the catalogue, or its signature.
+    notes : tuple of str
+        What makes the answer less exact: another size or another number of faces than those of the
+        neighbours, or a false-match rate that the catalogue has too few pairs for.
     """
 
     neighbors: Neighbors
@@ -128,6 +137,7 @@ class Answer(Value):
     because: str = ""
     scan: Grade | None = None
     query: str | Described | None = None
+    notes: tuple[str, ...] = ()
     #: Columns of a table of answers.
     columns: ClassVar = ("query", *SAID, "scan", *NEIGHBOR)
 
@@ -148,7 +158,7 @@ class Answer(Value):
         """The answer for JSON, in the names of its attributes."""
         said: dict[str, Any] = {name: getattr(self, name) for name in SAID}
         scan = None if self.scan is None else asdict(self.scan)
-        return said | {"scan": scan, "neighbors": self.rows()}
+        return said | {"scan": scan, "notes": self.notes, "neighbors": self.rows()}
 
     def rows(self) -> list[dict[str, Any]]:
         """The neighbours, with the names that commands and the search page give their columns."""
@@ -351,11 +361,38 @@ def answer_to(catalogue: Catalogue, query: str | Described, question: Question) 
     found = _cut(catalogue, ranked, question)
     records = tuple(known[shape_id] for shape_id in found.ids)
     scan = catalogue.record(query).grade if isinstance(query, str) else query.grade
-    answer = _judged(Answer(found, records, scan=scan, query=query), labelled, scores, question)
+    notes = tuple(_notes(catalogue, query, [*known.values()], scores, question))
+    answer = Answer(found, records, scan=scan, query=query, notes=notes)
+    answer = _judged(answer, labelled, scores, question)
     if question.min_score is None or records:
         return answer
     because = f"no shape has a score of {question.min_score:g} or more"
     return replace(answer, verdict="stranger", because=because)
+
+
+def _notes(
+    catalogue: Catalogue,
+    query: str | Described,
+    near: Sequence[Record],
+    scores: MatchScores | None,
+    question: Question,
+) -> Iterator[str]:
+    """The notes of an answer; `near` are the nearest shapes."""
+    rate, n_apart = question.false_match_rate, 0 if scores is None else scores.n_apart
+    if rate is not None and rate * n_apart < 1:
+        yield f"the {n_apart:,} pairs of two classes are too few for a false-match rate of {rate:g}"
+    if isinstance(query, str):
+        return
+    areas = [record.area for record in near if record.area]
+    if query.area and areas:
+        unit = question.unit or catalogue.options.scan.unit
+        if said := unit_note(math.sqrt(query.area / statistics.median(areas)), unit):
+            yield f"its size is {said}"
+    n_faces = [record.n_faces for record in near if record.n_faces]
+    if query.n_faces and n_faces:
+        ratio = query.n_faces / statistics.median(n_faces)
+        if max(ratio, 1 / ratio) > FINER:
+            yield f"it has {ratio:.2g} times the faces of the results: distances are less exact"
 
 
 def _judged(
@@ -398,7 +435,8 @@ def described_scan(
     mesh = shape.surfaces[0].mesh
     drawn = mesh.thumbnail(up) if has_picture and mesh is not None else None
     picture = None if drawn is None else drawn.png
-    return Described(signature, shape.grade, picture, None if mesh is None else len(mesh.faces))
+    n_faces = None if mesh is None else len(mesh.faces)
+    return Described(signature, shape.grade, picture, n_faces, shape.surfaces[0].area)
 
 
 def _attempted(
@@ -507,15 +545,14 @@ def _ranked(catalogue: Catalogue, query: str | Described, question: Question) ->
 
 def _labelled(catalogue: Catalogue, labels: Collection[str]) -> set[str]:
     check_many("labels", labels)
-    among = set(catalogue.rows.labelled(labels))
-    if not among:
-        known = set(filter(None, catalogue.labels().values()))
-        meant = did_you_mean(next(iter(labels)), known) if len(labels) == 1 else ""
-        raise InputError(
-            f"no shape of {catalogue.location} is of the class {' or '.join(sorted(labels))}; "
-            f"`pcretrieve list` shows the classes{meant}"
-        )
-    return among
+    for label in sorted(labels):
+        if not catalogue.rows.labelled([label]):
+            known = filter(None, catalogue.labels().values())
+            raise InputError(
+                f"no shape of {catalogue.location} is of the class {label}; `pcretrieve list` shows the "
+                f"classes{did_you_mean(label, known)}"
+            )
+    return {*catalogue.rows.labelled(labels)}
 
 
 def _cut(catalogue: Catalogue, found: Neighbors, question: Question) -> Neighbors:

@@ -32,7 +32,7 @@ from pcretrieve.values import (
 logger = logging.getLogger(__name__)
 
 # Version of the arrays of an index, which is incremented when their meaning changes.
-FORMAT = 12
+FORMAT = 13
 
 # Smallest number of shapes for which an index is stored, or a map.
 SMALLEST_KEPT = 1_000
@@ -220,7 +220,7 @@ def _unit_of_sizes(catalogue: Catalogue, options: PipelineOptions) -> SizeUnit |
     """The one unit of the sizes in all signatures; None if they do not depend on sizes."""
     if not options.signature.compares_sizes:
         return None
-    units = catalogue.rows.areas().keys()
+    units = catalogue.rows.units()
     if None in units and len(units) > 1:
         raise InputError(
             f"sizes must be in one unit to be compared: in {catalogue.location} some shapes are in metres, "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import glob
 import hashlib
@@ -16,14 +17,21 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pcretrieve.errors import InputError, OptionError, PcretrieveError, ShapeError
-from pcretrieve.formats import Part, is_scan, members_of, missing_extra, parts_of, split_member
+from pcretrieve.errors import (
+    InputError,
+    OptionError,
+    PcretrieveError,
+    ShapeError,
+    did_you_mean,
+)
+from pcretrieve.formats import Part, is_scan, members_of, parts_of, split_member
 from pcretrieve.formats.format import no_parts, url_of
-from pcretrieve.formats.registry import FORMATS, INSTEAD, suffixes
+from pcretrieve.formats.registry import FORMATS, instead, suffixes
 from pcretrieve.formats.remote import remote_files
 from pcretrieve.formats.text import is_table
 from pcretrieve.ingestion.pool import Worker, alone, in_processes
 from pcretrieve.options import check_many
+from pcretrieve.values.files import in_order
 
 logger = logging.getLogger(__name__)
 
@@ -121,13 +129,12 @@ def scans_of(shard: str | None, scans: Sequence[Path]) -> Sequence[Path]:
 def unread_files(paths: Iterable[Path]) -> str:
     """Say how many files of which suffix are left unread, and what would read them."""
     counts = Counter(path.suffix.lower() or "without a suffix" for path in paths)
-    advice = {}
-    for suffix in counts:
-        extra = missing_extra(suffix)
-        export = f" (export them as {INSTEAD[suffix]})" if suffix in INSTEAD else ""
-        advice[suffix] = export if extra is None else f" ({extra.command})"
+    advice = {suffix: instead(suffix) for suffix in counts}
     order = sorted(counts, key=lambda suffix: (not advice[suffix], -counts[suffix], suffix))
-    said = [f"{counts[suffix]} {suffix}{advice[suffix]}" for suffix in order[:MOST_NAMED]]
+    said = [
+        f"{counts[suffix]} {suffix}" + (f" ({advice[suffix]})" if advice[suffix] else "")
+        for suffix in order[:MOST_NAMED]
+    ]
     if rest := sum(counts[suffix] for suffix in order[MOST_NAMED:]):
         said.append(f"{rest} others")
     return ", ".join(said)
@@ -145,7 +152,7 @@ def _expand(argument: str | Path, limits: Mapping[str, Any] | None) -> _Group:
     """The files that one argument means."""
     if not str(argument):
         raise InputError("a path must not be empty: name a file or a folder")
-    path = Path(argument)
+    path, meant = Path(argument), ""
     url = url_of(path)
     are_named = False
     try:
@@ -161,12 +168,14 @@ def _expand(argument: str | Path, limits: Mapping[str, Any] | None) -> _Group:
         elif split_member(path)[0].exists():
             files, are_named = [path], True
         elif glob.has_magic(str(argument)):
-            matches = [Path(name) for name in sorted(glob.glob(str(argument), recursive=True))]
+            matches = in_order(map(Path, glob.glob(str(argument), recursive=True)))
             are_named = path.suffix.lower() in MANIFESTS and bool(matches)
             within = _named_by if are_named else _files_below
             files = [file for match in matches for file in within(match)]
         else:
-            raise InputError(f"there is no file or folder {path}")
+            with suppress(OSError):
+                meant = did_you_mean(path.name, (one.name for one in path.parent.iterdir()))
+            raise InputError(f"there is no file or folder {path}{meant}")
     except OSError as error:
         raise InputError(f"cannot look into {path}: {error.strerror}") from error
     return _Group(url or path, files, are_named)
@@ -204,24 +213,30 @@ def _named_by(path: Path) -> list[Path]:
     return scans
 
 
-def read_text(path: Path, kind: str) -> str:
-    """The text of a file; `kind` says in messages what the file is."""
+def read_text(path: Path, kind: str, names: Iterable[str] = ()) -> str:
+    """The text of a file; `kind` says in messages what the file is, `names` are taken in its place."""
     try:
-        return path.read_bytes().decode(
-            "utf-8-sig"
-        )  # names may have the end of a line of any system
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
-        raise InputError(f"cannot read the {kind} {path}: {reason}") from error
+        content = path.read_bytes()  # names may have the end of a line of any system
+        is_utf16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        return content.decode("utf-16" if is_utf16 else "utf-8-sig")
+    except OSError as error:
+        meant = did_you_mean(path.name, names)
+        raise InputError(f"cannot read the {kind} {path}: {error.strerror}{meant}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"cannot read the {kind} {path}: it is not UTF-8 text; save it as CSV UTF-8"
+        ) from error
 
 
 def read_table(
     path: Path, kind: str, text: str, *columns: Sequence[str]
 ) -> Iterator[tuple[str, ...]]:
     """The values of some columns of a CSV file, each of which has one of several names."""
-    # Spreadsheets separate columns by semicolons where the comma is the decimal point.
-    head = text.partition("\n")[0]
-    separator = ";" if ";" in head and "," not in head else ","
+    # Spreadsheets separate columns by semicolons where the comma is the decimal point, or by tabs, and may
+    # name the separator in a first line.
+    said = re.match("sep=(.)[\r\n]+", text)
+    text = text[said.end() :] if said else text
+    separator = said[1] if said else max(",;\t", key=text.partition("\n")[0].count)
     try:
         rows = csv.DictReader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
         header = {name.strip().lower(): name for name in rows.fieldnames or ()}
@@ -230,9 +245,12 @@ def read_table(
         ]
         if len(found) < len(columns):
             needed = " and one of ".join(", ".join(names) for names in columns)
+            unknown = [name for name in header if header[name] not in found]
+            known = [name for names in columns for name in names]
+            meant = next(filter(None, (did_you_mean(name, known) for name in unknown)), "")
             raise InputError(
                 f"the {kind} {path} must have a header with one of {needed}, got "
-                f"{', '.join(header) or 'nothing'}"
+                f"{', '.join(header) or 'nothing'}{meant}"
             )
         for row in rows:
             yield tuple((row[name] or "").strip() for name in found)
@@ -256,7 +274,7 @@ def _files_below(path: Path) -> list[Path]:
 
     if path.is_dir():
         below = os.walk(path, onerror=skip)
-        found = sorted(Path(folder, name) for folder, _, names in below for name in names)
+        found = in_order(Path(folder, name) for folder, _, names in below for name in names)
     else:
         found = [path]
     return [file for file in found if not file.name.startswith(".")]

@@ -7,9 +7,10 @@ label file beside them. Label files are looked for in the folder of the scans, a
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import cache, partial
-from pathlib import Path
+from itertools import islice, product
+from pathlib import Path, PureWindowsPath
 from typing import Any, NamedTuple
 
 from pcretrieve.errors import BenchmarkError, InputError
@@ -121,16 +122,13 @@ def _from_files(name: str, layout: Layout, paths: Mapping[str, Path]) -> dict[st
 
 
 def _label_file(name: str, layout: Layout, folder: Path) -> Path:
-    for place in (folder, *folder.parents)[:N_FOLDERS]:
-        for pattern in layout.files:
-            files = sorted(place.glob(pattern))
-            if len(files) > 1:
-                named = ", ".join(file.name for file in files)
-                raise BenchmarkError(
-                    f"the layout {name} needs one label file in {place}, got {named}"
-                )
-            if files:
-                return files[0]
+    for place, pattern in product((folder, *folder.parents)[:N_FOLDERS], layout.files):
+        files = sorted(place.glob(pattern))
+        if len(files) > 1:
+            named = ", ".join(file.name for file in files)
+            raise BenchmarkError(f"the layout {name} needs one label file in {place}, got {named}")
+        if files:
+            return files[0]
     raise BenchmarkError(
         f"the layout {name} has its classes in {' or '.join(layout.files)}, which is not in "
         f"{folder}, nor in the two folders above{layout.source}"
@@ -142,7 +140,7 @@ def read_labels(path: str | Path) -> dict[str, str]:
     path = Path(path)
     labels: dict[str, str] = {}
     try:
-        text = read_text(path, "label file")
+        text = read_text(path, "label file", LAYOUTS)
         if text.startswith("PSB"):
             return _princeton(path, text)
         for shape, its_class in read_table(path, "label file", text, NAME_COLUMNS, LABEL_COLUMNS):
@@ -162,9 +160,11 @@ def match_labels(
     """Match the names of a label file with shapes.
 
     A name matches the shape with this id. If there is none, it matches the shape whose path ends with the
-    name, with or without the suffix of the path. If there is none, a number, as in a ``.cla`` file, matches
-    the shape whose name ends with the number (``5`` matches ``T5``). A number that is an id must not also be
-    the name of another shape that has no label, as when one ``.cla`` file is given for two sets.
+    name, with or without the suffix of the path, and with the separators of any system. Of a name with the
+    letter of a drive, the longest ending counts that a path has. If there is none, a number, as in a ``.cla``
+    file, matches the shape whose name ends with the number (``5`` matches ``T5``). A number that is an id
+    must not also be the name of another shape that has no label, as when one ``.cla`` file is given for two
+    sets.
     """
     by_path: dict[str, set[str]] = {}
     by_number: dict[str, set[str]] = {}
@@ -180,7 +180,7 @@ def match_labels(
     unknown = []
     passed_over: dict[str, str] = {}  # name by the id of a shape that it could stand for too
     for name, label in labels.items():
-        plain = name.removeprefix("./")
+        plain = _plain(name, by_path)
         named = by_path.get(plain) or by_number.get(plain) or set()
         shapes = {plain} & paths.keys() or named
         if plain.isdecimal():
@@ -203,6 +203,17 @@ def match_labels(
     return matched, unknown
 
 
+def _plain(name: str, known: Collection[str]) -> str:
+    """A name with the separators of `known` names; one with a drive without the folders that they lack."""
+    if name in known:
+        return name
+    path = PureWindowsPath(name)
+    if not path.drive:
+        return path.as_posix()
+    endings = ("/".join(path.parts[start:]) for start in range(1, len(path.parts)))
+    return next((ending for ending in endings if ending in known), name)
+
+
 def _ambiguous(name: str, shapes: Sequence[str]) -> BenchmarkError:
     """A name stands for several shapes, given by their paths."""
     return BenchmarkError(
@@ -215,19 +226,19 @@ def _princeton(path: Path, text: str) -> dict[str, str]:
     """Classes of the models in a ``.cla`` file."""
     # After "PSB 1" and a line of counts, each class has a line "name parent n", in which the parent 0 means
     # none, and n model numbers.
-    head, words = text.split()[:4], text.split()[4:]
+    words = text.split()
     labels: dict[str, str] = {}
-    position = 0
+    rest = iter(words[4:])
     try:
-        while position < len(words):
-            name, _, count = words[position], words[position + 1], int(words[position + 2])
-            models = words[position + 3 : position + 3 + count]
+        for name in rest:
+            next(rest)
+            count = int(next(rest))
+            models = [*islice(rest, count)]
             if len(models) != count:
                 raise ValueError(f"class {name} declares {count} models, {len(models)} follow")
             labels |= dict.fromkeys(models, name)
-            position += 3 + count
-        if len(labels) != int(head[3]):
-            raise ValueError(f"its header declares {head[3]} models, {len(labels)} follow")
-    except (IndexError, ValueError) as error:
+        if len(labels) != int(words[3]):
+            raise ValueError(f"its header declares {words[3]} models, {len(labels)} follow")
+    except (IndexError, StopIteration, ValueError) as error:
         raise InputError(f"the label file {path} is not a complete .cla file ({error})") from error
     return labels

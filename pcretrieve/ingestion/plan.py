@@ -6,25 +6,37 @@ record, and a file with new content is processed again.
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, TimeoutError
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from threading import Condition, Thread
+from threading import Semaphore, Thread
 from typing import Any
 
 from pcretrieve import __version__
 from pcretrieve.catalogue import Catalogue, Record
-from pcretrieve.errors import PcretrieveError, ShapeError, Stage, StageTimeout, shape_error
+from pcretrieve.errors import (
+    BenchmarkError,
+    PcretrieveError,
+    ShapeError,
+    Stage,
+    StageTimeout,
+    did_you_mean,
+    shape_error,
+)
 from pcretrieve.formats import split_member
 from pcretrieve.formats.format import url_of
 from pcretrieve.formats.identity import file_hash, printable, scan_hash, stamp_of
 from pcretrieve.ingestion.discover import shape_ids
 from pcretrieve.ingestion.labels import match_labels
 from pcretrieve.ingestion.pool import Executor, alone, in_processes
+
+logger = logging.getLogger(__name__)
 
 Identity = tuple[str, str]  # suffix and SHA-256 of a file
 
@@ -73,6 +85,7 @@ class Processing:
     retries: int = 0
     max_failures: int | None = None
     on_shape: Callable[[Record], None] = lambda record: None
+    label_file: str | Path | None = None
 
     @property
     def limits(self) -> dict[str, Any]:
@@ -137,6 +150,7 @@ class Planner:
         self._held = {record.path: record for record in records}
         self._ids = shape_ids(self.files, {record.id: record.path for record in records})
         matched, unknown = match_labels(labels, {self._ids[name]: name for name in self.files})
+        _check_labels(matched, unknown, how, self.files, records)
         self._labels = {
             name: matched[self._ids[name]] for name in self.files if self._ids[name] in matched
         }
@@ -234,6 +248,27 @@ class Planner:
         return None
 
 
+def _check_labels(
+    matched: Mapping[str, str],
+    unknown: Sequence[str],
+    how: Processing,
+    names: Iterable[str],
+    records: Sequence[Record],
+) -> None:
+    """Check that a label file names a scan, or an id that a renamed file may keep; warn of a single class."""
+    is_lost = unknown and not matched and {record.id for record in records}.isdisjoint(unknown)
+    if is_lost and how.label_file is not None:
+        meant = did_you_mean(Path(unknown[0]).name, (Path(name).name for name in names))
+        raise BenchmarkError(
+            f"{how.label_file} must name scans, and none of its {len(unknown)} names is among them, such as "
+            f"{unknown[0]!r}{meant}"
+        )
+    classes = {*matched.values(), *(record.label for record in records if record.label)}
+    if len(classes) == 1 and len(matched) > 1:
+        words = "all labelled shapes are of one class, %s: scores and measures need two or more"
+        logger.warning(words, *classes)
+
+
 def _identity(path: str, content: str) -> Identity:
     """The identity of a scan: the suffix belongs to it, because it determines how the bytes are read."""
     file, _ = split_member(Path(path))
@@ -267,54 +302,47 @@ class Contents:
         records: Iterable[Record] = (),
     ) -> None:
         self._files = {name: split_member(scan)[0] for name, scan in scans.items()}
-        self._scans, self._n_threads, self._timeout = scans, n_threads, timeout
+        self._scans, self._timeout = scans, timeout
         self._records = {
             record.path: record for record in records if record.stamp and record.content_hash
         }
         self._stamps_of_records = self._by_file()
-        self._changed = Condition()  # guards the attributes below
-        self._known: dict[Path, str | Exception | None] = {}  # None: a file that has not changed
+        self._turns = Semaphore(n_threads)
+        self._is_closed = False
+        self._hashes: dict[Path, Future[str | None]] = {}  # None: the file has not changed
         self._stamps: dict[Path, str] = {}
-        self._expected: dict[Path, None] = {}  # in the order in which they are to be read
-        self._deadlines: dict[Path, float] = {}  # of the files that are being read
 
     def expect(self, names: Iterable[str]) -> None:
         """Begin to hash scans in the background."""
-        with self._changed:
-            files = (self._files[name] for name in names)
-            self._expected |= {
-                file: None
-                for file in files
-                if file not in self._known and file not in self._deadlines
-            }
-            self._start()
+        for file in (self._files[name] for name in names):
+            if file not in self._hashes:
+                self._hashes[file] = Future()
+                # A daemon thread, because a program waits for a pool of threads before it ends.
+                Thread(target=self._read, args=(file,), daemon=True).start()
 
     def of(self, name: str) -> str | ShapeError:
         """The SHA-256 hash of a scan, or the error of reading its file."""
         self.expect([name])
         file = self._files[name]
-        with self._changed:
-            while file not in self._known:
-                self._changed.wait(min(self._deadlines.values()) - time.monotonic())
-                self._give_up()
-            content = self._known[file]
+        try:
+            # So long for a turn, and so long for the file.
+            content = self._hashes[file].result(2 * self._timeout)
+        except ShapeError as error:
+            return error
+        except TimeoutError:
+            message = f"{file} was not read within {self._timeout:g} s: raise --timeout"
+            return StageTimeout(message, stage=Stage.READ)
         if content is None:
             return self._records[name].content_hash
-        if isinstance(content, str):
-            return scan_hash(self._scans[name], content)
-        if isinstance(content, ShapeError):
-            return content
-        raise content
+        return scan_hash(self._scans[name], content)
 
     def stamp(self, name: str) -> str | None:
         """The stamp of a scan that `of` has hashed; None if it does not suffice to know the file again."""
-        with self._changed:
-            return self._stamps.get(self._files[name])
+        return self._stamps.get(self._files[name])
 
     def close(self) -> None:
         """Hash no more files."""
-        with self._changed:
-            self._expected.clear()
+        self._is_closed = True
 
     def _by_file(self) -> dict[Path, str]:
         """The stamps of the files whose scans all have a record with the same stamp."""
@@ -324,39 +352,24 @@ class Contents:
             found.setdefault(file, set()).add(record.stamp if record else None)
         return {file: stamp for file, (stamp, *others) in found.items() if stamp and not others}
 
-    def _start(self) -> None:
-        while self._expected and len(self._deadlines) < self._n_threads:
-            file = next(iter(self._expected))
-            del self._expected[file]
-            self._deadlines[file] = time.monotonic() + self._timeout
-            # A daemon thread, because a program waits for the threads of a thread pool before it ends.
-            Thread(target=self._read, args=(file,), daemon=True).start()
-
     def _read(self, file: Path) -> None:
-        content: str | Exception | None = None
-        settled = None
+        # Without a turn too, when threads hang for so long.
+        has_turn = self._turns.acquire(timeout=self._timeout)
         try:
-            now, stamp = time.time(), stamp_of(file)
-            if stamp is None or stamp.text != self._stamps_of_records.get(file):
-                content = file_hash(file, partial(alone, file_hash, timeout=self._timeout))
-                # A file that was written meanwhile has one of two stamps.
-                if stamp is not None and stamp.changed < now - SETTLED and stamp == stamp_of(file):
-                    settled = stamp.text
+            if not self._is_closed:
+                self._hashes[file].set_result(self._hash(file))
         except Exception as error:  # noqa: BLE001  the row of this file
-            content = shape_error(error, Stage.READ)
-        with self._changed:
-            if settled is not None:
-                self._stamps[file] = settled
-            self._finish(file, content)
+            self._hashes[file].set_exception(shape_error(error, Stage.READ))
+        finally:
+            if has_turn:
+                self._turns.release()
 
-    def _give_up(self) -> None:
-        now = time.monotonic()
-        for file in [file for file, deadline in self._deadlines.items() if deadline <= now]:
-            message = f"{file} was not read within {self._timeout:g} s: raise --timeout"
-            self._finish(file, StageTimeout(message, stage=Stage.READ))
-
-    def _finish(self, file: Path, content: str | Exception | None) -> None:
-        if self._deadlines.pop(file, None) is not None:  # otherwise its time limit was exceeded
-            self._known[file] = content
-            self._start()
-            self._changed.notify_all()
+    def _hash(self, file: Path) -> str | None:
+        now, stamp = time.time(), stamp_of(file)
+        if stamp is not None and stamp.text == self._stamps_of_records.get(file):
+            return None
+        content = file_hash(file, partial(alone, file_hash, timeout=self._timeout))
+        # A file that was written meanwhile has one of two stamps.
+        if stamp is not None and stamp.changed < now - SETTLED and stamp == stamp_of(file):
+            self._stamps[file] = stamp.text
+        return content

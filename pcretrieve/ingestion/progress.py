@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -46,8 +47,9 @@ class BatchStatus:
         That of the last ingest.
     started, updated : str or None
         Times of its first and of its last count, in ISO 8601.
-    n_scans, n_done, n_failed, n_skipped : int
-        Numbers of its scans.
+    n_scans, n_done, n_failed, n_known, n_duplicates : int
+        Numbers of its scans: all of them, and those that were done, failed now or before, are known already,
+        or have the content of another file.
     scans_per_second : float
         Scans done or failed; 1/s.
     seconds_left : float or None
@@ -66,7 +68,8 @@ class BatchStatus:
     n_scans: int
     n_done: int
     n_failed: int
-    n_skipped: int
+    n_known: int
+    n_duplicates: int
     scans_per_second: float
     seconds_left: float | None
     stages: dict[str, float]
@@ -83,7 +86,9 @@ class _Counts(BaseModel):
     n_scans: NonNegativeInt = 0
     n_done: NonNegativeInt = 0
     n_failed: NonNegativeInt = 0
-    n_skipped: NonNegativeInt = 0
+    n_known: NonNegativeInt = 0
+    n_duplicates: NonNegativeInt = 0
+    n_processed: NonNegativeInt = 0
     stages: dict[str, Seconds] = {}
     computer: str = ""
     pid: NonNegativeInt = 0
@@ -115,18 +120,19 @@ def status(catalogue: CatalogueLike) -> BatchStatus:
         )
         n_shapes = len(store)
     is_running = counts.state == "running" and _is_running(counts)
-    n_finished = counts.n_done + counts.n_failed
     seconds = (time.time() if is_running else counts.updated) - counts.started
-    rate = n_finished / seconds if seconds > 0 else 0.0
-    n_left = counts.n_scans - counts.n_skipped - n_finished
+    rate = counts.n_processed / seconds if seconds > 0 else 0.0
+    n_finished = counts.n_done + counts.n_failed + counts.n_known + counts.n_duplicates
     total = sum(counts.stages.values())
     return BatchStatus(
-        **counts.model_dump(exclude={"state", "started", "updated", "stages", *PROCESS}),
+        **counts.model_dump(
+            exclude={"state", "started", "updated", "stages", "n_processed", *PROCESS}
+        ),
         state="killed" if counts.state == "running" and not is_running else counts.state,
         started=_iso(counts.started),
         updated=_iso(counts.updated),
         scans_per_second=rate,
-        seconds_left=n_left / rate if is_running and rate > 0 else None,
+        seconds_left=(counts.n_scans - n_finished) / rate if is_running and rate > 0 else None,
         stages={name: share / total for name, share in counts.stages.items()} if total else {},
         failures=dict(kinds.most_common()),
         n_shapes=n_shapes,
@@ -155,13 +161,17 @@ class Progress:
             self._catalogue.rows.answer_at_once()
         self._write()
 
-    def skip(self, n: int) -> None:
-        """Count scans that the catalogue has already."""
-        self._counts.n_skipped += n
+    def skip(self, held: Sequence[Record], n_duplicates: int) -> None:
+        """Count scans that the catalogue has already, as done or as failed, and copies of other scans."""
+        n_failed = sum(record.status == "failed" for record in held)
+        self._counts.n_failed += n_failed
+        self._counts.n_known += len(held) - n_failed
+        self._counts.n_duplicates += n_duplicates
         self._write(INTERVAL)
 
     def add(self, record: Record) -> None:
         """Count a scan that was processed, or that failed."""
+        self._counts.n_processed += 1
         if record.status == "failed":
             self._counts.n_failed += 1
         else:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
+import statistics
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, nullcontext, suppress
@@ -23,6 +25,7 @@ from pcretrieve.ingestion.pool import Executor, Worker, in_processes, remove_aba
 from pcretrieve.ingestion.progress import Progress
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pipeline import log_steps
+from pcretrieve.values.base import unit_note
 
 logger = logging.getLogger(__name__)
 
@@ -143,12 +146,13 @@ def ingest(
     PcretrieveError
         If `max_failures` scans have failed.
     """
+    file = labels if isinstance(labels, (str, Path)) else None
     how = Processing(
-        workers, timeout, memory, executor, retry_failed, retries, max_failures, on_shape
+        workers, timeout, memory, executor, retry_failed, retries, max_failures, on_shape, file
     )
     scans, names = discover_labelled(
         [paths] if isinstance(paths, (str, Path)) else paths,
-        labels if isinstance(labels, (str, Path)) else None,
+        file,
         [catalogue] if isinstance(catalogue, (str, Path)) else [],
         how.limits,
     )
@@ -306,7 +310,22 @@ def process_scans(
                 # A new call of the executor, whose processes are started after the failures.
                 attempts, run.later = run.later, []
     run.summary.unknown_labels = planner.unknown_labels
+    _compare_sizes(run.summary.done, catalogue)
     return run.summary
+
+
+def _compare_sizes(done: Sequence[Record], catalogue: Catalogue) -> None:
+    """Warn of scans whose unit is probably not that of the catalogue."""
+    areas = catalogue.rows.areas() if done else []
+    found: dict[str, list[Record]] = {}
+    for record in done if areas else ():
+        ratio = math.sqrt((record.area or 0) / statistics.median_low(areas))
+        if said := ratio and unit_note(ratio, catalogue.options.scan.unit):
+            found.setdefault(said, []).append(record)
+    for said, records in found.items():
+        logger.warning(
+            "the size of %d scans, such as %s, is %s", len(records), records[0].path, said
+        )
 
 
 class _Run:
@@ -322,7 +341,7 @@ class _Run:
         for made in planner.plans():
             made.apply(self._catalogue)
             self.summary.skip(made, self._how.on_shape)
-            self._counts.skip(len(made.held) + len(made.duplicates))
+            self._counts.skip(made.held, len(made.duplicates))
             for record in made.unreadable:
                 self._store(record, None)
             for path, record in made.process:

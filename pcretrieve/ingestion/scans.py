@@ -14,7 +14,7 @@ from pcretrieve.formats.identity import printable
 from pcretrieve.formats.write import check_output
 from pcretrieve.ingestion.discover import discover, shape_ids
 from pcretrieve.ingestion.pool import in_processes
-from pcretrieve.values.files import check_no_links
+from pcretrieve.values.files import check_no_links, make_folder
 
 Found = TypeVar("Found")
 
@@ -136,12 +136,7 @@ def _files(
             raise InputError(
                 f"{output} is in {folder}, whose files are read: name another folder with -o"
             )
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"cannot make the folder {output}: {error.strerror}; name another"
-        ) from error
+    make_folder(output)
     names = shape_ids([printable(scan) for scan in scans], {}).values()
     files: list[Path | None] = [output / f"{name}{suffix}" for name in names]
     check_no_links(filter(None, files))

@@ -74,7 +74,8 @@ class MatchScores(Arrays):
 
     It is between 0 and 1, known at some ascending distances (m,), interpolated between them, and constant
     before the first and behind the last; it does not ascend. With labels there are also `coefficients` (3,)
-    of the regression of certainty, and `limits` (r,), the distances at the false-match rates `RATES`.
+    of the regression of certainty, and `limits` (r,), the distances at the false-match rates `RATES` of
+    `n_apart` pairs of two classes.
     """
 
     distances: FloatArray
@@ -82,6 +83,7 @@ class MatchScores(Arrays):
     reason: str
     coefficients: FloatArray = field(default_factory=lambda: np.zeros(0))
     limits: FloatArray = field(default_factory=lambda: np.zeros(0))
+    n_apart: int = 0
 
     def __post_init__(self) -> None:
         distances = locked("the distances of scores", self.distances, (None,))
@@ -165,8 +167,9 @@ def fit_scores(
     if not groups:
         return MatchScores(*_shares(pairs), reason)
     trials = _Trials(*(np.concatenate(part) for part in zip(*map(_trials, groups), strict=True)))
-    limits = np.quantile(pairs.distances[~pairs.same], RATES)
-    return MatchScores(*_shares(pairs), reason, _coefficients(trials), limits)
+    apart = pairs.distances[~pairs.same]
+    limits = np.quantile(apart, RATES)
+    return MatchScores(*_shares(pairs), reason, _coefficients(trials), limits, len(apart))
 
 
 def _sample(table: SignatureTable) -> _Sample:

@@ -27,6 +27,11 @@ METRES = {
     "ft": 0.3048,
 }
 
+# Ratios of sizes that a wrong unit explains: of metres to decimetres, centimetres and millimetres, and of
+# inches to millimetres and to metres. Bodies may differ by a third beside.
+WRONG_UNITS = (10.0, 25.4, 39.37, 100.0, 1000.0)
+ALIKE = 1.33
+
 #: Unit of length of the sizes in signatures: metres, or the unit of a file whose format does not have one.
 SizeUnit = Literal["m", "unknown"]
 
@@ -64,6 +69,29 @@ class Value:
 
     def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
         return type(self), tuple(getattr(self, part.name) for part in fields(self))  # type: ignore[arg-type]
+
+
+def unit_note(ratio: float, unit: str) -> str:
+    """What to say of a scan that is so many times as large as others, if a wrong unit explains it.
+
+    unit: the unit that its lengths were taken for, or ``none``.
+    """
+    larger = max(ratio, 1 / ratio)
+    near = min(WRONG_UNITS, key=lambda one: abs(math.log(larger / one)))
+    if max(larger / near, near / larger) > ALIKE:
+        return ""
+    right = METRES.get(unit, 1.0) * larger / near / ratio
+    meant = [
+        one
+        for one in ("m", "dm", "cm", "mm", "in")
+        if math.isclose(METRES[one], right, rel_tol=0.01)
+    ]
+    advice = (
+        f"if its unit is {meant[0]}, give --unit {meant[0]}"
+        if meant
+        else "give each file its unit by --unit"
+    )
+    return f"about {near:,.4g} times as {'large' if ratio > 1 else 'small'} as the others; {advice}"
 
 
 def check_type(name: str, value: object, *kinds: type) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+import re
 import secrets
 import stat
 import zipfile
@@ -39,6 +40,27 @@ ANY_SIZE = 10_000_000
 
 # Methods of compression whose output `zipfile` limits to the size that is asked for.
 METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
+
+def in_order(paths: Iterable[Path]) -> list[Path]:
+    """Paths in ascending order, in which numbers count as numbers: frame_2 comes before frame_10."""
+
+    def key(path: Path) -> tuple[list[list[str | int]], Path]:
+        texts = (re.split("([0-9]+)", part) for part in path.parts)
+        return [[int(text) if text.isdecimal() else text for text in part] for part in texts], path
+
+    return sorted(paths, key=key)
+
+
+def make_folder(path: Path) -> Path:
+    """Make a folder, unless it is there."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"cannot make the folder {path}: {error.strerror}; name another"
+        ) from error
+    return path
 
 
 def write_file(path: Path, data: bytes) -> None:

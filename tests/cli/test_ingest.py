@@ -112,7 +112,9 @@ def test_the_status_of_an_ingest_and_a_retry_of_its_failures(folder: Path) -> No
         "n_scans": 10,
         "n_done": 1,
         "n_failed": 1,
-        "n_skipped": 4,
+        "n_known": 3,
+        "n_duplicates": 1,
+        "n_processed": 2,
         "started": time.time() - 10,
     }
     with pr.Catalogue(catalogue) as store, store.rows.database.writing():
@@ -168,7 +170,16 @@ def test_a_running_ingest_and_one_that_was_killed(tmp_path: Path) -> None:
     run(*words)
     found = result("status", "-c", catalogue)
     assert (found["state"], found["n_shapes"]) == ("finished", n_scans)
-    assert found["n_skipped"] > 0
+    assert found["n_known"] > 0
+
+
+def test_status_and_ingest_have_the_same_counts(folder: Path) -> None:
+    """Also of an ingest that finds its scans known, and failed, already."""
+    for counts in ("2 done, 3 failed, 0 known", "0 done, 3 failed, 2 known"):
+        counts += " already, 1 duplicates"
+        assert counts in ingest(folder).stderr
+        said = run("status", "-c", folder / "c.sqlite").stdout
+        assert f"ingest finished: 6 of 6 scans: {counts}\n" in said
 
 
 # --- watch ----------------------------------------------------------------------------------------------

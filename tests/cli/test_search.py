@@ -17,9 +17,8 @@ from PIL import Image
 
 import pcretrieve as pr
 from pcretrieve.catalogue import Content, Record
-from pcretrieve.cli.search import _told
 from pcretrieve.formats import write_mesh
-from pcretrieve.gallery.answers import Described
+from pcretrieve.gallery.answers import Described, Question, answer_to
 from pcretrieve.shrec.matcher import MATCHERS, match_all
 
 N_KINDS, N_EACH = 4, 4
@@ -143,18 +142,53 @@ def test_a_query_of_another_resolution_is_told(eggs: Path, tmp_path: Path) -> No
     assert "fine.off has 4 times" not in said
     write_mesh(shapes.ellipsoid((1, 1.2, 1.5), subdivisions=5), fine)
     assert (
-        "fine.off has 16 times the faces of the results"
+        "fine.off: it has 16 times the faces of the results"
         in run("query", "-c", eggs / "eggs.sqlite", fine).stderr
     )
 
 
-def test_a_query_of_fewer_faces_is_told_too(capsys: pytest.CaptureFixture[str]) -> None:
-    record = Record("egg", "/egg.off", "", n_faces=8000)
-    neighbors, values = pr.Neighbors(("egg",), np.zeros(1)), pr.Signature(np.ones(3), "r-bihdm")
-    for n_faces, said in ((500, "coarse.off has 0.062 times the faces"), (4000, "")):
-        answer = pr.Answer(neighbors, (record,), query=Described(values, n_faces=n_faces))
-        _told([], True, ("coarse.off", answer))
-        assert (said in (found := capsys.readouterr().err)) and bool(found) == bool(said)
+def test_a_size_that_a_wrong_unit_explains_is_told(eggs: Path, tmp_path: Path) -> None:
+    """With the option that mends it; by `query`, in JSON, and by `ingest`."""
+    catalogue = tmp_path / "c.sqlite"
+    for name, scale, words in (
+        ("mm", 1000, "about 1,000 times as large as the others; if its unit is mm, give --unit mm"),
+        ("cm", 100, "about 100 times as large as the others; if its unit is cm, give --unit cm"),
+        (
+            "km",
+            0.001,
+            "about 1,000 times as small as the others; give each file its unit by --unit",
+        ),
+        ("m", 3, ""),
+    ):
+        scaled = tmp_path / f"{name}.off"
+        write_mesh(shapes.ellipsoid((scale, scale, 1.2 * scale), subdivisions=3), scaled)
+        done = run("query", "-c", eggs / "eggs.sqlite", scaled, "--json")
+        (answer,) = json.loads(done.stdout)["result"]
+        assert answer["notes"] == ([f"its size is {words}"] if words else [])
+        assert words in done.stderr and (words or not done.stderr)
+    run("catalogue", "backup", eggs / "eggs.sqlite", catalogue)
+    said = run(
+        "ingest", tmp_path / "mm.off", eggs / "00.off", "-c", catalogue, "--workers", 1
+    ).stderr
+    assert (
+        f"the size of 1 scans, such as {tmp_path / 'mm.off'}, is about 1,000 times as large" in said
+    )
+
+
+def test_a_query_of_fewer_faces_is_told_too(eggs: Path) -> None:
+    signature = pr.signature(eggs / "00.off")
+    with pr.Catalogue(eggs / "eggs.sqlite") as store:
+        question = Question(store.options, 3)
+        for n_faces, said in ((80, ("it has 0.062 times the faces",)), (640, ())):
+            notes = answer_to(store, Described(signature, n_faces=n_faces), question).notes
+            assert tuple(note.partition(" of the")[0] for note in notes) == said
+
+
+def test_a_false_match_rate_needs_as_many_pairs(eggs: Path) -> None:
+    asked = ("query", "-c", eggs / "eggs.sqlite", "00", "--far")
+    assert run(*asked, 0.1).stderr == ""
+    said = run(*asked, 1e-6).stderr
+    assert "00: the 96 pairs of two classes are too few for a false-match rate of 1e-06" in said
 
 
 # --- matrices and comparisons ---------------------------------------------------------------------------

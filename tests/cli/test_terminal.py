@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 import shapes
-from commands import run
+from commands import result, run
 
 from pcretrieve import Catalogue, Grade, PipelineOptions, describe, process
 from pcretrieve.catalogue import Content, Record
@@ -58,10 +58,15 @@ def on_terminal(
     says: bool = False,
     code: int = 0,
     program: str = "",
+    types: str = "",
     **environment: str,
 ) -> str:
-    """What a terminal of 80 columns gets, with its codes; messages too, if the command `says` them."""
+    """What a terminal of 80 columns gets, with its codes; messages too, if the command `says` them.
+
+    types: what somebody types at it.
+    """
     ours, theirs = pty.openpty()
+    os.write(ours, types.encode())
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, COLUMNS, 0, 0))
     known = {
         name: value for name, value in os.environ.items() if name not in ("COLUMNS", "NO_COLOR")
@@ -118,6 +123,27 @@ def test_ids_are_whole_however_narrow_the_terminal_is(
         first, second, *_ = map(plain, capsys.readouterr().out.splitlines())
         assert first.split() == headings
         assert second.split()[0] == long
+
+
+def test_several_shapes_are_removed_after_a_question(folder: Path, tmp_path: Path) -> None:
+    """Not one shape, and not where nobody can answer, or with --yes."""
+    catalogue = tmp_path / "c.sqlite"
+    run("catalogue", "backup", folder / "c.sqlite", catalogue)
+    words = ("remove", "egg0", "egg1", "-c", "c.sqlite")
+    said = on_terminal(tmp_path, *words, says=True, code=1, types="n\n")
+    assert "Remove 2 shapes from c.sqlite? [y/N]" in said and "nothing was removed" in said
+    assert (
+        "would remove 2 from" in run("remove", "egg0", "egg1", "-c", catalogue, "--dry-run").stderr
+    )
+    assert [row["id"] for row in result("list", "-c", catalogue)] == ["bad", "egg0", "egg1", "egg2"]
+    assert "Remove" not in on_terminal(tmp_path, "remove", "bad", "-c", "c.sqlite", says=True)
+    assert "removed 2 from" in on_terminal(tmp_path, *words, says=True, types="y\n")
+    assert [row["id"] for row in result("list", "-c", catalogue)] == ["egg2"]
+    run("catalogue", "backup", folder / "c.sqlite", tmp_path / "d.sqlite")
+    yes = ("remove", "egg0", "egg1", "-c", "d.sqlite", "--yes")
+    assert "Remove" not in on_terminal(tmp_path, *yes, says=True)
+    run("remove", "bad", "egg2", "-c", tmp_path / "d.sqlite")
+    assert result("list", "-c", tmp_path / "d.sqlite") == []
 
 
 def test_messages_are_broken_between_words(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -196,7 +196,9 @@ def test_only_a_regular_file_is_read(tmp_path: Path) -> None:
         ("endless.xyz", "must be a regular file"),
         ("folder.ply", "is a folder, not a scan"),
         ("gone.ply", "No such file or directory"),
-        ("a.wrl", r"there is no reader for names in \.wrl, .*: export the scan as \.obj or \.glb"),
+        ("a.wrl", r"there is no reader for names in \.wrl, .*: export it as \.obj or \.glb"),
+        ("Model.zip", r"there is no reader for names in \.zip, .*: unpack it first"),
+        ("scan.ply.gz", r"there is no reader for names in \.gz, .*: unpack it first"),
     ):
         with pytest.raises(ScanReadError, match=words):
             read_scan(tmp_path / name)

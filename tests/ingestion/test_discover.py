@@ -47,6 +47,24 @@ def test_files_folders_and_globs(folder: Path) -> None:
     ]  # named outright: reading it will say that it is no scan
 
 
+def test_numbers_in_names_are_in_the_order_of_numbers(tmp_path: Path) -> None:
+    """As frames of a camera that counts without leading zeros; folders come before what is beside them."""
+    expected = ["a/frame_1.ply", "a/frame_2.ply", "a/frame_10.ply", "a2/1.ply", "a10/1.ply"]
+    for name in expected:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("1 2 3\n")
+    for argument in (tmp_path, tmp_path / "a*" / "*.ply"):
+        found = [path.relative_to(tmp_path).as_posix() for path in discover([argument])]
+        assert found == expected
+
+
+def test_a_name_with_a_mistake_is_answered_by_the_right_one(folder: Path) -> None:
+    with pytest.raises(InputError, match=r"no file or folder deep/c\.xzy; did you mean 'c\.xyz'"):
+        discover(["deep/c.xzy"])
+    with pytest.raises(InputError, match="no file or folder depe; did you mean 'deep'"):
+        discover(["depe"])
+
+
 def test_paths_in_a_manifest_are_relative_to_its_folder(folder: Path) -> None:
     """Also one that is missing: that is this shape's failure, not the batch's."""
     for manifest, text in (
@@ -68,10 +86,11 @@ def test_a_folder_says_what_it_leaves_unread(
 ) -> None:
     for name in ("1.fbx", "deep/2.FBX", "deep/er/3.step", "a.jpg", "b.jpg", "c.jpg", "LICENSE"):
         (folder / name).write_text("1 2 3\n")
+    (folder / "scan.ply.gz").write_bytes(b"\x1f\x8b")
     assert names(".") == SCANS
     assert caplog.messages == [
-        "left unread in .: 2 .fbx (export them as .glb), 1 .step (export them as .stl), 3 .jpg, 1 .csv, "
-        "1 .md, 1 without a suffix"
+        "left unread in .: 2 .fbx (export it as .glb), 1 .gz (unpack it first), 1 .step (export it as .stl), "
+        "3 .jpg, 1 .csv, 1 .md, 1 without a suffix"
     ]
 
 

@@ -26,11 +26,42 @@ def test_reading(tmp_path: Path) -> None:
         assert read_labels(tmp_path / name) == labels
 
 
+def test_label_files_as_spreadsheets_and_windows_write_them(tmp_path: Path) -> None:
+    """Tabs, a first line that names the separator, UTF-16, a mark, and line ends of any system."""
+    labels = {"ann/a.ply": "M\u00fcller", "b.ply": "dog"}
+    rows = "file{0}class\r\nann/a.ply{0}M\u00fcller\r\nb.ply{0}dog\r\n"
+    for text, code in (
+        (rows.format("\t"), "utf-8"),
+        (rows.format("\t"), "utf-16"),
+        ("\ufeff" + rows.format(";"), "utf-16-be"),
+        ("sep=;\r\n" + rows.format(";"), "utf-8-sig"),
+        ("sep=\t\r" + rows.format("\t").replace("\r\n", "\r"), "utf-8"),
+    ):
+        (tmp_path / "a.csv").write_bytes(text.encode(code))
+        assert read_labels(tmp_path / "a.csv") == labels, (text, code)
+
+
+def test_paths_of_windows_name_scans_of_any_system() -> None:
+    """The letter of a drive, and the folders of another computer, are no part of the name."""
+    paths = {"a": "/data/ann/a.ply", "a-2": "/data/bob/a.ply", "odd\\name": "/data/odd\\name.ply"}
+    for name, shape in (
+        ("bob\\a.ply", "a-2"),
+        (".\\bob\\a.ply", "a-2"),
+        ("D:\\data\\bob\\a.ply", "a-2"),
+        ("c:/Users/me/scans/ann/a.ply", "a"),
+        ("odd\\name.ply", "odd\\name"),
+    ):
+        assert match_labels({name: "x"}, paths) == ({shape: "x"}, []), name
+    assert match_labels({"D:\\eve\\e.ply": "x"}, paths) == ({}, ["D:\\eve\\e.ply"])
+
+
 def test_what_cannot_be_read(tmp_path: Path) -> None:
     for content, words in (
         (b"cat,dog\n1,2\n", "must have a header with one of file, path, .* got cat, dog"),
         (b"file,class\na,cat\na,dog\n", r"'a' has 'cat' and 'dog'"),
+        (b"file,clas\na,cat\n", "got file, clas; did you mean 'class'"),
         (b"\x89PNG\xff", "it is not UTF-8 text"),
+        ("file;class\na.ply;M\u00fcller\n".encode("cp1252"), "save it as CSV UTF-8"),
         (CLA.replace("cat 0 2", "cat 0 3").encode(), "not a complete .cla file"),
         (CLA.removesuffix("7\n").encode(), "class dog declares 1 models, 0 follow"),
         (CLA.replace("2 3", "2 4").encode(), "its header declares 4 models, 3 follow"),

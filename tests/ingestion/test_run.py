@@ -41,6 +41,30 @@ def test_an_id_stands_for_its_shape_still_where_the_file_has_another_name(
     assert summary.unknown_labels == ["nobody"]
 
 
+def test_a_label_file_that_names_no_scan_is_an_error_before_the_work(
+    folder: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "labels.csv").write_text("file,class\nA.OFF,large\nother.off,small\n")
+    with pytest.raises(
+        pr.BenchmarkError,
+        match=r"none of its 2 names is among them, such as 'A\.OFF'; did you mean 'a\.off'",
+    ):
+        ingest(folder, tmp_path / "c.sqlite", labels=tmp_path / "labels.csv")
+    with pr.Catalogue(tmp_path / "c.sqlite") as catalogue:
+        assert not len(catalogue)
+
+
+def test_one_class_for_all_shapes_is_said(
+    folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    write_mesh(shapes.ellipsoid((1, 1, 2), subdivisions=3), folder / "b.off")
+    ingest(folder, tmp_path / "c.sqlite", labels={"a": "egg", "b": "egg"})
+    assert "all labelled shapes are of one class, egg" in caplog.text
+    caplog.clear()
+    ingest(folder, tmp_path / "c.sqlite", labels={"a": "egg", "b": "ball"})
+    assert "one class" not in caplog.text
+
+
 def test_a_scan_of_two_runs(folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     def late(function: Any, items: Any, /, **limits: Any) -> Any:
         ingest(folder / "copy.off", tmp_path / "c.sqlite")
