@@ -7,7 +7,6 @@ space too: where the range jumps, neighbours on the grid belong to different sur
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -26,8 +25,6 @@ MOST_APART = 6.0
 FEWEST_NEIGHBORS = 3
 # Readings whose sums are in memory at a time, few enough for the cache of a processor.
 MOST_AT_ONCE = 1 << 14
-# Elements of a symmetric matrix.
-PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 def organised_scan(grid: FloatArray, measured: NDArray[np.bool_], sensor: FloatArray) -> RawScan:
@@ -39,9 +36,14 @@ def organised_scan(grid: FloatArray, measured: NDArray[np.bool_], sensor: FloatA
     grid, measured = grid[rows, columns], measured[rows, columns]
     spacing = _spacing(grid, measured, sensor)  # (h, w)
     band = max(1, MOST_AT_ONCE // grid.shape[1])
-    starts = range(0, len(grid), band)
+    planes = np.pad(grid.transpose(2, 0, 1), ((0, 0), (REACH, REACH), (REACH, REACH)))
+    answers = np.pad(measured, REACH)
+    rows_of = [slice(start, start + band + 2 * REACH) for start in range(0, len(grid), band)]
     normals = np.concatenate(
-        [_normals(grid, measured, spacing, slice(start, start + band)) for start in starts]
+        [
+            _normals(planes[:, rows], answers[rows], spacing[rows.start : rows.start + band])
+            for rows in rows_of
+        ]
     )  # (h, w, 3)
     kept = normals.any(axis=2)  # (h, w)
     if not kept.any():
@@ -89,65 +91,36 @@ def _shifted(array: NDArray[Any], axis: int) -> tuple[NDArray[Any], NDArray[Any]
     return (array[:-1], array[1:]) if axis == 0 else (array[:, :-1], array[:, 1:])
 
 
-def _normals(
-    grid: FloatArray, measured: NDArray[np.bool_], spacing: FloatArray, band: slice
-) -> FloatArray:
-    """(b, w, 3) unit normals of a band of rows, by the covariance of neighbours; zero where there are few."""
-    here = measured[band]  # (b, w)
-    count, totals, products = _sums_of_neighbors(grid, measured, spacing, band)
-    # Coordinates of damaged files have no squares.
-    enough = here & (count >= FEWEST_NEIGHBORS) & np.isfinite(products).all(axis=0)
-    n = count[enough] + 1  # with the reading itself, which is at zero
-    means = totals[:, enough] / n  # (3, p)
-    covariance = np.empty((len(n), 3, 3))
-    for product, (i, j) in zip(products, PAIRS, strict=True):
-        covariance[:, i, j] = covariance[:, j, i] = product[enough] / n - means[i] * means[j]
-    normals = np.zeros((*here.shape, 3))
-    normals[enough] = np.linalg.eigh(covariance)[1][:, :, 0]
-    return normals
+def _normals(planes: FloatArray, measured: NDArray[np.bool_], spacing: FloatArray) -> FloatArray:
+    """(b, w, 3) unit normals of a band of rows, by the covariance of neighbours; zero where there are few.
 
-
-def _sums_of_neighbors(
-    grid: FloatArray, measured: NDArray[np.bool_], spacing: FloatArray, band: slice
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The number (b, w) of neighbours on the same surface, and sums of their places relative to a reading.
-
-    The sums are those of the places (3, b, w), and of their products (6, b, w) in the order of `PAIRS`.
+    planes, measured, spacing: (3, b + 2 REACH, w + 2 REACH), the coordinates with a margin; the answers with
+        the same margin; (b, w).
     """
-    shape = measured[band].shape
-    count, totals = np.zeros(shape), np.zeros((3, *shape))
-    products = np.zeros((len(PAIRS), *shape))
-    for distance, own, inner, outer in _windows(measured.shape, band):
-        apart = [plane[outer] - plane[own] for plane in grid.transpose(2, 0, 1)]  # three (b', w')
-        squares = apart[0] * apart[0] + apart[1] * apart[1] + apart[2] * apart[2]
-        farthest = MOST_APART * distance * spacing[own]
-        near = (squares <= farthest**2) & measured[outer]
-        count[inner] += near
-        for k in range(3):
-            apart[k] = np.where(near, apart[k], 0)
-            totals[k][inner] += apart[k]
-        for product, (i, j) in zip(products, PAIRS, strict=True):
-            product[inner] += apart[i] * apart[j]
-    return count, totals, products
+    height, width = spacing.shape
 
+    def beside(array: NDArray[Any], down: int, right: int) -> NDArray[Any]:
+        """What is beside each reading of the band: so many rows down, so many columns to the right."""
+        top, left = REACH + down, REACH + right
+        return array[..., top : top + height, left : left + width]
 
-Window = tuple[slice, slice]
-
-
-def _windows(shape: tuple[int, ...], band: slice) -> Iterator[tuple[float, Window, Window, Window]]:
-    """For each place of a neighbour, its distance on the grid, and the readings that have such a neighbour.
-
-    These readings as a window of the grid and of the band, and their neighbours as a window of the grid.
-    """
-    height, width = shape
-    start, stop, _ = band.indices(height)
+    count, totals = np.zeros(spacing.shape), np.zeros((3, *spacing.shape))
+    products = np.zeros((3, *totals.shape))
     reach = range(-REACH, REACH + 1)
     for down, right in itertools.product(reach, reach):
-        top, bottom = max(start, -down), min(stop, height - down)
-        left, end = max(0, -right), min(width, width - right)
-        if not (down or right) or top >= bottom or left >= end:
-            continue
-        own = slice(top, bottom), slice(left, end)
-        inner = slice(top - start, bottom - start), slice(left, end)
-        outer = slice(top + down, bottom + down), slice(left + right, end + right)
-        yield float(np.hypot(down, right)), own, inner, outer
+        apart = beside(planes, down, right) - beside(planes, 0, 0)
+        farthest = MOST_APART * np.hypot(down, right) * spacing
+        near = ((apart * apart).sum(axis=0) <= farthest**2) & beside(measured, down, right)
+        count += near  # the reading itself is at zero, and counts too
+        apart = np.where(near, apart, 0)
+        totals += apart
+        products += apart[:, None] * apart
+    # Coordinates of damaged files have no squares.
+    enough = beside(measured, 0, 0) & (count > FEWEST_NEIGHBORS)
+    enough &= np.isfinite(products).all(axis=(0, 1))
+    n = count[enough]
+    means = totals[:, enough] / n  # (3, p)
+    covariance = products[:, :, enough] / n - means[:, None] * means
+    normals = np.zeros((height, width, 3))
+    normals[enough] = np.linalg.eigh(covariance.transpose(2, 0, 1))[1][:, :, 0]
+    return normals
