@@ -191,51 +191,38 @@ def _numbered(parent: NDArray[np.int64]) -> tuple[NDArray[np.int32], int]:
 def distances(sources: Mask, limit: float) -> Voxels:
     """The Euclidean distance of each voxel to the nearest source voxel, at most `limit`, axis by axis [1]_.
 
-    Distances along the last axis are exact, and each further axis takes the minimum over the neighbours on
-    its lines. This is done for whole planes, which are contiguous, so that it computes many voxels at once:
-    twice as many if all sums of two squares have 16 bits.
+    Squared distances along the last axis are exact, and each further axis takes the minimum over the
+    neighbours on its lines. This is done for whole lines or planes, which are contiguous, so that it computes
+    many voxels at once: twice as many if all sums of two squares have 16 bits.
 
     References
     ----------
     .. [1] T. Saito and J.-I. Toriwaki, "New algorithms for Euclidean distance transformation of an
        n-dimensional digitized picture with applications", Pattern Recognition 27 (1994).
     """
-    most = int(min(limit, sum(sources.shape))) + 1
-    is_short = 2 * most**2 < 2**16
-    return _distances(
-        sources, limit, most, np.empty(sources.shape, np.uint16 if is_short else np.uint32)
-    )
-
-
-@compiled()
-def _distances(sources: Mask, limit: float, most: int, squares: NDArray[Any]) -> Voxels:
-    """The distances; in `squares` those along the axes so far, of which the farthest are most²."""
     n_x, n_y, n_z = sources.shape
-    size = n_y * n_z
-    _squares_along_z(sources, most, squares)
-    planes = squares.reshape(n_x, size)
-    _lower_along_y(planes, most, n_y)
-    nothing = np.full(size, most * most, dtype=squares.dtype)
-    result = np.empty(planes.shape, dtype=np.float32)
-    best = nothing.copy()
-    for x in range(n_x):
-        best[:] = planes[x]
-        largest, k = best.max(), 1
-        while k < min(most, n_x) and k * k < largest:
-            before = planes[x - k] if x >= k else nothing
-            after = planes[x + k] if x + k < n_x else nothing
-            _lower(best, before, after, k)
-            k += 1
-        away = result[x]
-        for i in range(size):
-            away[i] = np.sqrt(np.float32(best[i])) if best[i] < most * most else np.inf
-            away[i] = min(away[i], np.float32(limit))
-    return result.reshape(sources.shape)
+    most = int(min(limit, n_x + n_y + n_z)) + 1
+    squares = np.empty(sources.shape, np.uint16 if 2 * most**2 < 2**16 else np.uint32)
+    _set_along_z(squares, sources, most)
+    _lower(squares, most)
+    _lower(squares.reshape(1, n_x, n_y * n_z), most)
+    return _roots(squares, most, limit)
 
 
 @compiled()
-def _squares_along_z(sources: Mask, most: int, squares: NDArray[Any]) -> None:
-    """Squared distances along the last axis."""
+def _roots(squares: NDArray[Any], most: int, limit: float) -> Voxels:
+    """The roots, at most `limit`; it is the root of most² too."""
+    roots = np.full(squares.shape, limit, dtype=np.float32)
+    flat = roots.ravel()
+    for i, square in enumerate(squares.ravel()):
+        if square < most * most:
+            flat[i] = min(np.sqrt(np.float32(square)), flat[i])
+    return roots
+
+
+@compiled()
+def _set_along_z(squares: NDArray[Any], sources: Mask, most: int) -> None:
+    """Set the squared distances along the last axis, most² where there is no source."""
     n_x, n_y, n_z = sources.shape
     for x in range(n_x):
         for y in range(n_y):
@@ -249,28 +236,22 @@ def _squares_along_z(sources: Mask, most: int, squares: NDArray[Any]) -> None:
 
 
 @compiled()
-def _lower_along_y(planes: NDArray[Any], most: int, n_y: int) -> None:
-    """Lower the squares in each plane to those of its lines plus the squares of the distances to them."""
-    size = planes.shape[1]
-    n_z = size // n_y
-    begin = most * n_z
-    padded = np.full(size + 2 * begin, most * most, dtype=planes.dtype)
-    for x in range(len(planes)):
-        best = planes[x]  # an iterator would give numba rows with gaps, which it does not vectorise
-        padded[begin : begin + size] = best
-        # A square that is less than k² cannot become smaller by a neighbour k voxels away.
-        largest, k = best.max(), 1
-        while k < min(most, n_y) and k * k < largest:
-            _lower(best, padded[begin - k * n_z :], padded[begin + k * n_z :], k)
-            k += 1
-
-
-@compiled()
-def _lower(line: NDArray[Any], before: NDArray[Any], after: NDArray[Any], k: int) -> None:
-    """Lower the squares of a line to those of the lines k voxels before and after it, plus k²."""
-    square = line.dtype.type(k * k)
-    for z in range(len(line)):
-        line[z] = min(line[z], line.dtype.type(min(before[z], after[z]) + square))
+def _lower(squares: NDArray[Any], most: int) -> None:
+    """Lower the squares along the axis in the middle: to k² plus the square k voxels away, for all k."""
+    n = squares.shape[1]
+    nothing = np.full_like(squares[0, 0], most * most)
+    for number in range(len(squares)):
+        lines = squares[number].copy()
+        for i in range(n):
+            # A square that is less than k² cannot become smaller by a neighbour k voxels away.
+            line, largest, k = squares[number, i], lines[i].max(), 1
+            while k < min(most, n) and k * k < largest:
+                before = lines[i - k] if i >= k else nothing
+                after = lines[i + k] if i + k < n else nothing
+                square = line.dtype.type(k * k)
+                for z in range(len(line)):
+                    line[z] = min(line[z], line.dtype.type(min(before[z], after[z]) + square))
+                k += 1
 
 
 # Displacement of the grid lines along each axis, in voxels, that keeps them off the vertices and edges of
