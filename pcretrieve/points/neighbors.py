@@ -185,7 +185,7 @@ def _block(place: float, n: int, ring: int) -> tuple[int, int]:
     return max(0, cell - ring), min(n, cell + ring + 1)
 
 
-@compiled(error_model="numpy")
+@compiled(error_model="numpy", inline="always")
 def _collect(
     grouped: FloatArray,
     starts: Order,
@@ -213,7 +213,7 @@ def _collect(
     return n
 
 
-@compiled(error_model="numpy")
+@compiled(error_model="numpy", inline="always")
 def _insert(keys: FloatArray, waiting: FloatArray, n_waiting: int) -> int:
     """Sort the smallest of the waiting keys into an empty list; returns how many there are."""
     n = 0

@@ -66,7 +66,7 @@ def walls(
     for i in range(len(at)):
         for axis in range(3):
             if abs(normals[i, axis]) >= LEAST_LEAN:
-                _cross(links[axis], at[i], normals[i], axis, shape, radius)
+                _cross(links, at, normals, i, axis, shape, radius)
     return walls
 
 
@@ -74,27 +74,31 @@ def walls(
 def _cross(
     links: Mask,
     at: FloatArray,
-    normal: FloatArray,
+    normals: FloatArray,
+    i: int,
     axis: int,
     shape: tuple[int, int, int],
     radius: float,
 ) -> None:
-    """Mark the links along an axis that cross a surfel: those that meet its plane within the disk."""
+    """Mark the links along an axis, (3, abc), that cross a surfel: they meet its plane within the disk."""
     step = (shape[1] * shape[2], shape[2], 1)
     first, second = (axis + 1) % 3, (axis + 2) % 3
-    rise, slope = -normal[first] / normal[axis], -normal[second] / normal[axis]
-    columns = _within(at[first], radius, shape[first])
-    rows = _within(at[second], radius, shape[second])
+    lean = normals[i, axis]
+    rise, slope = -normals[i, first] / lean, -normals[i, second] / lean
+    # Numbers, because counting the references to a row of an array takes longer than the arithmetic.
+    x, y, z = at[i, first], at[i, second], at[i, axis]
+    columns = _within(x, radius, shape[first])
+    rows = _within(y, radius, shape[second])
     for a in range(columns[0], columns[1]):
         for b in range(rows[0], rows[1]):
-            da, db = a - at[first], b - at[second]
+            da, db = a - x, b - y
             along = rise * da + slope * db
-            c = int(np.floor(at[axis] + along))
+            c = int(np.floor(z + along))
             # Without branches, of which many would be mispredicted.
             meets = da * da + db * db + along * along <= radius * radius
             meets &= 0 <= c < shape[axis]
             c = min(max(c, 0), shape[axis] - 1)
-            links[a * step[first] + b * step[second] + c * step[axis]] |= meets
+            links[axis, a * step[first] + b * step[second] + c * step[axis]] |= meets
 
 
 @compiled()
