@@ -6,7 +6,8 @@ from pathlib import Path
 
 # `scripts/docs` says where the package is, because it builds from a copy of this folder.
 ROOT = Path(os.environ.get("PCRETRIEVE_ROOT", Path(__file__).resolve().parents[1]))
-sys.path[:0] = [str(ROOT), str(Path(__file__).parent)]
+# Examples simulate scans by scripts/benchmarks.
+sys.path[:0] = [str(ROOT), str(ROOT / "scripts"), str(Path(__file__).parent)]
 
 from pcretrieve import __version__  # noqa: E402
 

@@ -41,7 +41,6 @@ ROOMS = (
     "evaluation",
     "estimators",
     "pages",
-    "simulation",
     "web",
     "cli",
 )
@@ -55,8 +54,8 @@ MOST_MODULES = 180
 MOST_ARROWS = 111
 MOST_OPTIONS = 45
 
-# Rooms that faces use beside the front door, and no more than these: `demo` writes simulated scans.
-BEHIND = {"cli": {"simulation"}, "pages": {"pipeline"}, "web": {"gallery", "ingestion"}}
+# Rooms that faces use beside the front door, and no more than these.
+BEHIND = {"cli": set[str](), "pages": {"pipeline"}, "web": {"gallery", "ingestion"}}
 
 # Where each compiled loop is compared with a few lines of NumPy or SciPy, or with a known answer.
 REFERENCES = {

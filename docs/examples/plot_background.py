@@ -7,10 +7,10 @@ else, and says by which rule.
 """
 
 import numpy as np
+from benchmarks.simulation import RigOptions, scan as simulated_scan
 from sample import draw, person
 
 import pcretrieve as pr
-from pcretrieve.simulation import RigOptions, scan as simulated_scan
 
 rng = np.random.default_rng(0)
 body = simulated_scan(person(1, "stand"), RigOptions(n_points=9000), rng).points

@@ -7,9 +7,8 @@ and soles are still missing.
 """
 
 import numpy as np
+from benchmarks.simulation import RigOptions, scan_views
 from sample import draw, person
-
-from pcretrieve.simulation import RigOptions, scan_views
 
 mesh = person(1, "stand")
 options = RigOptions(n_views=4)

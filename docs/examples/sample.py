@@ -7,6 +7,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from benchmarks.simulation import POSES, body, make_subject
 from matplotlib.cm import viridis
 from matplotlib.colors import Normalize
 from numpy.typing import NDArray
@@ -21,7 +22,6 @@ from pcretrieve.draw.pictures import (
     surface_picture,
 )
 from pcretrieve.draw.thumbnail import AZIMUTH, ELEVATION
-from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.values import PointCloud, TriangleMesh
 
 # `scripts/docs` says where the repository is, because it builds from a copy of these files.

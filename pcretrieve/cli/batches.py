@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
+from importlib import resources
 from pathlib import Path
 from shlex import join, quote
 from typing import Any, NoReturn
@@ -17,12 +18,16 @@ import click
 import pcretrieve as pr
 from pcretrieve.cli import messages, options as opt, output as out
 from pcretrieve.errors import CatalogueError, InputError
+from pcretrieve.values.files import write_file
 
 # Largest number of names in the message about names in a label file that match no scan.
 QUOTED = 5
 
 # Share of a batch from which on a reason that its scans have in common is said once.
 COMMON = 1 / 3
+
+# The scan that the demo searches for; it ingests the others of its folder. See `scripts/sample demo`.
+DEMO_QUERY = Path("new", "person-1", "person-1_hands_on_hips.ply")
 
 
 @opt.command("ingest")
@@ -305,24 +310,21 @@ def demo_command(folder: Path) -> None:
     pcretrieve demo
     pcretrieve demo elsewhere
     """
-    from pcretrieve.simulation.samples import DEMO_QUERY, DEMO_SAMPLES, write_samples
-
     scans, catalogue = folder / "scans", folder / "bodies.sqlite"
-    n = len(DEMO_SAMPLES)
-    messages.say(f"Simulating {n} scans of four people in {scans}, and a new scan of one of them.")
-    messages.stop_waiting()
-    with messages.bar(
-        total=n + 1, unit="scan", desc="simulate", disable=None, leave=False
-    ) as shown:
-        try:
-            write_samples(scans, DEMO_SAMPLES, on_scan=lambda path: shown.update())
-            (new,) = write_samples(
-                folder / "new", [DEMO_QUERY], on_scan=lambda path: shown.update()
-            )
-        except OSError as error:
-            raise InputError(
-                f"cannot write scans into {folder}: {error.strerror}; name another"
-            ) from error
+    new = folder / DEMO_QUERY
+    messages.say(
+        f"Scans of four simulated people are put into {scans}, and a new scan of one: {new}."
+    )
+    shipped = Path(str(resources.files(__package__).joinpath("demo")))
+    try:
+        for file in sorted(shipped.rglob("*.*")):
+            target = folder / file.relative_to(shipped)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            write_file(target, file.read_bytes())
+    except OSError as error:
+        raise InputError(
+            f"cannot write scans into {folder}: {error.strerror}; name another"
+        ) from error
 
     inside, page = ("--catalogue", catalogue), folder / "index.html"
     steps: list[tuple[str, list[str | Path]]] = [
@@ -330,7 +332,7 @@ def demo_command(folder: Path) -> None:
             "Store the signature of each scan.",
             ["ingest", scans, "--labels", scans / "labels.csv", *inside],
         ),
-        ("Find whom the new scan shows.", ["query", *inside, folder / "new" / new, "-k", "5"]),
+        ("Find whom the new scan shows.", ["query", *inside, new, "-k", "5"]),
         ("Measure how well scans of one body find each other: 1 is best.", ["evaluate", *inside]),
         ("Write the results with pictures on an HTML page.", ["report", *inside, "--output", page]),
     ]

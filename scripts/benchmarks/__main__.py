@@ -27,7 +27,7 @@ BENCHMARKS = {
     "house": ("house", "the size of the house; as scripts/house"),
     "make_people": ("people", "raw scans of simulated people; as scripts/make_people"),
     "make_scans": ("samples", "the sample scans; as scripts/make_scans"),
-    "sample": ("shipped", "the arrays that the package ships; as scripts/sample"),
+    "sample": ("shipped", "the arrays and scans that the package ships; as scripts/sample"),
     "strip": ("strip", "the picture of docs/method.md, from the catalogue of scripts/demo"),
 }
 

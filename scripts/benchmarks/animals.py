@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from pcretrieve.simulation.skeleton import (
+from benchmarks.simulation.skeleton import (
     COLLINEAR,
     Bone,
     Pose,

@@ -25,12 +25,12 @@ import numpy as np
 
 from benchmarks.measuring import Column, Table, argument_parser, positive, print_lines, use_one_core
 from benchmarks.poses import POSES
+from benchmarks.simulation import body, make_subject, write_ply
 from benchmarks.uniform import UniformOptions, scan_uniformly
 from pcretrieve import ingest
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.ingestion.cluster import DaskExecutor
 from pcretrieve.ingestion.pool import Executor, in_processes
-from pcretrieve.simulation import body, make_subject, write_ply
 
 __all__ = ["EXECUTORS", "Run", "main", "run_of"]
 

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from benchmarks import solids
 from benchmarks.poses import POSES
 from benchmarks.sets import read_mesh
+from benchmarks.simulation import body, make_subject
+from benchmarks.simulation.samples import moved
 from pcretrieve.draw.open3d import RayScene
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.ingestion.labels import read_labels
 from pcretrieve.retrieval import Positions
-from pcretrieve.simulation import body, make_subject
-from pcretrieve.simulation.samples import moved
 from pcretrieve.surface import components
 from pcretrieve.values import FloatArray, IntArray, TriangleMesh
 from pcretrieve.values.geometry import edge_graph
@@ -192,14 +192,14 @@ ABOVE = 1e-4
 
 
 def simulated(sources: Sources, n: int, n_poses: int) -> list[list[Body]]:
-    """People of `pcretrieve.simulation`."""
+    """People of `benchmarks.simulation`."""
     return [
         _individual("person", sources.seed, number, n_poses, standing=True) for number in range(n)
     ]
 
 
 def hands(sources: Sources, n: int, n_poses: int) -> list[list[Body]]:
-    """Hands of `pcretrieve.simulation`."""
+    """Hands of `benchmarks.simulation`."""
     return [_individual("hand", sources.seed, number, n_poses) for number in range(n)]
 
 
@@ -258,7 +258,7 @@ def tosca_people(sources: Sources, n: int, n_poses: int) -> list[list[Body]]:
 
 
 def animals(sources: Sources, n: int, n_poses: int) -> list[list[Body]]:
-    """The animals of TOSCA, and then those of `pcretrieve.simulation`."""
+    """The animals of TOSCA, and then those of `benchmarks.simulation`."""
     found = _tosca(sources, ANIMALS, n, n_poses)
     more = n - len(found)
     return found + [

@@ -43,6 +43,7 @@ from benchmarks.measuring import (
     timed,
     timed_by_turns,
 )
+from benchmarks.simulation import write_ply
 from benchmarks.synthetic import (
     CLASS_SIZE,
     bumpy_sphere,
@@ -60,7 +61,6 @@ from pcretrieve.gallery import fitted
 from pcretrieve.gallery.fitted import signatures
 from pcretrieve.options import PipelineOptions
 from pcretrieve.retrieval import DISTANCES, SignatureIndex
-from pcretrieve.simulation import write_ply
 from pcretrieve.values import FloatArray, Neighbors
 
 __all__ = ["main"]

@@ -20,14 +20,14 @@ from benchmarks.measuring import Column, Table, all_in_workers
 from benchmarks.paper.shapes import noisy, without_faces
 from benchmarks.recognition import fused_points
 from benchmarks.sets import SETS, Item, left_out, to_faces
+from benchmarks.simulation import RigOptions, scan
+from benchmarks.simulation.samples import moved, random_motion
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import ShapeError
 from pcretrieve.gallery.groups import SAME
 from pcretrieve.options import PipelineOptions, SignatureOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import coordinates, fit_whitening, pairwise, people
-from pcretrieve.simulation import RigOptions, scan
-from pcretrieve.simulation.samples import moved, random_motion
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 #: A change of a mesh, which takes `rng`.

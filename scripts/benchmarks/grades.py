@@ -45,13 +45,13 @@ from benchmarks.measuring import (
     print_lines,
 )
 from benchmarks.sensors import DAMAGES, PAIR, SENSORS, WHOLE, left_by, pressed
+from benchmarks.simulation import write_ply
+from benchmarks.simulation.samples import moved, random_motion
 from pcretrieve.errors import PcretrieveError
 from pcretrieve.formats import read_scan, write_mesh
 from pcretrieve.ingestion.pool import in_processes
 from pcretrieve.options import PipelineOptions
 from pcretrieve.retrieval import fit_whitening, people
-from pcretrieve.simulation import write_ply
-from pcretrieve.simulation.samples import moved, random_motion
 from pcretrieve.values import FloatArray
 from pcretrieve.values.files import write_file
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pcretrieve.simulation.skeleton import Bone, Pose, RoundCone, Vector, limb, turn, vector
+from benchmarks.simulation.skeleton import Bone, Pose, RoundCone, Vector, limb, turn, vector
 from pcretrieve.values import FloatArray
 
 # Mean in metres, and standard deviation relative to the mean: rounded figures of adults.

@@ -38,9 +38,9 @@ from benchmarks.measuring import (
     print_lines,
 )
 from benchmarks.sensors import noisy, outer_points
+from benchmarks.simulation import write_ply
 from pcretrieve.draw import pictures
 from pcretrieve.formats import write_mesh
-from pcretrieve.simulation import write_ply
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 from pcretrieve.values.files import write_file
 

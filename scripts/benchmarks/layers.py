@@ -16,11 +16,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.measuring import Column, Table, all_in_workers, argument_parser, print_lines
+from benchmarks.simulation import POSES, RigOptions, body, make_subject, scan_views
 from pcretrieve.checks import findings_of
 from pcretrieve.errors import InputError
 from pcretrieve.options import ScanOptions
 from pcretrieve.points import clean, crop, oriented_normals
-from pcretrieve.simulation import POSES, RigOptions, body, make_subject, scan_views
 from pcretrieve.surface.reconstruct import uniform_points
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 

@@ -30,9 +30,9 @@ from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from benchmarks.measuring import argument_parser
+from benchmarks.simulation import RigOptions, scan
+from benchmarks.simulation.samples import moved, random_motion, write_ply
 from pcretrieve.formats import write_mesh
-from pcretrieve.simulation import RigOptions, scan
-from pcretrieve.simulation.samples import moved, random_motion, write_ply
 from pcretrieve.values import TriangleMesh
 from pcretrieve.values.files import write_file
 

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 from benchmarks import animals, hands
 from benchmarks.hands import FINGERS, curl
-from pcretrieve.simulation import samples
-from pcretrieve.simulation.bodies import FAMILIES
-from pcretrieve.simulation.skeleton import Contact, Pose, both, left, right, turn
+from benchmarks.simulation import samples
+from benchmarks.simulation.bodies import FAMILIES
+from benchmarks.simulation.skeleton import Contact, Pose, both, left, right, turn
 
 _ARMS_DOWN = both(shoulder=(0, -32, 0), elbow=12)
 _TRUNK = ("pelvis", "loins", "ribs", "breast")

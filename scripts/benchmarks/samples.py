@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.measuring import argument_parser
 from benchmarks.poses import POSES, SAMPLES, SUBJECTS
-from pcretrieve.simulation import RigOptions, camera_pose, scan_views
-from pcretrieve.simulation.samples import SEED, moved, write_samples, write_whole
+from benchmarks.simulation import RigOptions, camera_pose, scan_views
+from benchmarks.simulation.samples import SEED, moved, write_samples, write_whole
 from pcretrieve.values import FloatArray, TriangleMesh
 from pcretrieve.values.files import write_file
 

@@ -15,10 +15,10 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from benchmarks.bodies import Body, Mask, is_outside, open_edges
+from benchmarks.simulation import RigOptions, camera_pose, scan
+from benchmarks.simulation.scanner import outside_holes, strays
 from pcretrieve.draw.open3d import RayScene
 from pcretrieve.retrieval import Positions
-from pcretrieve.simulation import RigOptions, camera_pose, scan
-from pcretrieve.simulation.scanner import outside_holes, strays
 from pcretrieve.surface import components
 from pcretrieve.surface.reconstruct import uniform_points
 from pcretrieve.values import FloatArray, TriangleMesh

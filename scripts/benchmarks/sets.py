@@ -15,6 +15,7 @@ from trimesh.remesh import subdivide
 
 from benchmarks.measuring import progress
 from benchmarks.poses import POSES
+from benchmarks.simulation import RigOptions, body, make_subject, scan, write_ply
 from benchmarks.uniform import UniformOptions, scan_uniformly
 from pcretrieve import ingest
 from pcretrieve.catalogue import Catalogue
@@ -26,7 +27,6 @@ from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import LAYOUTS, read_labels
 from pcretrieve.ingestion.run import Summary
 from pcretrieve.options import PipelineOptions, SignatureOptions
-from pcretrieve.simulation import RigOptions, body, make_subject, scan, write_ply
 from pcretrieve.values import FloatArray, IntArray, Metric, SignatureTable, TriangleMesh
 
 N_SUBJECTS = 10

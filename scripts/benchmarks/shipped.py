@@ -1,13 +1,15 @@
-"""Compute the arrays that the package ships, and write them into it.
+"""Compute the arrays and simulate the scans that the package ships, and write them into it.
 
     scripts/sample heat          # half a minute
     scripts/sample dictionary    # a quarter of an hour
+    scripts/sample demo          # half a minute
 
 heat: hks_sample.npy, (2, s, 6) heat kernel signatures, plain and scale-invariant, and wavelet_sample.npy,
 (s, 3) spectral graph wavelet signatures, of the same points of simulated bodies, from which the vocabularies
 of the bags of features are clustered; those of the package are of bodies with other triangles. dictionary:
-the atoms of the descriptors dl and dl-supervised, learned without labels and with them. The
-metric of people is learned by scripts/benchmark people.
+the atoms of the descriptors dl and dl-supervised, learned without labels and with them.
+demo: the scans that `pcretrieve demo` ingests, and the one that it searches for. The metric of people is
+learned by scripts/benchmark people.
 """
 
 from __future__ import annotations
@@ -24,6 +26,8 @@ import numpy as np
 
 from benchmarks.measuring import argument_parser
 from benchmarks.poses import POSES
+from benchmarks.simulation.bodies import body, make_subject
+from benchmarks.simulation.samples import write_samples
 from pcretrieve.shrec.dl import (
     ATOMS,
     N_ATOMS,
@@ -34,7 +38,6 @@ from pcretrieve.shrec.dl import (
 )
 from pcretrieve.shrec.heat import SAMPLE as HEAT_SAMPLE, heat_features
 from pcretrieve.shrec.ispm import SAMPLE as WAVELET_SAMPLE, wavelet_signatures
-from pcretrieve.simulation.bodies import body, make_subject
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.values import FloatArray
 from pcretrieve.values.files import write_file
@@ -155,11 +158,29 @@ def sparse_dictionary(points: FloatArray, n_atoms: int, penalty: float) -> Float
     return np.asarray(atoms / np.linalg.norm(atoms, axis=1, keepdims=True))
 
 
-ARRAYS = {"heat": heat, "dictionary": dictionary}
+# The scans of the demo, whose catalogue is made in about a minute; and one of the same people, in a pose with
+# contacts.
+DEMO_SAMPLES = (
+    *("person-1_stand", "person-1_walk", "person-1_sit"),
+    *("person-2_stand", "person-2_run", "person-2_wave"),
+    *("person-3_walk", "person-3_lunge", "person-3_point"),
+    *("person-4_stand", "person-4_sit", "person-4_run"),
+)
+DEMO_QUERY = "person-1_hands_on_hips"
+
+
+def demo() -> None:
+    """Simulate the scans of the demo, and write them into the package."""
+    folder = Path(str(resources.files("pcretrieve.cli").joinpath("demo")))
+    write_samples(folder / "scans", DEMO_SAMPLES, on_scan=click.echo)
+    write_samples(folder / "new", [DEMO_QUERY], on_scan=click.echo)
+
+
+SHIPPED = {"heat": heat, "dictionary": dictionary, "demo": demo}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Compute one of the arrays."""
+    """Make one of them."""
     parser = argument_parser(__doc__)
-    parser.add_argument("which", choices=ARRAYS)
-    ARRAYS[parser.parse_args(arguments).which]()
+    parser.add_argument("which", choices=SHIPPED)
+    SHIPPED[parser.parse_args(arguments).which]()

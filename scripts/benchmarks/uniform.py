@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.simulation import RigOptions
+from benchmarks.simulation.scanner import box_centre, outside_holes, strays
 from pcretrieve.draw.open3d import RayScene
-from pcretrieve.simulation import RigOptions
-from pcretrieve.simulation.scanner import box_centre, outside_holes, strays
 from pcretrieve.surface.reconstruct import uniform_points
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 import shapes
+from benchmarks.simulation import write_ply
 from packages import install
 
 import pcretrieve as pr
 from pcretrieve.cli.main import main
 from pcretrieve.formats import write_mesh
-from pcretrieve.simulation import write_ply
 
 # A reader of .vicious files, which does to its process what the file's name says.
 VICIOUS = """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import shlex
 import zipfile
@@ -13,15 +14,15 @@ import numpy as np
 import pytest
 import shapes
 from benchmarks.samples import write_conf, write_pcd
+from benchmarks.simulation import RigOptions, scan_views, write_ply
 from commands import program, refusal, result, run
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import pcretrieve as pr
+from pcretrieve.cli import batches
 from pcretrieve.formats import write_mesh
 from pcretrieve.points.register.alignment import moved
-from pcretrieve.simulation import RigOptions, scan_views, write_ply
-from pcretrieve.simulation.samples import DEMO_QUERY
 
 LENGTHS = {"a": 1.5, "b": 2.0, "c": 3.0}
 FEW_CELLS = "[surface]\ncell = 0.01\ntarget_faces = 3000\n"
@@ -273,6 +274,16 @@ def test_the_poses_of_a_conf_and_the_largest_range_are_kept(
 # --- demo -----------------------------------------------------------------------------------------------
 
 
+def test_the_demo_has_a_class_for_each_scan_that_it_ingests() -> None:
+    shipped = Path(batches.__file__).parent / "demo"
+    with (shipped / "scans" / "labels.csv").open(newline="", encoding="utf-8") as file:
+        labels = {row["file"]: row["class"] for row in csv.DictReader(file)}
+    scans = {path.relative_to(shipped / "scans") for path in shipped.glob("scans/*/*.ply")}
+    assert scans == {Path(name) for name in labels}
+    assert (shipped / batches.DEMO_QUERY).is_file()
+    assert batches.DEMO_QUERY.parent.name in labels.values()
+
+
 @pytest.mark.slow
 def test_the_demonstration_finds_whose_the_new_scan_is(tmp_path: Path) -> None:
     """Outside a checkout, in a folder that has to be made and whose name has to be quoted."""
@@ -281,7 +292,7 @@ def test_the_demonstration_finds_whose_the_new_scan_is(tmp_path: Path) -> None:
     head, first, *_ = done.stdout.splitlines()
     assert head.split()[:4] == ["RANK", "DISTANCE", "SCORE", "CLASS"]
     assert first.split()[0] == "1"
-    assert first.split()[3] == DEMO_QUERY.split("_")[0], (
+    assert first.split()[3] == batches.DEMO_QUERY.parent.name, (
         "the nearest scan is one of the same person"
     )
     assert "NN" in done.stdout

@@ -6,6 +6,7 @@ from io import BytesIO
 import numpy as np
 import pytest
 from benchmarks.poses import POSES
+from benchmarks.simulation import body, make_subject
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 from scipy.spatial.transform import Rotation
@@ -13,7 +14,6 @@ from shapes import icosphere, joined
 
 from pcretrieve.draw import axes as draw_axes, thumbnail as drawing
 from pcretrieve.draw.pictures import MARGIN
-from pcretrieve.simulation import body, make_subject
 from pcretrieve.values import FloatArray, Step, TriangleMesh
 
 

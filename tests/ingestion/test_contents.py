@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
+from benchmarks.simulation import write_ply
 from processes import in_this_process
 
 import pcretrieve as pr
@@ -18,7 +19,6 @@ from pcretrieve.errors import StageTimeout
 from pcretrieve.formats import write_mesh
 from pcretrieve.formats.identity import content_hash, file_hash, stamp_of
 from pcretrieve.ingestion import plan
-from pcretrieve.simulation import write_ply
 
 Ingested = Callable[..., tuple[list[str], list[str]]]
 

@@ -13,11 +13,11 @@ from typing import Any
 
 import pytest
 import shapes
+from benchmarks.simulation import write_ply
 from processes import PATIENCE, in_this_process, living, wait_for
 
 import pcretrieve as pr
 from pcretrieve.formats import write_mesh
-from pcretrieve.simulation import write_ply
 
 ingest = partial(pr.ingest, executor=in_this_process)
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapes
+from benchmarks.simulation import POSES, body, make_subject
 from numpy.typing import NDArray
 
 from pcretrieve.checks import Check, Inspection, graded
@@ -20,7 +21,6 @@ from pcretrieve.draw.pictures import Colour
 from pcretrieve.pages.inspection_page import inspection_html
 from pcretrieve.pages.inspection_pictures import DROPPED, KEPT, inspection_cameras, rows_of
 from pcretrieve.pages.scene import measures, thicker
-from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.values import Failure, PointCloud, Signature
 
 SPHERE = shapes.icosphere(5)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from benchmarks.simulation.bodies import POSES, body, make_subject
 from benchmarks.uniform import UniformOptions, scan_uniformly
 from numpy.typing import NDArray
 
@@ -18,7 +19,6 @@ from pcretrieve.checks.grading import LARGEST_ERROR, CheckGrade
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SignatureOptions
-from pcretrieve.simulation.bodies import POSES, body, make_subject
 from pcretrieve.values import FloatArray, Grade, Shape
 
 

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 import shapes
+from benchmarks.simulation import RigOptions, scan as scanned
 from scipy.spatial.transform import Rotation
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import ScanOptions
 from pcretrieve.points import crop
-from pcretrieve.simulation import RigOptions, scan as scanned
 from pcretrieve.values import FloatArray, PointCloud
 
 BODY = shapes.body(3)

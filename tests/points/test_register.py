@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapes
+from benchmarks.simulation import RigOptions, scan_views
 from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud
@@ -19,7 +20,6 @@ from pcretrieve.options import MergeOptions, ScanOptions
 from pcretrieve.points.register import merge_views
 from pcretrieve.points.register.alignment import moved
 from pcretrieve.points.register.views import RangeImage
-from pcretrieve.simulation import RigOptions, scan_views
 from pcretrieve.values import FloatArray
 
 FAR = ScanOptions()

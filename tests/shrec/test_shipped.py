@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from benchmarks.shipped import sparse_dictionary
+from benchmarks.simulation import POSES, body, make_subject
 from scipy.spatial import cKDTree
 
 from pcretrieve.shrec.dl import (
@@ -15,7 +16,6 @@ from pcretrieve.shrec.dl import (
     triplet_loss,
 )
 from pcretrieve.shrec.heat import heat_features, shipped
-from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.values import FloatArray
 

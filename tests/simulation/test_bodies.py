@@ -8,10 +8,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from benchmarks.poses import POSES
+from benchmarks.simulation import body, make_subject
+from benchmarks.simulation.bodies import close_contacts, skin
+from benchmarks.simulation.skeleton import Bone, Pose, RoundCone, Subject, bone_distance, motions
 
-from pcretrieve.simulation import body, make_subject
-from pcretrieve.simulation.bodies import close_contacts, skin
-from pcretrieve.simulation.skeleton import Bone, Pose, RoundCone, Subject, bone_distance, motions
 from pcretrieve.surface import defects
 from pcretrieve.values import FloatArray
 

@@ -15,6 +15,9 @@ import pytest
 import shapes
 from benchmarks.poses import POSES, SUBJECTS
 from benchmarks.samples import write, write_views
+from benchmarks.simulation import RigOptions, body, camera_pose, make_subject, scan, scan_views
+from benchmarks.simulation.samples import random_motion, write_samples
+from benchmarks.simulation.skeleton import Bone, Pose, RoundCone, Subject
 from benchmarks.turning import TurningOptions, turning_frames, write_frames
 from benchmarks.uniform import UniformOptions, scan_uniformly
 from scipy.spatial.transform import Rotation
@@ -24,9 +27,6 @@ from pcretrieve.draw.open3d import RayScene
 from pcretrieve.formats.conf import read_poses
 from pcretrieve.formats.ply import read_ply
 from pcretrieve.points.register.alignment import moved
-from pcretrieve.simulation import RigOptions, body, camera_pose, make_subject, scan, scan_views
-from pcretrieve.simulation.samples import random_motion, write_samples
-from pcretrieve.simulation.skeleton import Bone, Pose, RoundCone, Subject
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 # The ball is made of flat faces whose middles lie at most this much below it.

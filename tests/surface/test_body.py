@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 import shapes
+from benchmarks.simulation import POSES, body, make_subject
 from benchmarks.uniform import UniformOptions, scan_uniformly
 
 from pcretrieve.errors import ReconstructionError
@@ -17,7 +18,6 @@ from pcretrieve.points.density import local_spacings
 from pcretrieve.points.grid import Grid
 from pcretrieve.points.neighbors import SPACING_NEIGHBORS, neighborhoods, spacing
 from pcretrieve.points.outside import sampled
-from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.surface import SurfaceMarks, body_surfaces, defects
 from pcretrieve.surface.body import _invented
 from pcretrieve.surface.caps import NO_CAP, _stands, capped

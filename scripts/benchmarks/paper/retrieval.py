@@ -24,6 +24,7 @@ from benchmarks.sets import (
     spread,
     written_set,
 )
+from benchmarks.simulation import POSES, body, make_subject
 from benchmarks.synthetic import quartered
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
@@ -40,7 +41,6 @@ from pcretrieve.pipeline.process import process
 from pcretrieve.plugins import METHODS
 from pcretrieve.retrieval import DistanceBlock, table_whitening
 from pcretrieve.shrec.matcher import MATCHERS, match_all
-from pcretrieve.simulation import POSES, body, make_subject
 from pcretrieve.surface.simplify import simplified
 from pcretrieve.values import Metric, Shape, TriangleMesh
 from pcretrieve.values.files import write_file

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pcretrieve.simulation.bodies import POSES, body, make_subject
-from pcretrieve.simulation.scanner import RigOptions, scan
-from pcretrieve.simulation.skeleton import Pose
+from benchmarks.simulation.bodies import POSES, body, make_subject
+from benchmarks.simulation.scanner import RigOptions, scan
+from benchmarks.simulation.skeleton import Pose
 from pcretrieve.values import FloatArray, TriangleMesh
 from pcretrieve.values.files import write_file
 
@@ -31,17 +31,6 @@ SUBJECTS = {
     "person-3": ("walk", "lunge", "point", "kick", "attention"),
     "person-4": ("stand", "cross", "sit", "run", "crouch"),
 }
-
-DEMO_SAMPLES = (
-    *("person-1_stand", "person-1_walk", "person-1_sit"),
-    *("person-2_stand", "person-2_run", "person-2_wave"),
-    *("person-3_walk", "person-3_lunge", "person-3_point"),
-    *("person-4_stand", "person-4_sit", "person-4_run"),
-)
-"""Sample scans of a catalogue that is made in about a minute."""
-
-DEMO_QUERY = "person-1_hands_on_hips"
-"""A sample scan of one of the same subjects, in a pose with contacts."""
 
 
 def write_whole(

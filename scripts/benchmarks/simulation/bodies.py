@@ -17,9 +17,8 @@ from scipy.optimize import least_squares
 from scipy.sparse import csc_array, diags_array
 from scipy.sparse.linalg import splu
 
-from pcretrieve.errors import InputError, OptionError
-from pcretrieve.simulation import people
-from pcretrieve.simulation.skeleton import (
+from benchmarks.simulation import people
+from benchmarks.simulation.skeleton import (
     Bone,
     Contact,
     Pose,
@@ -28,6 +27,7 @@ from pcretrieve.simulation.skeleton import (
     cone_distance,
     motions,
 )
+from pcretrieve.errors import InputError, OptionError
 from pcretrieve.spectral import laplace_beltrami
 from pcretrieve.surface.marching import level_set
 from pcretrieve.values import FloatArray, TriangleMesh

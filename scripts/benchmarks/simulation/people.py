@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pcretrieve.simulation.skeleton import (
+from benchmarks.simulation.skeleton import (
     COLLINEAR,
     Bone,
     Contact,
