@@ -86,8 +86,6 @@ REFERENCES = {
     "retrieval.bounds.scan": (
         "retrieval/test_index.py::no_signature_lies_within_a_distance_and_beyond_its_limit"
     ),
-    "shrec.cm_bof._drawn": "shrec/test_matchers.py::pictures_show_the_depth_of_a_ball",
-    "shrec.cm_bof._smallest_mean": "shrec/test_matchers.py::the_best_position_counts",
     "spectral.blocks.product": "spectral/test_blocks.py::products_of_blocks_are_those_of_numpy",
     "spectral.blocks.times": "spectral/test_blocks.py::products_of_blocks_are_those_of_numpy",
     "spectral.blocks.components": "spectral/test_blocks.py::products_of_blocks_are_those_of_numpy",

@@ -8,21 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
-from itertools import permutations, product
-from typing import NamedTuple
+from itertools import product
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
+from scipy.cluster.vq import vq
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
 
 from pcretrieve.descriptors.hapt import in_principal_frame
+from pcretrieve.draw.open3d import RayScene
 from pcretrieve.errors import DegenerateMeshError, OptionError, Stage
 from pcretrieve.surface.simplify import decimated, simplified
 from pcretrieve.surface.topology import compact
 from pcretrieve.values import FloatArray, IntArray, Shape, TriangleMesh
-from pcretrieve.values.compiled import compiled
 
 # Number of faces to which a surface is simplified first.
 N_FACES = 1000
@@ -158,41 +160,29 @@ N_PIXELS = 128
 # Margin on each side of a picture, relative to half of its width.
 MARGIN = 0.05
 
+# Distance of a camera from the centre of a form, which has the radius 1.
+START = 2.0
+
 
 @cache
 def directions() -> FloatArray:
     """(66, 3) unit vectors: the vertices of the octahedron whose faces are cut in four twice."""
-    points = [np.array(p) for p in product(range(-4, 5), repeat=3) if np.abs(p).sum() == 4]
-    # A subdivision moves the midpoints of edges to the sphere: the grid on a face of the octahedron, in which
-    # every second vertex is of the first subdivision.
-    return np.array([_subdivided(point) for point in points])
+    from trimesh.remesh import subdivide
 
-
-def _subdivided(point: IntArray) -> FloatArray:
-    """The vertex on the unit sphere at a grid point (a, b, c) of the octahedron |a| + |b| + |c| = 4."""
-    if not point.astype(int).any() or (point % 4 == 0).all():
-        return np.asarray(point / 4.0)
-    step = 2 if (point % 2 == 0).all() else 1
-    # The ends of the edge whose midpoint this is: two of the coordinates differ by one step.
-    odd = [axis for axis in range(3) if (point[axis] // step) % 2]
-    move = np.zeros(3, dtype=int)
-    move[odd[0]] = step if point[odd[0]] > 0 else -step
-    move[odd[1]] = -step if point[odd[1]] > 0 else step
-    middle = _subdivided(point + move) + _subdivided(point - move)
-    return np.asarray(middle / np.linalg.norm(middle))
+    vertices = np.concatenate([np.eye(3), -np.eye(3)])
+    faces = np.array([*product((0, 3), (1, 4), (2, 5))])
+    for _ in range(2):
+        vertices, faces = subdivide(vertices, faces)
+        vertices /= np.linalg.norm(vertices, axis=1, keepdims=True)
+    return np.asarray(vertices)
 
 
 @cache
 def exchanges() -> IntArray:
     """(24, 66) numbers of the directions to which the rotations of an octahedron turn each direction."""
     views = directions()
-    rows = []
-    for order in permutations(range(3)):
-        for signs in product((1.0, -1.0), repeat=3):
-            matrix = np.zeros((3, 3))
-            matrix[range(3), order] = signs
-            if np.linalg.det(matrix) > 0:
-                rows.append((views @ matrix.T @ views.T).argmax(axis=1))
+    turns = Rotation.create_group("O").as_matrix()
+    rows = [(views @ turn.T @ views.T).argmax(axis=1) for turn in turns]
     return np.array(rows, dtype=np.int32)
 
 
@@ -202,7 +192,10 @@ def depth_pictures(mesh: TriangleMesh) -> Iterator[FloatArray]:
     The projection is orthographic. The value is (1 + z) / 2 at the point nearest to the camera, with z the
     coordinate towards the camera; 0 where there is no surface.
     """
-    scale = (1 - MARGIN) * (N_PIXELS - 1) / 2
+    ticks = np.linspace(-1, 1, N_PIXELS) / (1 - MARGIN)
+    across, up = np.meshgrid(ticks, ticks)
+    pixels = np.column_stack([across.ravel(), up.ravel(), np.full(across.size, START)])  # (p, 3)
+    scene = RayScene(mesh.vertices, mesh.faces)
     for towards in directions():
         upright = np.eye(3)[2] if abs(towards[2]) < 1 - 1e-9 else np.eye(3)[1]
         right = np.cross(upright, towards)
@@ -210,34 +203,8 @@ def depth_pictures(mesh: TriangleMesh) -> Iterator[FloatArray]:
         camera = np.stack(
             [right, np.cross(towards, right), towards]
         )  # (3, 3): to the right, upwards, nearer
-        seen = mesh.vertices @ camera.T  # (n, 3)
-        pixels = np.column_stack([seen[:, :2] * scale + (N_PIXELS - 1) / 2, (1 + seen[:, 2]) / 2])
-        yield _drawn(pixels, mesh.faces, N_PIXELS)
-
-
-@compiled()
-def _drawn(pixels: FloatArray, faces: IntArray, side: int) -> FloatArray:
-    """A picture (side, side) of the largest third coordinate at each pixel (x, y), and 0 without a face."""
-    picture = np.zeros((side, side))
-    for face in range(len(faces)):
-        x0, y0, z0 = pixels[faces[face, 0]]
-        x1, y1, z1 = pixels[faces[face, 1]]
-        x2, y2, z2 = pixels[faces[face, 2]]
-        double = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-        if abs(double) < 1e-12:  # seen from its edge
-            continue
-        for y in range(
-            max(0, int(np.ceil(min(y0, y1, y2)))), min(side - 1, int(max(y0, y1, y2))) + 1
-        ):
-            for x in range(
-                max(0, int(np.ceil(min(x0, x1, x2)))), min(side - 1, int(max(x0, x1, x2))) + 1
-            ):
-                a = ((x - x0) * (y2 - y0) - (x2 - x0) * (y - y0)) / double
-                b = ((x1 - x0) * (y - y0) - (x - x0) * (y1 - y0)) / double
-                # A pixel on an edge is in both faces, in spite of rounding.
-                if a >= -1e-9 and b >= -1e-9 and a + b <= 1 + 1e-9:
-                    picture[y, x] = max(picture[y, x], z0 + a * (z1 - z0) + b * (z2 - z0))
-    return picture
+        ways, _, _ = scene.cast(pixels @ camera, np.broadcast_to(-towards, pixels.shape))
+        yield np.where(np.isfinite(ways), (1 + START - ways) / 2, 0).reshape(N_PIXELS, -1)
 
 
 # Number of visual words, and of values of a SIFT descriptor: 4 × 4 cells of 8 directions.
@@ -248,18 +215,8 @@ SIFT_LENGTH = 128
 ViewDescriptors = list[NDArray[np.uint8]]
 
 
-class ViewWords(NamedTuple):
-    """The frequencies of the visual words in the views of a canonical form, without zeros.
-
-    starts: (67,) int32, the words of view k are at positions ``starts[k]`` to ``starts[k + 1]`` of the other
-        arrays.
-    words: (w,) int32, numbers of the words, ascending in each view.
-    counts: (w,) int32, frequencies of the words.
-    """
-
-    starts: IntArray
-    words: IntArray
-    counts: IntArray
+# (66, W) how often each visual word is in each view of a form.
+ViewWords: TypeAlias = "csr_array[np.float64]"
 
 
 def view_descriptors(shape: Shape) -> ViewDescriptors:
@@ -301,15 +258,10 @@ def view_words(gallery: Sequence[ViewDescriptors]) -> Callable[[ViewDescriptors]
 
 def _counted(vocabulary: FloatArray, views: ViewDescriptors) -> ViewWords:
     """How often each word is the nearest one to the descriptors of each view."""
-    squares = (vocabulary**2).sum(axis=1)
-    products = np.concatenate(views).astype(np.float64) @ vocabulary.T  # (p, W)
-    nearest = np.split(
-        (squares - 2 * products).argmin(axis=1), np.cumsum([len(view) for view in views[:-1]])
-    )
-    found = [np.unique(numbers, return_counts=True) for numbers in nearest]
-    starts = np.cumsum([0, *(len(words) for words, _ in found)])
-    words, counts = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return ViewWords(starts.astype(np.int32), words.astype(np.int32), counts.astype(np.int32))
+    words, _ = vq(np.concatenate(views).astype(np.float64), vocabulary)
+    view = np.repeat(np.arange(len(views)), [len(each) for each in views])
+    # Equal places are added up.
+    return csr_array((np.ones(len(words)), (view, words)), shape=(len(views), len(vocabulary)))
 
 
 def clock_distance(query: ViewWords, other: ViewWords) -> float:
@@ -319,55 +271,11 @@ def clock_distance(query: ViewWords, other: ViewWords) -> float:
     without words. The distances of corresponding views are averaged, for each of the 24 rotations of an
     octahedron, and the smallest average is the distance.
     """
-    return float(_smallest_mean(*query, *other, exchanges()))
-
-
-@compiled()
-def _smallest_mean(
-    starts: IntArray,
-    words: IntArray,
-    counts: IntArray,
-    other_starts: IntArray,
-    other_words: IntArray,
-    other_counts: IntArray,
-    exchanges: IntArray,
-) -> float:
-    """The smallest mean distance of the histograms of two forms, over the rows of `exchanges`."""
-    n_views = len(starts) - 1
-    # Several rotations compare the same two views, whose distance is computed once.
-    known = np.full((n_views, n_views), -1.0)
-    smallest = np.inf
-    for rotation in range(len(exchanges)):
-        total = 0.0
-        for view in range(n_views):
-            turned = exchanges[rotation, view]
-            if known[turned, view] < 0:
-                here = slice(starts[turned], starts[turned + 1])
-                there = slice(other_starts[view], other_starts[view + 1])
-                known[turned, view] = _distance(
-                    words[here], counts[here], other_words[there], other_counts[there]
-                )
-            total += known[turned, view]
-        smallest = min(smallest, total)
-    return smallest / n_views
-
-
-@compiled()
-def _distance(
-    words: IntArray, counts: IntArray, other_words: IntArray, other_counts: IntArray
-) -> float:
-    """1 − Σ min(a, b) / max(Σ a, Σ b) of the frequencies a and b of two views; words ascend."""
-    larger = max(counts.sum(), other_counts.sum())
-    if larger == 0:
-        return 0.0
-    common, i, j = 0, 0, 0
-    while i < len(words) and j < len(other_words):
-        if words[i] == other_words[j]:
-            common += min(counts[i], other_counts[j])
-            i += 1
-            j += 1
-        elif words[i] < other_words[j]:
-            i += 1
-        else:
-            j += 1
-    return float(1 - common / larger)
+    shared = np.flatnonzero(query.sum(axis=0) * other.sum(axis=0))
+    ours, its = query[:, shared].toarray(), other[:, shared].toarray()
+    # Σ |a − b| = Σ a + Σ b − 2 Σ min(a, b)
+    sums = ours.sum(axis=1)[:, np.newaxis] + its.sum(axis=1)
+    common = (sums - cdist(ours, its, "cityblock")) / 2  # (66, 66)
+    larger = np.maximum(query.sum(axis=1)[:, np.newaxis], other.sum(axis=1))
+    apart = np.where(larger > 0, 1 - common / np.maximum(larger, 1), 0)
+    return float(apart[exchanges(), np.arange(len(apart))].mean(axis=1).min())

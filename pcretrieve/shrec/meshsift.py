@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -208,13 +209,9 @@ def _joined(shapes: FloatArray, turns: FloatArray) -> FloatArray:
 def _directions(angles: FloatArray, weights: FloatArray) -> FloatArray:
     """(k,) main directions in radians: the high maxima of the smoothed histogram, refined by parabolas."""
     degrees = np.degrees(angles) % N_DIRECTIONS
-    histogram = np.bincount(degrees.astype(int) % N_DIRECTIONS, weights, N_DIRECTIONS)
-    steps = np.arange(-(SMOOTHING // 2), SMOOTHING // 2 + 1)
-    kernel = np.exp(-((steps / SMOOTHING) ** 2) / 2)
-    padded = np.zeros(N_DIRECTIONS)
-    padded[steps] = kernel / kernel.sum()
-    transfer = np.fft.rfft(padded) ** N_SMOOTHINGS
-    smooth = np.fft.irfft(np.fft.rfft(histogram) * transfer, N_DIRECTIONS)
+    smooth = np.bincount(degrees.astype(int) % N_DIRECTIONS, weights, N_DIRECTIONS)
+    for _ in range(N_SMOOTHINGS):
+        smooth = gaussian_filter1d(smooth, SMOOTHING, radius=SMOOTHING // 2, mode="wrap")
     before, after = np.roll(smooth, 1), np.roll(smooth, -1)
     top = np.flatnonzero((smooth > before) & (smooth >= after) & (smooth >= HIGH * smooth.max()))
     bend = before[top] - 2 * smooth[top] + after[top]

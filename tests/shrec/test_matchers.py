@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import shapes
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from scipy.spatial.distance import cdist, pdist
 
 from pcretrieve.errors import DegenerateMeshError
@@ -251,10 +252,7 @@ def test_pictures_show_the_depth_of_a_ball() -> None:
 
 
 def words_of(histograms: NDArray[np.int64]) -> ViewWords:
-    """The words of (66, W) histograms."""
-    rows, words = np.nonzero(histograms)
-    starts = np.searchsorted(rows, np.arange(67))
-    return ViewWords(*(part.astype(np.int32) for part in (starts, words, histograms[rows, words])))
+    return csr_array(histograms.astype(np.float64))
 
 
 def test_the_best_position_counts() -> None:
