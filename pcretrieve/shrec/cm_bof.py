@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
-from itertools import product
 from typing import TypeAlias
 
 import numpy as np
@@ -20,7 +19,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from pcretrieve.descriptors.hapt import in_principal_frame
-from pcretrieve.draw.open3d import RayScene
+from pcretrieve.draw.open3d import RayScene, library
 from pcretrieve.errors import DegenerateMeshError, OptionError, Stage
 from pcretrieve.surface.simplify import decimated, simplified
 from pcretrieve.surface.topology import compact
@@ -167,14 +166,12 @@ START = 2.0
 @cache
 def directions() -> FloatArray:
     """(66, 3) unit vectors: the vertices of the octahedron whose faces are cut in four twice."""
-    from trimesh.remesh import subdivide
-
-    vertices = np.concatenate([np.eye(3), -np.eye(3)])
-    faces = np.array([*product((0, 3), (1, 4), (2, 5))])
+    sphere = library().geometry.TriangleMesh.create_octahedron(1.0)
     for _ in range(2):
-        vertices, faces = subdivide(vertices, faces)
+        sphere = sphere.subdivide_midpoint(1)
+        vertices = np.asarray(sphere.vertices)  # the memory of the mesh
         vertices /= np.linalg.norm(vertices, axis=1, keepdims=True)
-    return np.asarray(vertices)
+    return np.array(sphere.vertices)
 
 
 @cache
