@@ -65,35 +65,38 @@ def walls(
     links = walls.reshape(3, -1)
     for i in range(len(at)):
         for axis in range(3):
-            if abs(normals[i, axis]) >= LEAST_LEAN:
-                _cross(links, at, normals, i, axis, shape, radius)
+            lean = normals[i, axis]
+            if abs(lean) >= LEAST_LEAN:
+                first, second = (axis + 1) % 3, (axis + 2) % 3
+                middle = (at[i, first], at[i, second], at[i, axis])
+                slopes = (-normals[i, first] / lean, -normals[i, second] / lean)
+                _cross(links, middle, slopes, axis, shape, radius)
     return walls
 
 
 @compiled()
 def _cross(
     links: Mask,
-    at: FloatArray,
-    normals: FloatArray,
-    i: int,
+    middle: tuple[float, float, float],
+    slopes: tuple[float, float],
     axis: int,
     shape: tuple[int, int, int],
     radius: float,
 ) -> None:
-    """Mark the links along an axis, (3, abc), that cross a surfel: they meet its plane within the disk."""
+    """Mark the links along an axis, (3, abc), that cross a surfel: they meet its plane within the disk.
+
+    The middle of the surfel has its coordinate along the axis last. It and the slopes are numbers, because
+    counting the references to a row of an array takes longer than the arithmetic.
+    """
     step = (shape[1] * shape[2], shape[2], 1)
     first, second = (axis + 1) % 3, (axis + 2) % 3
-    lean = normals[i, axis]
-    rise, slope = -normals[i, first] / lean, -normals[i, second] / lean
-    # Numbers, because counting the references to a row of an array takes longer than the arithmetic.
-    x, y, z = at[i, first], at[i, second], at[i, axis]
-    columns = _within(x, radius, shape[first])
-    rows = _within(y, radius, shape[second])
+    columns = _within(middle[0], radius, shape[first])
+    rows = _within(middle[1], radius, shape[second])
     for a in range(columns[0], columns[1]):
         for b in range(rows[0], rows[1]):
-            da, db = a - x, b - y
-            along = rise * da + slope * db
-            c = int(np.floor(z + along))
+            da, db = a - middle[0], b - middle[1]
+            along = slopes[0] * da + slopes[1] * db
+            c = int(np.floor(middle[2] + along))
             # Without branches, of which many would be mispredicted.
             meets = da * da + db * db + along * along <= radius * radius
             meets &= 0 <= c < shape[axis]
