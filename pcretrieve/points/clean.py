@@ -55,7 +55,7 @@ def clean(cloud: PointCloud, options: ScanOptions) -> tuple[PointCloud, Neighbor
     check_extent(thinned.points, Stage.CLEAN)
     k = max(options.normal_neighbors, PLANE_NEIGHBORS + 1)
     neighbors = neighborhoods(thinned.points, max(options.outlier_neighbors, FARTHER + 1, k))
-    is_inlier = _inliers(thinned, neighbors, options)
+    is_inlier = _inliers(thinned, voxel, neighbors, options)
     kept = thinned.select(np.flatnonzero(is_inlier))
     check_extent(kept.points, Stage.CLEAN)
     n_outliers = len(voxel) - int(is_inlier[voxel].sum())
@@ -74,19 +74,26 @@ def outliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.bool_]:
     """(n,) mask of the points that `clean` removes: those in voxels that are outliers."""
     thinned, voxel = _thinned(cloud, options.voxel)
     neighbors = neighborhoods(thinned.points, max(options.outlier_neighbors, FARTHER + 1))
-    return np.asarray(~_inliers(thinned, neighbors, options)[voxel])
+    return np.asarray(~_inliers(thinned, voxel, neighbors, options)[voxel])
 
 
 def _inliers(
-    cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions
+    cloud: PointCloud, voxel: NDArray[np.intp], neighbors: Neighborhoods, options: ScanOptions
 ) -> NDArray[np.bool_]:
-    """Whether the mean distance of each point to its neighbours is not exceptional, (n,)."""
+    """Whether the mean distance of each point to its neighbours is not exceptional, (n,).
+
+    What is exceptional, is so among the points of the scan: of a dense one, each point of the surface is the
+    mean of a hundred, and each stray of one. A few in a thousand are then many of the means.
+    """
     distance = neighbors.distance[:, : options.outlier_neighbors].mean(axis=1)  # (n,)
-    apart = distance[distance > 0]  # not of points that coincide with all their neighbours
-    if len(apart) < 2:
+    # Points that coincide with all their neighbours do not count.
+    counts = np.bincount(voxel) * (distance > 0)
+    if np.count_nonzero(counts) < 2:
         return np.ones(len(distance), dtype=np.bool_)
-    median = np.median(apart)
-    limit = max(apart.mean() + options.outlier_std * apart.std(ddof=1), LEAST_OUTLYING * median)
+    median = np.median(distance[counts > 0])
+    mean = np.average(distance, weights=counts)
+    deviation = np.sqrt(np.average((distance - mean) ** 2, weights=counts))
+    limit = max(mean + options.outlier_std * deviation, LEAST_OUTLYING * median)
     # Where the points are sparse, distances are exceptional, and no points are outliers for that reason.
     sparse = is_of_surface(neighbors, cell=DENSE_VOXEL * cloud.diagonal)
     return np.asarray(

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import ScanOptions
 from pcretrieve.points import clean
+from pcretrieve.points.clean import outliers
 from pcretrieve.values import FloatArray, PointCloud
 
 OPTIONS = ScanOptions()
@@ -36,15 +37,27 @@ def test_one_point_is_left_of_each_voxel_and_none_moves_beyond_it() -> None:
 
 def test_outliers_go_and_the_body_stays() -> None:
     rng = np.random.default_rng(0)
-    outliers = 3 * BODY.diagonal * (rng.random((20, 3)) - 0.5)
-    far_from_body = gaps(BODY.points, outliers) > 0.1 * BODY.diagonal
-    cleaned = clean(PointCloud(np.concatenate([BODY.points, outliers[far_from_body]])), OPTIONS)[0]
+    strays = 3 * BODY.diagonal * (rng.random((20, 3)) - 0.5)
+    far_from_body = gaps(BODY.points, strays) > 0.1 * BODY.diagonal
+    cleaned = clean(PointCloud(np.concatenate([BODY.points, strays[far_from_body]])), OPTIONS)[0]
     assert gaps(BODY.points, cleaned.points).max() < 0.02 * BODY.diagonal
     assert gaps(cleaned.points, BODY.points).max() < 0.02 * BODY.diagonal
     assert any("as outliers" in note for note in cleaned.provenance[-1].notes)
     assert (
         clean(BODY, OPTIONS)[0].provenance[-1].sizes["outliers"] == 0
     )  # of an exact surface, none
+
+
+def test_strays_of_a_dense_scan_are_few_of_its_points_but_many_of_its_voxels() -> None:
+    rng = np.random.default_rng(0)
+    surface = rng.normal(size=(200_000, 3))
+    surface /= np.linalg.norm(surface, axis=1)[:, None]
+    strays = 3 * (rng.random((2_000, 3)) - 0.5)
+    cloud = PointCloud(np.concatenate([surface, strays]))
+    is_far = np.abs(np.linalg.norm(strays, axis=1) - 1) > 0.15
+    dropped = outliers(cloud, ScanOptions(voxel=0.01))
+    assert dropped[len(surface) :][is_far].mean() > 0.95
+    assert dropped[: len(surface)].mean() < 1e-3
 
 
 def test_strays_beside_a_sparse_side_go_and_its_points_stay() -> None:
