@@ -286,8 +286,12 @@ HOSTILE: list[tuple[str, bytes, str]] = [
     ("a.pcd", pcd_header("x", "y", "z", n=HUGE, data="binary").encode() + bytes(12), "declares"),
     ("a.pcd", pcd_bomb(36 * 10**8), "declares 3600000000 bytes in 99"),
     ("a.pcd", pcd_bomb(36 * 10**6, 3 * 10**6, 10**6), "declares 36000000 bytes in 1000000"),
-    ("a.stl", bytes(80) + struct.pack("<I", 2**32 - 1) + bytes(50), "not a complete STL"),
-    ("a.off", f"OFF\n{HUGE} {HUGE} 0\n0 0 0\n".encode(), "not a complete OFF"),
+    (
+        "a.stl",
+        bytes(80) + struct.pack("<I", 2**32 - 1) + bytes(50),
+        "4294967295 triangles in 134 bytes",
+    ),
+    ("a.off", f"OFF\n{HUGE} {HUGE} 0\n0 0 0\n".encode(), "declares"),
     ("a.ptx", f"{10**9}\n{10**9}\n{POSE}0 0 0 0.5\n".encode(), f"declares {10**18} rows in"),
     (
         "a.npy",
@@ -299,9 +303,9 @@ HOSTILE: list[tuple[str, bytes, str]] = [
         npy("{'descr': '|O', 'fortran_order': False, 'shape': (1, 3), }", PICKLE),
         "Python objects",
     ),
-    ("a.npy", npy("__import__('os').system('echo > pickled')"), "not a complete NPY"),
-    ("a.npy", PICKLE, "not a complete NPY"),
-    ("a.php.off", b"<?php system($_GET['a']); ?>", "not a complete OFF"),
+    ("a.npy", npy("__import__('os').system('echo > pickled')"), "not a valid NPY"),
+    ("a.npy", PICKLE, "not a valid NPY"),
+    ("a.php.off", b"<?php system($_GET['a']); ?>", "not a valid OFF"),
     ("a.obj", b"<script>alert(1)</script>\nv <b> 0 0\n", "line 2 is 'v <b> 0 0'"),
     (
         "a.ply",

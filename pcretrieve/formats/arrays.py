@@ -15,16 +15,17 @@ from numpy.typing import NDArray
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.depth import camera_parts, depth_scan
 from pcretrieve.formats.format import (
-    NORMAL_FIELDS,
-    POINT_FIELDS,
+    COORDINATE,
     Part,
     RawScan,
     are_normals,
+    axes_of,
+    checked,
     scan_of_fields,
     without_zeros,
 )
-from pcretrieve.formats.pcd import NORMAL_FIELDS as PCD_NORMAL_FIELDS
 from pcretrieve.formats.text import FEWEST_POINTS, MOST_COLUMNS
+from pcretrieve.values.base import numbers
 from pcretrieve.values.files import array_header, member_array, opened_archive, read_array
 
 # Names of arrays in .npz files, the first of which is taken.
@@ -66,27 +67,10 @@ def read_npz(path: Path) -> RawScan:
             )
         faces, normals, viewpoints = array(FACES), array(NORMALS), array(VIEWPOINTS)
     scan = _scan_of(found)
-    n = len(scan.points)
-    if faces is not None:
-        if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
-            raise ScanReadError(
-                f"faces must be whole numbers (m, 3), got {faces.dtype} {faces.shape}"
-            )
-        return RawScan(scan.points, faces.astype(np.int64))
-    if normals is not None:
-        scan = scan._replace(normals=_vectors(normals, "normals", ((n, 3),)))
-    if viewpoints is not None:
-        scan = scan._replace(viewpoints=_vectors(viewpoints, "viewpoints", ((n, 3), (3,))))
-    return without_zeros(scan)
-
-
-def _vectors(
-    array: NDArray[Any], name: str, shapes: tuple[tuple[int, ...], ...]
-) -> NDArray[np.float64]:
-    if array.shape not in shapes or array.dtype.kind not in "fiu":
-        expected = " or ".join(str(shape) for shape in shapes)
-        raise ScanReadError(f"{name} must be numbers {expected}, got {array.dtype} {array.shape}")
-    return array.astype(np.float64)
+    if normals is None:
+        normals = scan.normals
+    scan = checked(scan._replace(faces=faces, normals=normals, viewpoints=viewpoints))
+    return scan if faces is not None else without_zeros(scan)
 
 
 def recognise_npy(path: Path) -> bool:
@@ -95,7 +79,7 @@ def recognise_npy(path: Path) -> bool:
     if _is_image(shape, dtype):
         return bool(camera_parts(path))
     if dtype.names:
-        return {*POINT_FIELDS.split()} <= {*dtype.names}
+        return axes_of(dtype.names, COORDINATE) is not None
     return (
         dtype.kind in "fiu"
         and len(shape) in (2, 3)
@@ -129,23 +113,15 @@ def recognise_npz(path: Path) -> bool:
 def _scan_of(array: NDArray[Any]) -> RawScan:
     """The points, and the normals, of an array of numbers or of records."""
     if array.dtype.names:
-        fields = {name.lower(): array[name] for name in array.dtype.names}
-        normals = NORMAL_FIELDS if {*NORMAL_FIELDS.split()} <= fields.keys() else PCD_NORMAL_FIELDS
-        return scan_of_fields(fields, lambda name: _numbers(fields[name].reshape(-1)), normals)
+        return scan_of_fields(array.dtype.names, lambda name: numbers(name, array[name]).ravel())
     if array.ndim not in (2, 3) or not 3 <= array.shape[-1] <= MOST_COLUMNS:
         raise ScanReadError(
             f"an array of points must have the shape (n, c) or (h, w, c), c from 3 to {MOST_COLUMNS}, "
             f"got {array.shape}"
         )
-    table = _numbers(array.reshape(-1, array.shape[-1]))
+    table = numbers("coordinates", array).reshape(-1, array.shape[-1]).astype(np.float64)
     keep = table.shape[1] >= 6 and are_normals(table[:, 3:6])
     return RawScan(table[:, :3], normals=table[:, 3:6] if keep else None)
-
-
-def _numbers(table: NDArray[Any]) -> NDArray[np.float64]:
-    if table.dtype.kind not in "fiu":
-        raise ScanReadError(f"coordinates must be real numbers, got {table.dtype}")
-    return table.astype(np.float64)
 
 
 def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:

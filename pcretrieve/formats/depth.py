@@ -62,20 +62,10 @@ class Camera(NamedTuple):
     note: str = ""
 
 
-# The defaults of OpenNI and ROS for the first Kinect, and of libfreenect2 for the second.
-ASSUMED = "assumed the camera of a {}: there is no camera.json beside the image"
-KINECTS = {
-    (640, 480): Camera((525.0, 525.0), (319.5, 239.5), note=ASSUMED.format("Kinect")),
-    (512, 424): Camera((365.456, 365.456), (254.878, 205.395), note=ASSUMED.format("Kinect v2")),
-}
-# The calibrations of the three cameras of the TUM benchmark, and the scale of its images.
-TUM_SCALE = 5000.0
-TUM_CAMERAS = {
-    "freiburg1": Camera((517.3, 516.5), (318.6, 255.3), TUM_SCALE, (640, 480)),
-    "freiburg2": Camera((520.9, 521.0), (325.1, 249.7), TUM_SCALE, (640, 480)),
-    "freiburg3": Camera((535.4, 539.2), (320.1, 247.6), TUM_SCALE, (640, 480)),
-}
-TUM_DEFAULT = Camera((525.0, 525.0), (319.5, 239.5), TUM_SCALE, (640, 480))
+# Names of the parameters: of Open3D and this package, of ROS, and of librealsense.
+MATRICES = ("intrinsic_matrix", "K", "k")
+PARAMETERS = (("fx",), ("fy",), ("cx", "ppx"), ("cy", "ppy"))
+SCALES = ("depth_scale", "depth_units")
 
 
 def _camera_file(image: Path) -> Path | None:
@@ -91,7 +81,7 @@ def camera_of(file: Path) -> Camera:
     """The parameters in a file."""
     if file.name == TUM_LIST:
         name = file.absolute().parent.name
-        return next((camera for key, camera in TUM_CAMERAS.items() if key in name), TUM_DEFAULT)
+        return next(camera for key, camera in TUM_CAMERAS.items() if key in name)
     check_file(file)
     if file.stat().st_size > MOST_BYTES:
         raise ScanReadError(f"the camera file {file.name} must have at most {MOST_BYTES} bytes")
@@ -114,22 +104,51 @@ def camera_of(file: Path) -> Camera:
 
 
 def _camera(tree: Any) -> Camera:
-    if "intrinsic_matrix" in tree:
-        matrix = np.array(tree["intrinsic_matrix"], dtype=np.float64)
-        # Nine numbers by columns, or three rows.
-        matrix = matrix.reshape(3, 3).T if matrix.ndim == 1 else matrix
-        (fx, _, cx), (_, fy, cy), _ = matrix.tolist()
+    named = next((name for name in MATRICES if name in tree), None)
+    if named is None:
+        names = [next((name for name in known if name in tree), known[0]) for known in PARAMETERS]
+        fx, fy, cx, cy = (float(tree[name]) for name in names)
     else:
-        fx, fy, cx, cy = (float(tree[name]) for name in ("fx", "fy", "cx", "cy"))
-    scale = None if tree.get("depth_scale") is None else float(tree["depth_scale"])
+        # Nine numbers, by columns or by rows, or three rows: the last row is (0, 0, 1).
+        matrix = np.array(tree[named], dtype=np.float64).reshape(3, 3)
+        (fx, _, cx), (_, fy, cy), _ = (matrix.T if matrix[2, :2].any() else matrix).tolist()
+    scale = next((float(tree[name]) for name in SCALES if tree.get(name) is not None), None)
     if not (
         np.isfinite([fx, fy, cx, cy, scale or 1]).all()
         and min(fx, fy) > 0
         and (scale is None or scale > 0)
     ):
         raise ValueError("focal lengths and the depth scale must be positive")
+    note = str(tree.get("note", ""))
+    if scale is not None and scale < 1:
+        note = f"read depth_scale {scale:g} as metres per value, because it is below 1"
+        scale = 1 / scale
     size = (int(tree["width"]), int(tree["height"])) if {"width", "height"} <= tree.keys() else None
-    return Camera((fx, fy), (cx, cy), scale, size)
+    return Camera((fx, fy), (cx, cy), scale, size, note)
+
+
+# Cameras that are known, by size and by the name of the folder: by OpenNI and ROS the first Kinect, by
+# libfreenect2 the second, and by their calibrations the three cameras of the TUM benchmark, whose images have
+# a scale of their own; of any other of its folders, that of OpenNI.
+KNOWN = tomllib.loads("""
+    [kinect.1]
+    note = "assumed the camera of a Kinect: there is no camera.json beside the image"
+    intrinsic_matrix = [[525, 0, 319.5], [0, 525, 239.5], [0, 0, 1]]
+    width = 640
+    height = 480
+    [kinect.2]
+    note = "assumed the camera of a Kinect v2: there is no camera.json beside the image"
+    intrinsic_matrix = [[365.456, 0, 254.878], [0, 365.456, 205.395], [0, 0, 1]]
+    width = 512
+    height = 424
+    [tum]
+    freiburg1 = { fx = 517.3, fy = 516.5, cx = 318.6, cy = 255.3, depth_scale = 5000 }
+    freiburg2 = { fx = 520.9, fy = 521.0, cx = 325.1, cy = 249.7, depth_scale = 5000 }
+    freiburg3 = { fx = 535.4, fy = 539.2, cx = 320.1, cy = 247.6, depth_scale = 5000 }
+    "" = { fx = 525, fy = 525, cx = 319.5, cy = 239.5, depth_scale = 5000 }
+""")
+KINECTS = {camera.size: camera for camera in map(_camera, KNOWN["kinect"].values())}
+TUM_CAMERAS = {name: _camera(tree) for name, tree in KNOWN["tum"].items()}
 
 
 # --- images -----------------------------------------------------------------------------------------------

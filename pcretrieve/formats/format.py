@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 import stat
-from collections.abc import Callable, Collection, Iterable, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,15 +15,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
+from pcretrieve.values import METRES, FloatArray, PointCloud, TriangleMesh
+from pcretrieve.values.base import numbers
 
 # Tolerance of the length of normals that a file does not name: they may have three digits.
 UNIT_TOLERANCE = 1e-2
 
-# Names of columns: of points, of normals in PLY files, and of positions of sensors, by PCL.
+# Names of columns in files that are written: of points, of normals in PLY files, and of sensors, by PCL.
 POINT_FIELDS = "x y z"
 NORMAL_FIELDS = "nx ny nz"
 SENSOR_FIELDS = "vp_x vp_y vp_z"
+
+# Names of columns in files that are read, in lower case. "x_coord", "points_0" and "points:0" (ParaView);
+# "nx" (MeshLab), "normal_x" (PCL), "normalx" (PDAL), "normals:0" (ParaView); "vp_x" (PCL).
+COORDINATE = re.compile(r"(?:points?[_:.])?([xyz]|(?<=[_:.])[012])(?:[_ ]?coord\w*)?")
+NORMAL = re.compile(r"(?:n|normals?[_:.]?)([xyz]|(?<=[_:.])[012])")
+SENSOR = re.compile(r"vp_([xyz])")
+
+# What the C library of Microsoft prints for NaN and for infinity: -nan(ind), 1.#QNAN, -1.#IND00, 1.#INF.
+NO_NUMBER = re.compile(r"[+-]?(?:nan\(\w*\)|1\.#(?:[qs]nan|ind|inf)\d*)", re.IGNORECASE)
+# A number whose decimal point is a comma.
+DECIMAL_COMMA = re.compile(r"\d+,\d+")
 
 # Largest compression ratio of deflate, the usual method of archives and of images.
 DEFLATE_RATIO = 1032
@@ -65,7 +79,11 @@ class RawScan(NamedTuple):
 
 
 class Damaged(Exception):
-    """A file is truncated, damaged, or not of the format of its suffix; the reason only, for `read_raw`."""
+    """A file is damaged, or not of the format of its suffix; the reason only, for `read_raw`."""
+
+
+class Cut(Damaged):
+    """A file ends before all that it declares."""
 
 
 class Extra(NamedTuple):
@@ -158,14 +176,18 @@ def check_file(path: Path) -> None:
         raise ScanReadError("the file is empty: scan or export it again")
 
 
+def encoding_of(head: bytes) -> str:
+    """The encoding of a text: names in any other one are read with wrong signs, numbers as they are."""
+    is_wide = head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return "utf-16" if is_wide else "utf-8-sig"
+
+
 def text_lines(path: Path) -> list[str]:
-    """The lines of a text file."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        text = "\0"
+    """The lines of a text file, whose names may be in any encoding."""
+    data = path.read_bytes()
+    text = data.decode(encoding_of(data), errors="replace")
     check_text(path, text)
-    return text.splitlines()
+    return NO_NUMBER.sub("nan", text).splitlines()
 
 
 def check_text(path: Path, text: str) -> None:
@@ -206,6 +228,29 @@ def fans(polygons: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
     )
 
 
+def strips(corners: NDArray[Any]) -> NDArray[np.int64]:
+    """(m, 3) triangles of strips: (k,) vertex numbers, in which −1 ends a strip."""
+    corners = corners.astype(np.int64)
+    k = np.arange(len(corners))
+    # Every second triangle of a strip has the opposite orientation.
+    is_odd = (k - np.maximum.accumulate(np.where(corners < 0, k + 1, 0)))[:-2] % 2 == 1
+    triangles = np.column_stack([corners[:-2], corners[1:-1], corners[2:]])
+    triangles[is_odd] = triangles[is_odd][:, [0, 2, 1]]
+    return triangles[(triangles >= 0).all(axis=1)]
+
+
+def numbers_in(text: str, what: str) -> NDArray[np.float64]:
+    """The numbers of a text, between which are blanks and ends of lines."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", DeprecationWarning)  # before numpy 2.3 it was no error
+            return np.fromstring(NO_NUMBER.sub("nan", text), sep=" ")
+    except (ValueError, DeprecationWarning) as error:
+        comma = DECIMAL_COMMA.search(text)
+        such = f", such as {comma[0]}" if comma else ""
+        raise Damaged(f"its {what} hold more than numbers{such}") from error
+
+
 def are_normals(vectors: NDArray[Any]) -> bool:
     """Whether (n, 3) columns of a table are normals: of unit length, and unlike colours some negative."""
     vectors = vectors[np.isfinite(vectors).all(axis=1)]
@@ -214,6 +259,27 @@ def are_normals(vectors: NDArray[Any]) -> bool:
         and (vectors < 0).any()
         and (np.abs(np.linalg.norm(vectors, axis=1) - 1) < UNIT_TOLERANCE).all()
     )
+
+
+def checked(scan: object) -> RawScan:
+    """The scan with arrays of the types and shapes of `RawScan`; TypeError or ValueError if it has others."""
+    if not isinstance(scan, RawScan):
+        raise TypeError(f"a reader must return a RawScan, got {type(scan).__name__}")
+    arrays: dict[str, NDArray[np.float64]] = {}
+    for name in ("points", "faces", "normals", "viewpoints"):
+        if (given := getattr(scan, name)) is None:
+            continue
+        array = arrays[name] = numbers(name, given).astype(np.float64, copy=False)
+        n = "n" if name in ("points", "faces") else len(arrays["points"])
+        wanted = array.ndim == 2 and array.shape[1] == 3 and n in ("n", len(array))
+        if not wanted and not (name == "viewpoints" and array.shape == (3,)):
+            raise ValueError(f"{name} must have the shape ({n}, 3), got {array.shape}")
+    if "faces" in arrays and (arrays["faces"] % 1).any():
+        raise ValueError("faces must be whole numbers")
+    if scan.unit not in (None, *METRES):
+        raise ValueError(f"the unit must be one of {', '.join(METRES)}, got {scan.unit!r}")
+    faces = arrays["faces"].astype(np.int64) if "faces" in arrays else None
+    return scan._replace(**arrays | {"faces": faces, "notes": tuple(scan.notes)})
 
 
 def without_zeros(scan: RawScan) -> RawScan:
@@ -258,22 +324,34 @@ def joined(scans: Sequence[RawScan]) -> RawScan:
     )
 
 
-def scan_of_fields(
-    names: Collection[str], column: Callable[[str], NDArray[Any]], normals: str = NORMAL_FIELDS
-) -> RawScan:
+def axes_of(names: Sequence[str], pattern: re.Pattern[str]) -> tuple[int, ...] | None:
+    """The numbers of the first three columns whose names are those of the axes, by a pattern."""
+    axes = {
+        found[1]: k
+        for k, name in reversed([*enumerate(names)])
+        if (found := pattern.fullmatch(name.lower()))
+    }
+    for three in ("xyz", "012"):
+        if set(three) <= axes.keys():
+            return tuple(axes[axis] for axis in three)
+    return None
+
+
+def scan_of_fields(names: Sequence[str], column: Callable[[str], NDArray[Any]]) -> RawScan:
     """The scan in the named columns of a table, each of which a function gives as an (n,) array."""
 
-    def table(wanted: str) -> NDArray[np.float64] | None:
-        if not {*wanted.split()} <= {*names}:
+    def table(pattern: re.Pattern[str]) -> NDArray[np.float64] | None:
+        chosen = axes_of(names, pattern)
+        if chosen is None:
             return None
-        return np.stack([column(name) for name in wanted.split()], axis=1, dtype=np.float64)
+        return np.stack([column(names[k]) for k in chosen], axis=1, dtype=np.float64)
 
-    points = table(POINT_FIELDS)
+    points = table(COORDINATE)
     if points is None:
         raise ScanReadError(
             f"a scan must have the fields {POINT_FIELDS}, this one has {' '.join(names)}"
         )
-    return RawScan(points, None, table(normals), table(SENSOR_FIELDS))
+    return RawScan(points, None, table(NORMAL), table(SENSOR))
 
 
 def fields_of(cloud: PointCloud, normals: str = NORMAL_FIELDS) -> tuple[list[str], FloatArray]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import struct
 from functools import cache, partial
 from pathlib import Path, PurePosixPath
@@ -24,7 +25,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.format import Damaged, Part, RawScan, check_file, distinct_names, joined
+from pcretrieve.formats.format import (
+    Cut,
+    Damaged,
+    Part,
+    RawScan,
+    check_file,
+    distinct_names,
+    fans,
+    joined,
+    strips,
+)
 from pcretrieve.formats.meshes import Scene, check_size, moved
 from pcretrieve.values import FloatArray
 from pcretrieve.values.files import check_members
@@ -35,6 +46,8 @@ MOST_JSON_BYTES = 1 << 26
 # Largest number of values in it, each of which takes up to 300 bytes of memory. 1,000 bodies with materials
 # have about 150,000.
 MOST_JSON_VALUES = 250_000
+# Extensions that store or place vertices otherwise; others are of materials, or may be left out.
+UNREAD = re.compile("compression|quantized|instancing")
 WIDTHS = {"SCALAR": 1, "VEC3": 3}
 # Modes of a primitive with triangles; the others are points and lines.
 TRIANGLES = 4
@@ -95,6 +108,11 @@ def _document(path: Path) -> tuple[Any, list[bytes], int]:
     is_glb = path.suffix.lower() == ".glb"
     text, binary = _chunks(data) if is_glb else (data, b"")
     tree = _tree(text)
+    for name in tree.get("extensionsRequired", []):
+        if UNREAD.search(name):
+            raise ScanReadError(
+                f"its meshes are stored by the extension {name}: export them without it, uncompressed"
+            )
     if not is_glb and not str(tree["asset"]["version"]).startswith("2."):
         raise Damaged(f"it is not glTF 2.0, but {str(tree['asset']['version'])[:10]}")
     buffers = []
@@ -116,13 +134,13 @@ def _chunks(data: bytes) -> tuple[bytes, bytes]:
         raise Damaged("it is not glTF 2.0")
     start = 20 + length_of_tree
     if not start <= length <= len(data):
-        raise Damaged(f"its header declares {length} bytes, it has {len(data)}")
+        raise Cut(f"its header declares {length} bytes, it has {len(data)}")
     text, binary = data[20:start], b""
     while start + 8 <= length and not binary:
         size, kind = struct.unpack_from("<I4s", data, start)
         start += 8 + size
         if start > length:
-            raise Damaged("its binary part is cut short")
+            raise Cut("its binary part is cut short")
         if kind == b"BIN\0":
             binary = data[start - size : start]
     return text, binary
@@ -211,19 +229,15 @@ def _primitive(tree: Any, contents: list[bytes], primitive: Any) -> RawScan:
         corners = _values(tree, contents, primitive["indices"], "SCALAR")[:, 0].astype(np.int64)
         if len(corners) and not 0 <= corners.min() <= corners.max() < len(vertices):
             raise Damaged(f"its faces name vertex {corners.max()}, of {len(vertices)}")
-    if mode == TRIANGLES:
-        return RawScan(vertices, corners.reshape(-1, 3))
-    k = np.arange(max(len(corners) - 2, 0))
-    # Every second triangle of a strip has the opposite orientation.
-    order = (k, k + 1 + k % 2, k + 2 - k % 2) if mode == STRIP else (k + 1, k + 2, 0 * k)
-    return RawScan(vertices, corners[np.column_stack(order)])
+    faces = corners.reshape(-1, 3) if mode == TRIANGLES else corners[None]
+    return RawScan(vertices, strips(corners) if mode == STRIP else fans([faces]))
 
 
 def _values(tree: Any, contents: list[bytes], accessor: int, kind: str) -> NDArray[Any]:
     """The (count, width) values of an accessor; normalised integers as numbers from −1 to 1."""
     declared = tree["accessors"][accessor]
     if "sparse" in declared or "bufferView" not in declared:
-        raise Damaged("its values are sparse or compressed: export it plainly")
+        raise ScanReadError("its values are sparse or compressed: export it plainly")
     if declared["type"] != kind:
         raise Damaged(f"positions must be VEC3 and indices SCALAR, one is {declared['type']}")
     view = tree["bufferViews"][declared["bufferView"]]
@@ -240,7 +254,7 @@ def _values(tree: Any, contents: list[bytes], accessor: int, kind: str) -> NDArr
     first = start + declared.get("byteOffset", 0)
     stop = first + (count - 1) * stride + width * dtype.itemsize
     if not 0 <= start <= first <= stop <= start + view["byteLength"] <= len(binary):
-        raise Damaged(f"its binary part is too short for {count} values")
+        raise Cut(f"its binary part is too short for {count} values")
     values: NDArray[Any] = np.ndarray(
         (count, width), dtype, binary, first, (stride, dtype.itemsize)
     )

@@ -26,6 +26,7 @@ import numpy as np
 
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.format import (
+    Cut,
     Damaged,
     Extra,
     RawScan,
@@ -87,9 +88,7 @@ def read_las(path: Path) -> RawScan:
         raise
     n_points = sum(map(len, records))
     if n_points != reader.header.point_count:
-        raise Damaged(
-            f"its header declares {reader.header.point_count} points, it holds {n_points}"
-        )
+        raise Cut(f"its header declares {reader.header.point_count} points, it holds {n_points}")
     if not records:
         return RawScan(np.empty((0, 3)), unit="m")
     points = np.concatenate([np.column_stack([part.x, part.y, part.z]) for part in records])
@@ -110,7 +109,7 @@ def _check_records(data: bytes) -> None:
         raise Damaged(f"its header says version {data[24]}.{data[25]}")
     size, start, n_records = HEAD.unpack_from(data)
     if not size <= start <= len(data):
-        raise Damaged(f"its points begin at byte {start}, it has {len(data)}")
+        raise Cut(f"its points begin at byte {start}, it has {len(data)}")
     if n_records * RECORD_BYTES > start - size:
         raise Damaged(f"its header declares {n_records} records in {start - size} bytes")
 
@@ -122,7 +121,7 @@ def _check_points(data: bytes, header: Any) -> None:
     start, n_bytes = header.offset_to_point_data, header.point_format.size
     if not header.are_points_compressed:
         if header.point_count * n_bytes > len(data) - start:
-            raise Damaged(
+            raise Cut(
                 f"its header declares {header.point_count} points, {len(data) - start} bytes follow"
             )
         return
@@ -146,7 +145,7 @@ def _check_chunks(data: bytes, start: int, record: bytes, n_bytes: int) -> None:
     if table == -1:  # a file that was written to a stream has the position at its end
         (table,) = struct.unpack_from("<q", data, len(data) - 8)
     if not start + 8 <= table <= len(data) - 8:
-        raise Damaged(f"its chunks are listed at byte {table}, it has {len(data)}")
+        raise Cut(f"its chunks are listed at byte {table}, it has {len(data)}")
     (n_chunks,) = struct.unpack_from("<I", data, table + 4)
     if n_chunks > len(data):
         raise Damaged(f"it declares {n_chunks} chunks in {len(data)} bytes")
@@ -229,7 +228,7 @@ def _check_xml(path: Path) -> None:
     with path.open("rb") as file:
         start, n_bytes = XML.unpack(file.read(XML.size))
         if start + n_bytes > path.stat().st_size:
-            raise Damaged("its XML part is cut short")
+            raise Cut("its XML part is cut short")
         file.seek(start // PAGE * PAGE)
         pages = iter(lambda: file.read(PAGE)[:-CHECKSUM], b"")
         before, content = start % PAGE, bytearray()

@@ -1,14 +1,15 @@
-"""Meshes: OBJ, by trimesh OFF and STL, and scenes of several bodies: by trimesh 3MF and COLLADA (``.dae``).
+"""Meshes: OBJ, OFF and STL, and scenes of several bodies: by trimesh 3MF and COLLADA (``.dae``).
 
 trimesh would duplicate the vertices of an OBJ file at the seams of textures, normals and materials, which
-opens a closed surface. Its ``v`` and ``f`` lines are therefore read here. A mesh of a scene is a body, which
-the nodes of the scene place. Materials are not read.
+opens a closed surface, and takes one dialect of OFF and of STL only. All three are therefore read here. A
+mesh of a scene is a body, which the nodes of the scene place. Materials are not read.
 """
 
 from __future__ import annotations
 
 import io
 import math
+import re
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
@@ -18,11 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.formats.format import (
+    Cut,
     Damaged,
     RawScan,
     distinct_names,
     fans,
     joined,
+    numbers_in,
     text_lines,
 )
 from pcretrieve.values import FloatArray, TriangleMesh, unit_of
@@ -30,6 +33,15 @@ from pcretrieve.values.files import check_members, opened_archive
 
 # Largest vertex number of an OBJ file; more than any file has.
 LARGEST_NUMBER = 2**40
+
+# The first word of an OFF file, which may be missing, or without a blank before the numbers of the second.
+OFF = re.compile(r"(ST)?C?N?4?OFF", re.IGNORECASE)
+
+# Bytes of a binary STL file before its triangles, the last four of which are their number; and a triangle.
+STL_HEADER = 84
+STL_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("colour", "<u2")])
+# A vertex of a text; the other words differ between programs, such as "end loop" and "end solid".
+STL_VERTEX = re.compile(r"\bvertex((?:\s+[-+.\dni]\S*){3})", re.IGNORECASE)
 
 # Names of units in 3MF files; the last is that of trimesh, where a file names none.
 UNITS = {
@@ -70,22 +82,25 @@ def mesh_bytes(mesh: TriangleMesh, file_type: str) -> bytes:
 def read_obj(path: Path) -> RawScan:
     """Read the vertices and the polygons of an OBJ file."""
     vertices: list[list[float]] = []
-    polygons: dict[int, list[list[int]]] = {}  # by their number of corners
+    polygons = []
+    before = ""
     for number, line in enumerate(text_lines(path), start=1):
-        words = line.split("#")[0].split()
+        line = before + line.split("#")[0].strip()
+        words, before = line.split(), ""
+        if words[:1] not in (["v"], ["f"]):
+            continue  # a name, which may end with a backslash
+        if line.endswith("\\"):
+            before = f"{line[:-1]} "
+            continue
         try:
-            if words[:1] == ["v"]:
+            if words[0] == "v":
                 x, y, z = words[1:4]
                 vertices.append([float(x), float(y), float(z)])
-            elif words[:1] == ["f"]:
-                corners = [_vertex(word, len(vertices)) for word in words[1:]]
-                polygons.setdefault(len(corners), []).append(corners)
+            else:
+                polygons.append([_vertex(word, len(vertices)) for word in words[1:]])
         except ValueError as error:
-            raise Damaged(f"line {number} is {line.strip()!r}") from error
-    if not vertices:
-        raise Damaged("it holds no vertices")
-    faces = fans([np.array(alike) for alike in polygons.values()]) if polygons else None
-    return RawScan(np.array(vertices), faces)
+            raise Damaged(f"line {number} is {line!r}") from error
+    return _of_polygons(vertices, polygons)
 
 
 def _vertex(word: str, n_before: int) -> int:
@@ -96,17 +111,49 @@ def _vertex(word: str, n_before: int) -> int:
     return number - 1 if number > 0 else n_before + number
 
 
-def read_by_trimesh(path: Path) -> RawScan:
-    """Read an OFF file, or an STL file, with nothing merged."""
-    import trimesh
+def read_off(path: Path) -> RawScan:
+    """Read the vertices and the polygons of an OFF file, behind which lines may have colours and normals."""
+    lines = [text for line in text_lines(path) if (text := line.split("#")[0].strip())]
+    lines[:1] = [OFF.sub("", lines[0])]
+    rows = [words for line in lines if (words := line.split())]
+    n_vertices, n_faces = map(int, rows[0][:2])
+    corners, polygons = rows[1 : 1 + n_vertices], rows[1 + n_vertices :][:n_faces]
+    if min(n_vertices, n_faces) < 0 or len(corners) + len(polygons) < n_vertices + n_faces:
+        raise Cut(
+            f"it declares {n_vertices} vertices and {n_faces} faces, {len(rows) - 1} lines follow"
+        )
+    return _of_polygons(
+        [[float(word) for word in row[:3]] for row in corners],
+        [[int(word) for word in row[1 : 1 + int(row[0])]] for row in polygons],
+    )
 
-    file_type = path.suffix[1:].lower()
-    # An open file, because trimesh takes names in UTF-8 only.
-    with path.open("rb") as file:
-        mesh = _of_trimesh(trimesh.load(file, file_type=file_type, process=False, force="mesh"))
-    if not len(mesh.points):
+
+def _of_polygons(vertices: list[list[float]], polygons: list[list[int]]) -> RawScan:
+    if not vertices:
         raise Damaged("it holds no vertices")
-    return mesh
+    alike: dict[int, list[list[int]]] = {}  # by their number of corners
+    for corners in polygons:
+        alike.setdefault(len(corners), []).append(corners)
+    faces = fans([np.array(corners) for corners in alike.values()]) if polygons else None
+    return RawScan(np.array(vertices), faces)
+
+
+def read_stl(path: Path) -> RawScan:
+    """Read an STL file, a text or records, with nothing merged."""
+    data = path.read_bytes()
+    # In a text, four signs stand there, which are a number of 150 million or more.
+    n = int.from_bytes(data[STL_HEADER - 4 : STL_HEADER], "little")
+    if 0 < n * STL_RECORD.itemsize <= len(data) - STL_HEADER:
+        corners = np.frombuffer(data, STL_RECORD, n, STL_HEADER)["corners"].ravel()
+    else:
+        found = STL_VERTEX.findall(data.decode("latin-1"))
+        if not found:
+            raise Cut(f"it holds no vertices, or {n} triangles in {len(data)} bytes")
+        corners = numbers_in(" ".join(found), "vertices")
+    if len(corners) % 9:
+        raise Cut("it ends in the middle of a triangle")
+    points = corners.reshape(-1, 3).astype(np.float64)
+    return RawScan(points, np.arange(len(points)).reshape(-1, 3))
 
 
 def _of_trimesh(mesh: Any) -> RawScan:

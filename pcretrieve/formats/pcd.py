@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import io
+import math
 import re
 import struct
 from collections.abc import Callable
@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.formats.format import Damaged, RawScan, fields_of, scan_of_fields
+from pcretrieve.formats.format import Cut, Damaged, RawScan, fields_of, numbers_in, scan_of_fields
 from pcretrieve.values import PointCloud
 
 HEADER = re.compile(rb"\A(.*?)^DATA[ \t]+(\w+)[ \t]*\r?\n", re.MULTILINE | re.DOTALL)
 # A header has ten lines, and comments.
 MOST_HEADER_BYTES = 1 << 20
-KINDS = {"F": "<f", "I": "<i", "U": "<u"}
 SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 NORMAL_FIELDS = "normal_x normal_y normal_z"
 
@@ -43,13 +42,11 @@ def read_pcd(path: Path) -> RawScan:
     found = HEADER.match(data[:MOST_HEADER_BYTES])
     if found is None:
         raise Damaged("its header has no line DATA")
-    record, n_points, viewpoint = _header(found[1].decode("utf-8"))
+    record, n_points, viewpoint = _header(found[1].decode("utf-8", "replace"))
     column = _column(record, n_points, found[2].decode(), memoryview(data)[found.end() :])
-    scan = scan_of_fields(
-        [name for name in record.names or () if not record[name].shape], column, NORMAL_FIELDS
-    )
+    scan = scan_of_fields([name for name in record.names or () if not record[name].shape], column)
     if len(scan.points) != n_points:
-        raise Damaged(f"it declares {n_points} points and holds {len(scan.points)}")
+        raise Cut(f"it declares {n_points} points and holds {len(scan.points)}")
     if scan.viewpoints is None and viewpoint != NO_VIEWPOINT:
         return scan._replace(viewpoints=np.array(viewpoint[:3]))
     return scan
@@ -66,11 +63,12 @@ def _header(text: str) -> tuple[np.dtype[np.void], int, tuple[float, ...]]:
         raise Damaged(f"its header declares {sum(counts)} values a point, {MOST_VALUES} may be")
     fields: list[Any] = []
     for name, kind, size, count in zip(names, values["TYPE"], values["SIZE"], counts, strict=True):
-        if int(size) not in SIZES[kind] or count < 1:
+        if int(size) not in SIZES[kind.upper()] or count < 0:
             raise Damaged(
                 f"its header declares {name} of the type {kind}, {size} bytes, {count} times"
             )
-        fields.append((name, f"{KINDS[kind]}{int(size)}", *([(count,)] if count > 1 else [])))
+        # A field of no values, by which lidars fill up a row, takes no bytes.
+        fields.append((name, f"<{kind.lower()}{int(size)}", () if count == 1 else (count,)))
     (n_points,) = map(int, values["POINTS"])
     viewpoint = tuple(map(float, values.get("VIEWPOINT", NO_VIEWPOINT)))
     if n_points < 0 or len(viewpoint) != len(NO_VIEWPOINT):
@@ -86,16 +84,21 @@ def _column(
     """How the (n,) values of a field are found; the size of the file is checked before they are."""
     n_bytes = len(body)
     if encoding == "ascii":
-        rows = np.loadtxt(io.BytesIO(body), record, ndmin=1) if n else np.empty(0, record)
-        return rows.__getitem__
+        names = record.names or ()
+        *starts, width = np.cumsum([0, *(math.prod(record[name].shape) for name in names)])
+        numbers = numbers_in(bytes(body).decode("latin-1"), "lines of points")
+        if len(numbers) % width:
+            raise Cut("its last line lacks values")
+        first = dict(zip(names, starts, strict=True))
+        return lambda name: numbers[first[name] :: width]
     if encoding not in ("binary", "binary_compressed", "binaryscompressed"):
         raise Damaged(f"its data are {encoding}")
     if encoding != "binary" and n:
         packed, n_bytes = struct.unpack_from("<II", body)
         if packed > len(body) - 8 or n_bytes > max(ANY_SIZE, MOST_RATIO * packed):
-            raise Damaged(f"it declares {n_bytes} bytes in {packed}, {len(body) - 8} follow")
+            raise Cut(f"it declares {n_bytes} bytes in {packed}, {len(body) - 8} follow")
     if n * record.itemsize > n_bytes:
-        raise Damaged(f"its header declares {n} points, {n_bytes} bytes follow")
+        raise Cut(f"its header declares {n} points, {n_bytes} bytes follow")
     if encoding == "binary" or not n:
         return np.frombuffer(body, record, n).__getitem__
     import lzf

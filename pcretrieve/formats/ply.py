@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import re
 import struct
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,16 +24,32 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.format import Damaged, RawScan, fans, fields_of, scan_of_fields
+from pcretrieve.formats.format import (
+    Cut,
+    Damaged,
+    RawScan,
+    fans,
+    fields_of,
+    numbers_in,
+    scan_of_fields,
+    strips,
+)
 from pcretrieve.values import PointCloud
 
-NAMES = "char uchar short ushort int uint float double int8 uint8 int16 uint16 int32 uint32 float32 float64"
-TYPES = dict(zip(NAMES.split(), 2 * ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"), strict=True))
+# Types of properties by the names of Stanford, of MeshLab, and of programs with indices of 64 bits.
+NAMES = (
+    "char=i1 uchar=u1 short=i2 ushort=u2 int=i4 uint=u4 long=i8 ulong=u8 float=f4 double=f8 int8=i1 uint8=u1 "
+    "int16=i2 uint16=u2 int32=i4 uint32=u4 int64=i8 uint64=u8 float32=f4 float64=f8"
+)
+TYPES = dict(re.findall(r"(\w+)=(\w+)", NAMES))
 BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
-FIRST_LINE = re.compile(rb"\Aply[ \t]*(\r?\n|\r)")
+FIRST_LINE = re.compile(rb"\A(?:\xef\xbb\xbf)?ply[ \t]*(\r?\n|\r)")
 LAST_LINE = {b"\n": rb"\nend_header[ \t]*\r?\n", b"\r": rb"\rend_header[ \t]*\r"}
 
+# Elements with faces: polygons, and strips of triangles with −1 between them.
+STRIPS = "tristrips"
+FACES = ("face", STRIPS)
 FACE_PROPERTIES = ("vertex_indices", "vertex_index")
 # Largest value of the types of an index.
 LARGEST_INDEX = 2**32 - 1
@@ -70,7 +85,10 @@ def read_ply(path: Path) -> RawScan:
     # Elements after the vertices and the faces are not read, such as the sampling grid of range scanners.
     while elements and not (elements[-1].name == "vertex" or _is_face(elements[-1])):
         elements.pop()
-    scan, faces = None, None
+    if not order:
+        # A row is a line: those of old Macs end with a return, and blank ones are no rows.
+        data, at = re.sub(rb"[\r\n]\s*", b"\n", data[at:].lstrip()), 0
+    scan, faces = None, []
     for element in elements:
         if order:
             found, used = _tables(np.frombuffer(data, np.uint8, offset=at), element, order)
@@ -80,14 +98,14 @@ def read_ply(path: Path) -> RawScan:
         if element.name == "vertex":
             scan = _vertices(element, found)
         elif _is_face(element):
-            faces = _faces(element, found)
+            faces.append(_faces(element, found))
     if scan is None:
         raise ScanReadError("a PLY scan must have an element 'vertex', this file has none")
-    return scan._replace(faces=faces)
+    return scan._replace(faces=np.concatenate(faces) if faces else None)
 
 
 def _is_face(element: Element) -> bool:
-    return element.name == "face" and element.n_rows > 0
+    return element.name in FACES and element.n_rows > 0
 
 
 # --- the header -------------------------------------------------------------------------------------------
@@ -109,19 +127,20 @@ def _header(data: bytes) -> tuple[str, list[Element], int]:
                 case [] | ["comment" | "obj_info", *_]:
                     pass
                 case ["format", name, "1.0"]:
-                    order = BYTE_ORDERS[name]
+                    order = BYTE_ORDERS[name.lower()]
                 case ["element", name, number] if number.isdecimal():
                     # float, because int raises an exception for a number of thousands of digits.
                     n_rows, n_bytes = float(number), len(data) - last.end()
                     if n_rows > n_bytes:  # a row has at least one byte
-                        raise Damaged(
+                        raise Cut(
                             f"its header declares {n_rows:.0f} of {name}, {n_bytes} bytes follow"
                         )
                     elements.append(Element(name, int(n_rows), []))
-                case ["property", "list", length, kind, name] if TYPES[length][0] != "f":
-                    elements[-1].properties.append(Property(name, TYPES[kind], TYPES[length]))
+                case ["property", "list", length, kind, name] if TYPES[length.lower()][0] != "f":
+                    list_of = Property(name, TYPES[kind.lower()], TYPES[length.lower()])
+                    elements[-1].properties.append(list_of)
                 case ["property", kind, name]:
-                    elements[-1].properties.append(Property(name, TYPES[kind]))
+                    elements[-1].properties.append(Property(name, TYPES[kind.lower()]))
                 case _:
                     raise LookupError
         except LookupError as error:
@@ -196,7 +215,7 @@ def _places(
             length = 1
             if reader:
                 if stop + reader.size > end:
-                    raise Damaged(f"it ends in the middle of {element.name}")
+                    raise Cut(f"it ends in the middle of {element.name}")
                 (value,) = reader.unpack_from(content, stop)
                 if not 0 <= value <= end or value % 1:
                     raise Damaged(f"a list in {element.name} cannot have {value:g} values")
@@ -205,23 +224,17 @@ def _places(
                 stop += reader.size
             stop += length * size
         if stop > end:
-            raise Damaged(f"it ends in the middle of {element.name}")
+            raise Cut(f"it ends in the middle of {element.name}")
         yield start, stop, tuple(lengths)
 
 
 def _of_text(data: bytes, at: int, element: Element) -> tuple[list[Table], int]:
     """The rows of an element of a text file, one on each line, and the position of the next element."""
-    line_end = b"\n" if data.find(b"\n", at) >= 0 else b"\r"
-    ends = at + 1 + np.flatnonzero(np.frombuffer(data, np.uint8, offset=at) == line_end[0])
+    ends = at + 1 + np.flatnonzero(np.frombuffer(data, np.uint8, offset=at) == ord("\n"))
     if element.n_rows > len(ends) + 1:
-        raise Damaged(f"it ends after {len(ends)} of {element.n_rows} lines of {element.name}")
+        raise Cut(f"it ends after {len(ends)} of {element.n_rows} lines of {element.name}")
     stop = int(np.concatenate([[at], ends, [len(data)]])[element.n_rows])
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", DeprecationWarning)  # before numpy 2.3 it was no error
-            numbers = np.fromstring(data[at:stop], sep=" ")
-    except (ValueError, DeprecationWarning) as error:
-        raise Damaged(f"its lines of {element.name} hold more than numbers") from error
+    numbers = numbers_in(data[at:stop].decode("latin-1"), f"lines of {element.name}")
     doubles = [Property(name, "f8", length and "f8") for name, _, length in element.properties]
     found, used = _tables(numbers.view(np.uint8), element._replace(properties=doubles), "=")
     if used != numbers.nbytes:
@@ -246,7 +259,7 @@ def _vertices(element: Element, found: list[Table]) -> RawScan:
         one.name: "f4" if one.type == "f4" else "f8" for one in element.properties if not one.length
     }
     return scan_of_fields(
-        types,
+        [*types],
         lambda name: _in_order(
             [(numbers, rows[name].astype(types[name])) for numbers, rows in found]
         ),
@@ -263,16 +276,16 @@ def _faces(element: Element, found: list[Table]) -> NDArray[np.int64]:
         raise ScanReadError(
             f"the faces of a PLY scan must have the list {' or '.join(FACE_PROPERTIES)} of whole numbers"
         )
-    alike: dict[int, list[tuple[NDArray[np.intp], NDArray[Any]]]] = {}
-    for numbers, rows in found:
-        corners = rows[name]  # (p, k)
+    if element.name == STRIPS:
+        return np.concatenate([strips(row) for _, rows in found for row in rows[name]])
+    polygons = [rows[name] for _, rows in found]  # (p, k) each
+    for corners in polygons:
         if (
             corners.dtype.kind == "f"
             and not ((np.abs(corners) <= LARGEST_INDEX) & (corners % 1 == 0)).all()
         ):
             raise Damaged("its faces name vertices by other than whole numbers")
-        alike.setdefault(corners.shape[1], []).append((numbers, corners))
-    return fans([_in_order(parts) for parts in alike.values()])
+    return fans(polygons)
 
 
 def ply_bytes(cloud: PointCloud) -> bytes:

@@ -60,7 +60,8 @@ def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
     try:
         # Invalid numbers may be signalling NaN, or overflow when squared; `_scan` removes non-finite points.
         with np.errstate(all="ignore"), local_copy(path) as file:
-            return _scan(read_raw(file), started=started)
+            raw = read_raw(file)
+            return _in_metres(_scan(raw, started=started), raw.unit)
     except ScanReadError as error:
         name = url_of(path) or str(path)
         if name in error.message:
@@ -73,18 +74,27 @@ def as_scan(scan: ScanLike, unit: str = "none") -> PointCloud | TriangleMesh:
     value = read_scan(scan) if isinstance(scan, (str, Path)) else as_geometry(scan)
     if unit == "none" or any(UNIT in step.sizes for step in value.provenance):
         return value
+    return _in_metres(value, unit)
+
+
+def _in_metres(value: PointCloud | TriangleMesh, unit: str | None) -> PointCloud | TriangleMesh:
+    """A scan in metres, and the length of the unit for the provenance, if the unit is known."""
+    if unit is None:
+        return value
     metres = METRES[unit]
     notes = (f"converted the coordinates from {unit} to m",) if metres != 1 else ()
-    step = Step("read", 0.0, {UNIT: 1.0}, notes)
+    first, *others = value.provenance or (Step("read", 0.0),)
+    read = replace(first, sizes=first.sizes | {UNIT: 1.0}, notes=(*first.notes, *notes))
+    provenance = (read, *others)
     if isinstance(value, TriangleMesh):
-        return replace(value, vertices=value.vertices * metres).after(step)
+        return replace(value, vertices=value.vertices * metres, provenance=provenance)
     viewpoints = None if value.viewpoints is None else value.viewpoints * metres
-    return replace(value, points=value.points * metres, viewpoints=viewpoints).after(step)
+    points = value.points * metres
+    return replace(value, points=points, viewpoints=viewpoints, provenance=provenance)
 
 
 def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:
     """A cloud or a mesh with finite points, valid faces and unit normals, from the arrays of a file."""
-    raw, unit = _in_metres(raw)
     n = len(raw.points)
     notes = list(raw.notes)
     kept = np.isfinite(raw.points).all(axis=1)  # (n,)
@@ -108,7 +118,7 @@ def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:
     if raw.faces is not None:
         points, faces = _valid_faces(points, kept, raw.faces)
         if len(faces):
-            sizes = {"vertices": n, "faces": len(raw.faces), **unit}
+            sizes = {"vertices": n, "faces": len(raw.faces)}
             step = Step("read", time.perf_counter() - started, sizes, tuple(notes))
             return TriangleMesh(points, faces, (step,))
         notes.append("took the vertices as points: no face has three of them")
@@ -117,7 +127,7 @@ def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:
     viewpoints = None
     if raw.viewpoints is not None:
         viewpoints = _finite_viewpoints(of_points(np.broadcast_to(raw.viewpoints, (n, 3))), notes)
-    step = Step("read", time.perf_counter() - started, {"points": n} | unit, tuple(notes))
+    step = Step("read", time.perf_counter() - started, {"points": n}, tuple(notes))
     return PointCloud(points, normals, viewpoints, (step,))
 
 
@@ -158,15 +168,3 @@ def _finite_viewpoints(viewpoints: FloatArray, notes: list[str]) -> FloatArray |
         f"{LARGEST_COORDINATE:g}"
     )
     return None
-
-
-def _in_metres(raw: RawScan) -> tuple[RawScan, dict[str, float]]:
-    """The arrays in metres, and the length of the unit for the provenance, if the unit is known."""
-    if raw.unit is None:
-        return raw, {}
-    metres = METRES[raw.unit]
-    if metres == 1:
-        return raw, {UNIT: 1.0}
-    viewpoints = None if raw.viewpoints is None else raw.viewpoints * metres
-    notes = (*raw.notes, f"converted the coordinates from {raw.unit} to m")
-    return raw._replace(points=raw.points * metres, viewpoints=viewpoints, notes=notes), {UNIT: 1.0}

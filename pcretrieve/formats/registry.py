@@ -10,22 +10,28 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from pcretrieve.errors import OptionError, ScanReadError, ShapeError, Stage
 from pcretrieve.formats import meshes
 from pcretrieve.formats.arrays import parts_of_npy, read_npy, read_npz, recognise_npy, recognise_npz
 from pcretrieve.formats.conf import conf_views, read_conf
 from pcretrieve.formats.depth import camera_parts, is_depth_image, read_depth
-from pcretrieve.formats.format import Extra, Format, Part, RawScan, check_file, url_of
+from pcretrieve.formats.format import (
+    DECIMAL_COMMA,
+    Cut,
+    Extra,
+    Format,
+    Part,
+    RawScan,
+    check_file,
+    checked,
+    url_of,
+)
 from pcretrieve.formats.gltf import buffer_files, gltf_scene
 from pcretrieve.formats.laser import LAZRS, e57_names, read_e57, read_las
 from pcretrieve.formats.pcd import pcd_bytes, read_pcd
 from pcretrieve.formats.ply import ply_bytes, read_ply
 from pcretrieve.formats.text import is_table, ptx_names, read_ptx, read_text, xyzn_bytes
 from pcretrieve.plugins import Names, Registry
-from pcretrieve.values import METRES
 from pcretrieve.values.files import check_members
 
 # Separator between the name of a file and the name of a scan in it.
@@ -147,7 +153,7 @@ def read_raw(path: Path) -> RawScan:
                     quoted = ", ".join(names[:MOST_QUOTED])
                     raise ScanReadError(f"the file must hold a scan {name!r}, got {quoted}")
                 scan = found.read(file, name)
-            return scan if suffix in FORMATS.own else _checked(scan)
+            return scan if suffix in FORMATS.own else checked(scan)
     except OSError as error:
         raise ScanReadError(f"cannot read {file}: {error.strerror or error}") from error
 
@@ -194,9 +200,13 @@ def _damage(file: Path) -> Iterator[None]:
         elif not reason or isinstance(error, _OF_VALUES):
             reason = f"{type(error).__name__} {reason}".strip()
         kind = file.suffix[1:].upper()
-        raise ScanReadError(
-            f"not a complete {kind} file ({reason}): export or copy it again"
-        ) from error
+        if isinstance(error, (Cut, struct.error)):
+            said = f"not a complete {kind} file ({reason}): export or copy it again"
+        elif DECIMAL_COMMA.search(reason):
+            said = f"not a valid {kind} file ({reason}): export it with decimal points, not commas"
+        else:
+            said = f"not a valid {kind} file ({reason}): export it again, or in another format"
+        raise ScanReadError(said) from error
 
 
 # Exceptions whose message says nothing without their name, of headers and trees that lack something.
@@ -215,33 +225,6 @@ def _added(suffix: str, added: object) -> Format:
     raise TypeError(
         f"must be a Format, or a function that reads a file, got {type(added).__name__}"
     )
-
-
-def _checked(scan: object) -> RawScan:
-    """The scan with arrays of the types and shapes of `RawScan`; TypeError or ValueError if it has others."""
-    if not isinstance(scan, RawScan):
-        raise TypeError(f"a reader must return a RawScan, got {type(scan).__name__}")
-    points = _rows(scan.points, "points")
-    faces = None if scan.faces is None else _rows(scan.faces, "faces")
-    if faces is not None and not np.array_equal(faces, np.rint(faces)):
-        raise ValueError("faces must be whole numbers")
-    normals = None if scan.normals is None else _rows(scan.normals, "normals", len(points))
-    viewpoints = scan.viewpoints
-    if viewpoints is not None and np.shape(viewpoints) != (3,):
-        viewpoints = _rows(viewpoints, "viewpoints", len(points))
-    if scan.unit not in (None, *METRES):
-        raise ValueError(f"the unit must be one of {', '.join(METRES)}, got {scan.unit!r}")
-    faces = None if faces is None else faces.astype(np.int64)
-    return RawScan(points, faces, normals, viewpoints, tuple(scan.notes), scan.unit)
-
-
-def _rows(array: object, name: str, n: int | None = None) -> NDArray[np.float64]:
-    rows = np.asarray(array, dtype=np.float64)
-    if rows.ndim != 2 or rows.shape[1] != 3 or n not in (None, len(rows)):
-        raise ValueError(
-            f"{name} must have the shape ({'n' if n is None else n}, 3), got {rows.shape}"
-        )
-    return rows
 
 
 # --- the table --------------------------------------------------------------------------------------------
@@ -272,8 +255,8 @@ _OWN = {
     ".e57": Format(read_e57, names=e57_names, extra=Extra("e57", ("pye57",))),
     **dict.fromkeys((".png", ".tif", ".tiff"), _IMAGE),
     ".obj": Format(meshes.read_obj, write_mesh=partial(meshes.mesh_bytes, file_type="obj")),
-    ".off": Format(meshes.read_by_trimesh, write_mesh=partial(meshes.mesh_bytes, file_type="off")),
-    ".stl": Format(meshes.read_by_trimesh, write_mesh=partial(meshes.mesh_bytes, file_type="stl")),
+    ".off": Format(meshes.read_off, write_mesh=partial(meshes.mesh_bytes, file_type="off")),
+    ".stl": Format(meshes.read_stl, write_mesh=partial(meshes.mesh_bytes, file_type="stl")),
     ".glb": _scene(gltf_scene, write_mesh=partial(meshes.mesh_bytes, file_type="glb")),
     ".gltf": _scene(gltf_scene, parts=buffer_files),
     ".3mf": _scene(meshes.three_mf_scene, extra=Extra("meshes", ("lxml", "networkx"))),

@@ -7,24 +7,30 @@ the first row are the header, which may name the columns, or hold the number of 
 
 from __future__ import annotations
 
-import codecs
 import io
 import re
 import warnings
+from collections import deque
 from collections.abc import Iterable, Iterator
 from itertools import islice
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.formats.format import (
+    COORDINATE,
+    NO_NUMBER,
+    NORMAL,
+    Cut,
     Damaged,
     RawScan,
     are_normals,
+    axes_of,
     check_text,
+    encoding_of,
     joined,
     without_zeros,
 )
@@ -49,9 +55,6 @@ WRITINGS = ((None, "."), (",", "."), (";", "."), (";", ","), (None, ","))
 
 # Names of columns of other tables: of trajectories, and of files.
 OTHER_TABLES = frozenset({"timestamp", "qw", "path", "file", "filename"})
-# Names of coordinates and normals: "X[mm]", "x_coord", "Points_0" and "Points:0" (ParaView), "normal_x".
-COORDINATE = re.compile(r"(?:points?[_:.])?([xyz]|(?<=[_:.])[012])(?:[_ ]?coord\w*)?")
-NORMAL = re.compile(r"(?:n|normals?[_:.]?)([xyz]|(?<=[_:.])[012])")
 # The first line of a raster of heights by ESRI, which has the suffix .asc too.
 RASTER = re.compile(r"\s*ncols\s+\d+\s*$", re.IGNORECASE)
 
@@ -81,34 +84,30 @@ def read_text(path: Path, *, normals: bool | None = None) -> RawScan:
     if not layout.named and (normals or (normals is None and layout.n_columns >= 6)):
         columns = (0, 1, 2, 3, 4, 5)
     with path.open(encoding=layout.encoding, errors="replace") as file:
-        _skip(file, layout.n_header_lines)
-        # NumPy parses the lines as the file gives them, so that its text is never in memory as a whole.
-        lines = (
-            file if layout.decimal == "." else (line.replace(layout.decimal, ".") for line in file)
-        )
-        table = _number_rows(lines, columns, layout.separator)
+        rows = islice(file, layout.n_header_lines, None)
+        table = _number_rows(rows, columns, layout.separator, layout.decimal)
     if layout.promised is not None and layout.promised != len(table):
         raise Damaged(f"it declares {layout.promised:.0f} points and holds {len(table)}")
     keep = len(columns) == 6 and (layout.named or normals or are_normals(table[:, 3:]))
     return without_zeros(RawScan(table[:, :3], normals=table[:, 3:] if keep else None))
 
 
-def _skip(lines: Iterable[str], n: int) -> None:
-    for _ in islice(lines, n):
-        pass
-
-
 def _number_rows(
-    lines: Iterable[str], columns: tuple[int, ...], separator: str | None = None
+    lines: Iterable[str],
+    columns: tuple[int, ...],
+    separator: str | None = None,
+    decimal: str = ".",
 ) -> NDArray[np.float64]:
     """(n, c) columns of a table of numbers."""
+    # NumPy parses the lines as the file gives them, so that its text is never in memory as a whole.
+    plain = (_plain(line.replace(decimal, ".")) for line in lines)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter(
                 "ignore", UserWarning
             )  # an empty table is reported by `read_scan`
             table = np.loadtxt(
-                lines, dtype=np.float64, usecols=columns, delimiter=separator, ndmin=2
+                plain, np.float64, usecols=columns, delimiter=separator, ndmin=2, comments=None
             )
     except ValueError as error:
         raise ScanReadError(f"each line must hold {max(columns) + 1} numbers: {error}") from error
@@ -144,10 +143,7 @@ def _head(path: Path) -> tuple[list[str], str]:
     """The first lines of a text file, which are complete, and its encoding."""
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
-    encoding = (
-        "utf-16" if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
-    )
-    # A header may hold signs of units in any encoding: the numbers are the same in all of them.
+    encoding = encoding_of(head)
     text = head.decode(encoding, errors="replace")
     check_text(path, text)
     lines = list(io.StringIO(text, newline=None))
@@ -165,7 +161,7 @@ def _layout(lines: list[str], encoding: str, n_numbers: int) -> Layout:
         for separator, decimal in WRITINGS:
             cells = _cells(line, separator)
             names = _names(header, separator)
-            points, normals = _columns(names, COORDINATE), _columns(names, NORMAL)
+            points, normals = axes_of(names, COORDINATE), axes_of(names, NORMAL)
             matches = len(names) == len(cells)
             if not matches:  # columns behind those that are named change nothing
                 matches, points, normals = points in (None, (0, 1, 2)), None, None
@@ -193,9 +189,16 @@ def _layout(lines: list[str], encoding: str, n_numbers: int) -> Layout:
     raise ScanReadError(f"each line must hold {n_numbers} numbers, got {first!r}")
 
 
+def _plain(line: str) -> str:
+    """A line without a comment, whose missing numbers are NaN: 1.#QNAN is not 1 before a comment."""
+    # Few lines have these signs, and the search of an expression takes as long as all the rest.
+    has_signs = "#" in line or "(" in line
+    return NO_NUMBER.sub("nan", line).partition("#")[0] if has_signs else line
+
+
 def _cells(line: str, separator: str | None) -> list[str]:
     """The cells of a row, without an empty one behind the last separator."""
-    cells = [cell.strip() for cell in line.split("#")[0].strip().split(separator)]
+    cells = [cell.strip() for cell in _plain(line).strip().split(separator)]
     return cells[:-1] if cells and not cells[-1] else cells
 
 
@@ -225,18 +228,6 @@ def _names(line: str, separator: str | None) -> tuple[str, ...]:
     )
     names = tuple(word.strip("\"' \t") for word in words)
     return names if any(names) else ()
-
-
-def _columns(names: tuple[str, ...], pattern: re.Pattern[str]) -> tuple[int, ...] | None:
-    axes = {
-        found[1]: k
-        for k, name in reversed([*enumerate(names)])
-        if (found := pattern.fullmatch(name))
-    }
-    for three in ("xyz", "012"):
-        if set(three) <= axes.keys():
-            return tuple(axes[axis] for axis in three)
-    return None
 
 
 def xyzn_bytes(cloud: PointCloud) -> bytes:
@@ -271,58 +262,58 @@ class Grid(NamedTuple):
 
 def read_ptx(path: Path, name: str | None = None) -> RawScan:
     """Read the scans in a PTX file as one, or the scan of a number, without readings that are zeros."""
-    scans = []
-    # Bytes that are no text are no numbers either, and are reported as such.
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        for number, header in enumerate(_headers(path, file), start=1):
-            if name in (None, str(number)):
-                scans.append(_scan(file, header))
-            else:
-                _skip(file, header.n_columns * header.n_rows)
-    return joined(scans)
+    grids = enumerate(_grids(path), start=1)
+    return joined([_scan(rows, grid) for k, (grid, rows) in grids if name in (None, str(k))])
 
 
 def ptx_names(path: Path) -> tuple[str, ...]:
     """The numbers of the scans in a file."""
+    return tuple(str(number) for number, _ in enumerate(_grids(path), start=1))
+
+
+def _grids(path: Path) -> Iterator[tuple[Grid, Iterator[str]]]:
+    """Yield the header and the rows of each scan; rows that are not read are skipped."""
+    n_scans = 0
+    # Bytes that are no text are no numbers either, and are reported as such.
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        names = []
-        for number, header in enumerate(_headers(path, file), start=1):
-            names.append(str(number))
-            _skip(file, header.n_columns * header.n_rows)
-    return tuple(names)
+        while lines := [
+            line for line in islice(file, N_HEADER_LINES) if not n_scans or line.strip()
+        ]:
+            n_scans += 1
+            check_members(n_scans)
+            try:
+                grid = _header(lines, path.stat().st_size)
+            except ValueError as error:
+                raise Damaged(f"its header is damaged: {error}") from error
+            rows = islice(file, grid.n_columns * grid.n_rows)
+            yield grid, rows
+            deque(rows, maxlen=0)
 
 
-def _headers(path: Path, file: IO[str]) -> Iterator[Grid]:
-    """Yield the header of each scan. The caller must read the rows before the next header."""
-    size, n_scans = path.stat().st_size, 0
-    while lines := [line for line in islice(file, N_HEADER_LINES) if not n_scans or line.strip()]:
-        n_scans += 1
-        check_members(n_scans)
-        try:
-            numbers = [[float(word) for word in line.split()] for line in lines]
-            (n_columns,), (n_rows,) = numbers[:2]
-            pose = np.array(numbers[6:])
-            if len(lines) < N_HEADER_LINES or pose.shape != (4, 4) or not np.isfinite(pose).all():
-                raise ValueError("it must be ten lines, of which the last four are a matrix")
-            if not (n_columns.is_integer() and n_rows.is_integer() and min(n_columns, n_rows) > 0):
-                raise ValueError(
-                    f"the size of the grid must be whole numbers, got {n_columns:g} {n_rows:g}"
-                )
-            if n_columns * n_rows * SHORTEST_ROW > size:
-                raise ValueError(f"it declares {n_columns * n_rows:.0f} rows in {size} bytes")
-            rotation = pose[:3, :3]
-            if np.abs(rotation @ rotation.T - np.eye(3)).max() > POSE_TOLERANCE:
-                raise ValueError("the matrix is not a rigid motion")
-        except ValueError as error:
-            raise Damaged(f"its header is damaged: {error}") from error
-        yield Grid(int(n_columns), int(n_rows), rotation, pose[3, :3])
+def _header(lines: list[str], size: int) -> Grid:
+    """The header of a scan in a file of so many bytes; ValueError if it is damaged."""
+    numbers = [[float(word) for word in line.split()] for line in lines]
+    (n_columns,), (n_rows,) = numbers[:2]
+    pose = np.array(numbers[6:])
+    if len(lines) < N_HEADER_LINES or pose.shape != (4, 4) or not np.isfinite(pose).all():
+        raise ValueError("it must be ten lines, of which the last four are a matrix")
+    if not (n_columns.is_integer() and n_rows.is_integer() and min(n_columns, n_rows) > 0):
+        raise ValueError(
+            f"the size of the grid must be whole numbers, got {n_columns:g} {n_rows:g}"
+        )
+    if n_columns * n_rows * SHORTEST_ROW > size:
+        raise ValueError(f"it declares {n_columns * n_rows:.0f} rows in {size} bytes")
+    rotation = pose[:3, :3]
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > POSE_TOLERANCE:
+        raise ValueError("the matrix is not a rigid motion")
+    return Grid(int(n_columns), int(n_rows), rotation, pose[3, :3])
 
 
-def _scan(file: IO[str], header: Grid) -> RawScan:
+def _scan(rows: Iterator[str], header: Grid) -> RawScan:
     n = header.n_columns * header.n_rows
-    table = _number_rows(islice(file, n), (0, 1, 2))
+    table = _number_rows(rows, (0, 1, 2))
     if len(table) != n:
-        raise Damaged(f"its header declares {n} points, it holds {len(table)}")
+        raise Cut(f"its header declares {n} points, it holds {len(table)}")
     measured = np.isfinite(table).all(axis=1) & table.any(axis=1)  # (n,)
     points = table @ header.rotation + header.translation
     size = header.n_columns, header.n_rows

@@ -94,6 +94,8 @@ CAMERAS = {
     "camera.json": json.dumps(OPEN3D),
     "camera_intrinsic.json": json.dumps(OPEN3D),
     "intrinsics.json": json.dumps({"intrinsic": OPEN3D, "extrinsic": np.eye(4).ravel().tolist()}),
+    "intrinsic.json": json.dumps({"fx": FX, "fy": FY, "ppx": CX, "ppy": CY, "depth_units": 0.001}),
+    "camera.toml": f"K = [{FX}, 0, {CX}, 0, {FY}, {CY}, 0, 0, 1]",
     "intrinsics.toml": f"depth_scale = 1e3\nintrinsic_matrix = [[{FX}, 0, {CX}], [0, {FY}, {CY}], [0, 0, 1]]",
 }
 
@@ -112,6 +114,17 @@ def test_where_the_camera_is_found(tmp_path: Path) -> None:
         file.write_text(text.replace("70", "71"))
         assert content_hash(image) != before
         file.unlink()
+
+
+def test_a_scale_below_1_is_metres_per_value(tmp_path: Path) -> None:
+    """As librealsense writes it: .00025 is a quarter of a millimetre."""
+    write(tmp_path / "a.png", np.round(DEPTH / 0.00025).astype(np.uint16))
+    for scale in (0.0002500000118743628, 4000):
+        (tmp_path / "camera.json").write_text(json.dumps(OPEN3D | {"depth_scale": scale}))
+        found = cloud(tmp_path / "a.png")
+        assert is_ball(found, tolerance=1e-3)
+        said = "read depth_scale 0.00025 as metres per value, because it is below 1"
+        assert (said in found.provenance[0].notes) == (scale < 1)
 
 
 def test_the_folder_of_the_tum_benchmark(tmp_path: Path) -> None:
@@ -192,7 +205,7 @@ def test_images_that_are_no_depth_images(tmp_path: Path) -> None:
     for name, words in (
         ("colours.png", "must have one channel of 16 or 32 bits, this image is RGB"),
         ("empty.png", "none of its 4800 readings is an answer"),
-        ("text.png", "not a complete PNG file"),
+        ("text.png", "not a valid PNG file"),
     ):
         with pytest.raises(ScanReadError, match=words):
             read_scan(tmp_path / name)

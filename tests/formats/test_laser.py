@@ -88,7 +88,7 @@ def test_damaged_headers_and_chunks(tmp_path: Path) -> None:
     for suffix in (".las", ".laz", ".e57") if CAN_WRITE[".e57"] else (".las", ".laz"):
         for content in (laser_scan(tmp_path, suffix), b"1 2 3\n", bytes(4096)):
             (tmp_path / f"c{suffix}").write_bytes(content)
-            with pytest.raises(ScanReadError, match="not a complete"):
+            with pytest.raises(ScanReadError, match=r"not a (complete|valid)"):
                 read_scan(tmp_path / f"c{suffix}")
             # pye57 removes files that it cannot write.
             assert (tmp_path / f"c{suffix}").read_bytes() == content

@@ -128,7 +128,7 @@ def test_hostile_files_are_refused_in_words_and_inspected(target: Server) -> Non
         job = target.outcome(name, body)
         is_other = words in (
             "Python objects",
-            "not a complete NPY",
+            "not a valid NPY",
         )  # no scan, of which nothing can be shown
         assert (job["state"], job["inspection"]) == ("failed", "failed" if is_other else "done")
         assert job["error"] in ("ScanReadError", "ReconstructionError")
@@ -161,7 +161,7 @@ def test_names_say_what_kind_of_file_it_is_and_are_of_no_file(target: Server) ->
     for name in WORDS:
         job = target.outcome(name, b"OFF")
         assert job["name"] == name
-        assert job["message"].startswith(f"{job['name']}: not a complete OFF file")
+        assert job["message"].startswith(f"{job['name']}: not a valid OFF file")
 
 
 def test_addresses_lead_to_no_file(target: Server) -> None:
