@@ -101,7 +101,8 @@ class ScanOptions(Options):
     orientation: Literal["auto", "viewpoint", "flood", "tangent-plane", "given"] = "auto"
     """How the sign of normals is found. viewpoint: towards the sensor; flood: towards the outside, found by
     flood fill; tangent-plane: consistently along a minimum spanning tree; given: the normals in the file.
-    auto: viewpoint if the file has sensor positions, else given if it has normals, else flood."""
+    auto: viewpoint if the file has sensor positions, else given if it has normals, unless the flood fill
+    contradicts them; else flood."""
     # Edge of the grid cells of the flood fill; relative to the diagonal. At least 1.3 times the spacing of
     # the points.
     flood_cell: ClassVar[float] = 0.005

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,14 +51,22 @@ MOST_CONTRADICTED = 0.3
 LARGEST_PATCH = 0.005
 
 # The flood fill contradicts a sensor if the cosine between its direction and that to the sensor is below
-# −OPPOSED. It has leaked into the body if it contradicts more than a fraction of them.
+# −OPPOSED. If it contradicts more than a fraction of them, it has leaked into the body, or no sensor was
+# where the file says.
 OPPOSED = 0.3
 MOST_OPPOSED = 0.05
+
+# The flood fill contradicts a normal if the cosine between them is below ASKEW: .1 % of those of a surface,
+# half of those of any sign, 9 % of directions to six cameras around a body.
+ASKEW = 0.5
 
 # Number of neighbours with which each point is compared.
 N_COMPARED = 8
 
-Oriented = tuple[FloatArray, tuple[str, ...]]  # normals and notes
+# The note on normals that nothing contradicts.
+OWN = "used the file's own normals"
+
+Oriented = tuple[PointCloud, tuple[str, ...]]  # with normals; and notes
 
 
 def oriented_normals(
@@ -72,16 +81,8 @@ def oriented_normals(
     if method == "auto":
         method = "flood" if cloud.normals is None else "given"
         method = "viewpoint" if cloud.viewpoints is not None else method
-    if method == "given":
-        if cloud.normals is None:
-            raise ReconstructionError(
-                "scan.orientation 'given' needs a scan with normals, this one has none: take 'auto'",
-                stage=Stage.ORIENT,
-            )
-        return cloud.after(
-            Step("orient", time.perf_counter() - started, {}, ("used the file's own normals",))
-        )
     orientations = {
+        "given": _as_given,
         "viewpoint": _by_viewpoint,
         "flood": _by_flood,
         "tangent-plane": _by_tangent_planes,
@@ -89,8 +90,30 @@ def oriented_normals(
     if neighbors is None:
         neighbors = plane_neighborhoods(cloud.points, options)
     oriented, notes = orientations[method](cloud, neighbors, options)
-    step = Step("orient", time.perf_counter() - started, {"points": len(oriented)}, notes)
-    return replace(cloud, normals=oriented).after(step)
+    step = Step("orient", time.perf_counter() - started, {"points": len(cloud.points)}, notes)
+    return oriented.after(step)
+
+
+def _as_given(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions) -> Oriented:
+    """The normals of the file, unless the flood fill contradicts them.
+
+    Files hold normals without an orientation, and directions of view in place of normals.
+    """
+    if cloud.normals is None:
+        raise ReconstructionError(
+            "scan.orientation 'given' needs a scan with normals, this one has none: take 'auto'",
+            stage=Stage.ORIENT,
+        )
+    if options.orientation == "given":
+        return cloud, (OWN,)
+    _, flooded, notes = _tight_flood(cloud, neighbors, options)
+    if flooded is None:
+        return cloud, (OWN, *notes)
+    askew = float((np.einsum("ij,ij->i", cloud.normals, flooded) < ASKEW).mean())
+    if askew <= MOST_OPPOSED:
+        return cloud, (OWN,)
+    note = f"did not use the file's own normals: the flood fill contradicts {askew:.0%} of them"
+    return replace(cloud, normals=flooded), (*notes, f"{note} (scan.orientation 'given' uses them)")
 
 
 def _by_viewpoint(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions) -> Oriented:
@@ -101,18 +124,28 @@ def _by_viewpoint(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOpti
             stage=Stage.ORIENT,
         )
     towards = _unit(cloud.viewpoints - cloud.points)
-    outside, _, notes = _tight_flood(cloud, neighbors, options)
-    if outside is not None:
-        direction = outside.direction_at(cloud.points)
-        opposed = float((np.einsum("ij,ij->i", towards, direction) < -OPPOSED).mean())
-        if opposed > MOST_OPPOSED:
-            notes = (
-                *notes,
-                f"the flood fill contradicted {opposed:.0%} of the sensors and was not used",
-            )
-        else:
-            towards = _unit(towards + direction)
-    return _guided_normals(cloud.points, towards, neighbors, options), notes
+    outside, flooded, notes = _tight_flood(cloud, neighbors, options)
+    guided = partial(_guided_normals, cloud.points, neighbors=neighbors, options=options)
+    if outside is None or flooded is None:
+        return replace(cloud, normals=guided(towards)), notes
+    direction = outside.direction_at(cloud.points)
+    opposed = float((np.einsum("ij,ij->i", towards, direction) < -OPPOSED).mean())
+    if opposed <= MOST_OPPOSED:
+        return replace(cloud, normals=guided(_unit(towards + direction))), notes
+    # Towards a place where no sensor was, such as the shift of the coordinates, normals turn where the body
+    # does; by a leak, in and around it.
+    seen, everywhere = guided(towards), np.ones(len(towards), dtype=np.bool_)
+    by_sensors, by_flood = (
+        _disagreeing(normals, neighbors.near, everywhere)[1] for normals in (seen, flooded)
+    )
+    if options.orientation == "auto" and by_flood >= by_sensors:
+        note = (
+            f"did not use the file's own sensor positions: the flood fill contradicts {opposed:.0%} of them "
+            "(scan.orientation 'viewpoint' uses them)"
+        )
+        return replace(cloud, normals=flooded, viewpoints=None), (*notes, note)
+    note = f"the flood fill contradicted {opposed:.0%} of the sensors and was not used"
+    return replace(cloud, normals=seen), (*notes, note)
 
 
 def _by_tangent_planes(cloud: PointCloud, _: Neighborhoods, options: ScanOptions) -> Oriented:
@@ -120,7 +153,7 @@ def _by_tangent_planes(cloud: PointCloud, _: Neighborhoods, options: ScanOptions
     oriented = orient_by_tangent_planes(cloud.points, normals, n_neighbors=options.normal_neighbors)
     # The outward normal of the highest point points upwards.
     top = cloud.points[:, 2].argmax()
-    return (-oriented if oriented[top, 2] < 0 else oriented), ()
+    return replace(cloud, normals=-oriented if oriented[top, 2] < 0 else oriented), ()
 
 
 def estimate_normals(points: FloatArray, *, n_neighbors: int) -> FloatArray:
@@ -153,11 +186,11 @@ def orient_by_tangent_planes(
 
 def _by_flood(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions) -> Oriented:
     """Normals towards the nearest outside; by tangent planes, if every flood fill leaks."""
-    _, oriented, notes = _tight_flood(cloud, neighbors, options)
-    if oriented is None:
+    _, flooded, notes = _tight_flood(cloud, neighbors, options)
+    if flooded is None:
         oriented, _ = _by_tangent_planes(cloud, neighbors, options)
-        notes = (*notes, "tangent planes decided which side is outside")
-    return oriented, notes
+        return oriented, (*notes, "tangent planes decided which side is outside")
+    return replace(cloud, normals=flooded), notes
 
 
 def _tight_flood(

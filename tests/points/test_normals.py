@@ -206,14 +206,71 @@ def test_the_two_sides_of_a_thin_plate_look_away_from_each_other() -> None:
 
 def test_auto_prefers_sensors_to_normals_and_normals_to_a_flood_fill() -> None:
     cloud, true = scanned(SURFACES["torus"])
-    wrong = replace(cloud, normals=-true)
     assert share_right(oriented_normals(cloud, ScanOptions()), true) > 0.99
-    given = oriented_normals(wrong, ScanOptions())
-    assert share_right(given, true) == 0
+    given = oriented_normals(replace(cloud, normals=true), ScanOptions())
+    assert given.normals is not None
+    np.testing.assert_array_equal(given.normals, true)
     assert given.provenance[-1].notes == ("used the file's own normals",)
     # The inner side of the torus too has a sensor that sees it.
-    seen = replace(wrong, viewpoints=cloud.points + 0.1 * true)
+    seen = replace(cloud, normals=-true, viewpoints=cloud.points + 0.1 * true)
     assert share_right(oriented_normals(seen, ScanOptions()), true) == 1
+
+
+CAMERAS = 3 * np.array([[np.cos(a), np.sin(a), 0] for a in np.arange(6) * np.pi / 3])
+
+
+@pytest.mark.parametrize("kind", ["inwards", "of any sign", "of a part", "directions of view"])
+def test_normals_that_the_flood_fill_contradicts_are_not_used(kind: str) -> None:
+    cloud, true = scanned(SURFACES["body"])
+    signs = np.random.default_rng(0).choice([-1, 1], (len(true), 1))
+    rays = CAMERAS[:, None] - cloud.points
+    rays /= np.linalg.norm(rays, axis=2, keepdims=True)
+    best = np.einsum("ijk,jk->ij", rays, true).argmax(axis=0)
+    top = cloud.points[:, 2] > np.quantile(cloud.points[:, 2], 0.8)
+    wrong = {
+        "inwards": -true,
+        "of any sign": signs * true,
+        "of a part": np.where(top[:, None], -true, true),
+        "directions of view": rays[best, np.arange(len(true))],
+    }[kind]
+    found = oriented_normals(replace(cloud, normals=wrong), ScanOptions())
+    assert share_right(found, true) > 0.99
+    (note,) = found.provenance[-1].notes
+    assert note.startswith("did not use the file's own normals: the flood fill contradicts ")
+    assert note.endswith("(scan.orientation 'given' uses them)")
+    asked = oriented_normals(replace(cloud, normals=wrong), ScanOptions(orientation="given"))
+    assert asked.normals is not None
+    np.testing.assert_array_equal(asked.normals, wrong)
+
+
+@pytest.mark.parametrize(
+    "shift", [(0, 0, 0), (9, -20, 0), (5e5, 4e6, 100), (0, 0, 1.5), (0.4, 0, 0)]
+)
+@pytest.mark.parametrize("name", SURFACES)
+def test_a_sensor_that_never_stood_there_is_not_used(
+    name: str, shift: tuple[float, float, float]
+) -> None:
+    """The pose of a scan may be the shift of its coordinates: the points tell."""
+    cloud, true = scanned(SURFACES[name])
+    placed = replace(cloud, viewpoints=np.array(shift, dtype=float))
+    found = oriented_normals(placed, ScanOptions())
+    assert share_right(found, true) > 0.99
+    assert found.viewpoints is None
+    assert "did not use the file's own sensor positions" in found.provenance[-1].notes[-1]
+    asked = oriented_normals(placed, ScanOptions(orientation="viewpoint"))
+    assert asked.viewpoints is not None and share_right(asked, true) < 0.9
+
+
+def test_one_view_is_oriented_by_its_sensor_or_its_normals() -> None:
+    cloud, true = scanned(SURFACES["body"], 16_000)
+    sensor = np.array([0.0, -4.0, 0.5])
+    facing = np.einsum("ij,ij->i", sensor - cloud.points, true) > 0.5
+    view = PointCloud(cloud.points[facing], viewpoints=sensor)
+    found = oriented_normals(view, ScanOptions())
+    assert found.viewpoints is not None
+    assert share_right(found, true[facing]) > 0.97
+    found = oriented_normals(PointCloud(view.points, true[facing]), ScanOptions())
+    assert share_right(found, true[facing]) == 1
 
 
 def test_what_a_scan_does_not_have() -> None:
