@@ -17,6 +17,7 @@ import pcretrieve as pr
 from pcretrieve.cli import options as opt, output as out
 from pcretrieve.cli.messages import Progress, escaped, failure_line, say, shown_path
 from pcretrieve.errors import ShapeError
+from pcretrieve.values.files import in_order
 
 MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
 
@@ -73,7 +74,9 @@ def each_scan(
 )
 @opt.option("--max-range LENGTH", "Remove points farther from the sensor.", float)
 @opt.option(
-    "--background", "Remove floors and walls (planes).  [default: none]", ("none", "planes")
+    "--background",
+    "Remove floors and walls (planes), and what is farther than the body (room).  [default: none]",
+    ("none", "planes", "room"),
 )
 @opt.option("--keep-largest", "Keep the largest piece of each view.", default=None)
 @opt.config_option
@@ -92,6 +95,8 @@ def merge_command(paths: tuple[str, ...], output: Path, **values: Any) -> out.Re
     """
     if not paths:
         raise click.UsageError("name at least two views, or one .conf")
+    if list(paths) == sorted(paths):  # as a shell names them: frame_1, frame_10, frame_2
+        paths = tuple(map(str, in_order(map(Path, paths))))
     scan = opt.taken(values, "max_range")
     merge = opt.taken(values, "refine", "sensor", "background", "keep_largest")
     options = opt.load_options(values).changed(scan=scan, merge=merge)

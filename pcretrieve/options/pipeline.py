@@ -54,7 +54,7 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "depth-camera": {
         "scan": {"voxel": 0.004, "outlier_std": 1.5, "normal_neighbors": 30, "flood_gap": 0.03},
         "surface": {"cell": 0.006, "gap": 0.03},
-        "merge": {"sensor": "origin", "background": "planes", "keep_largest": True, "voxel": 0.003},
+        "merge": {"sensor": "origin", "background": "room", "keep_largest": True, "voxel": 0.003},
     },
     # Meshes from modelling software, or cleaned by hand: repaired, but not reconstructed.
     "clean-mesh": {"surface": {"mode": "keep"}},

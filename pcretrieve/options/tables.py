@@ -351,8 +351,9 @@ class MergeOptions(Options):
     sensor: Literal["front", "origin"] = "front"
     """Position of the sensor of a view whose file has none. front: far along the z axis of the frame of the
     view, the convention of range scanners; origin: at its origin, the convention of depth cameras."""
-    background: Literal["none", "planes"] = "none"
-    """planes: remove floors and walls: planes with a tenth of the points or more, and with nothing behind."""
+    background: Literal["none", "planes", "room"] = "none"
+    """planes: remove floors and walls: planes with a tenth of the points or more, and with nothing behind.
+    room: also all behind the first valley in the histogram of depths, unless max_range says where that is."""
     keep_largest: bool = False
     """Remove all but the largest connected component of each view as background."""
     # Distance between points above which they are in different components; relative to the diagonal of the

@@ -22,6 +22,9 @@ SAME_RANGE = 1e-5
 MEASURED = 0.5
 FEWEST_READINGS = 2
 
+# Range of a reading at the sensor, relative to the largest: the positions of sensors have rounding errors.
+AT_SENSOR = 1e-6
+
 # Distance from the median point, in median distances, beyond which a point is an error. They are not removed
 # if there are more than this fraction of them, because they may be a second body.
 FAR_AWAY = 20
@@ -170,7 +173,7 @@ def _measured(readings: tuple[FloatArray, ...]) -> NDArray[np.bool_]:
     result = np.ones(len(readings[0]), dtype=np.bool_)
     if len(result) < FEWEST_POINTS:
         return result
-    at_sensor = readings[0] == 0
+    at_sensor = readings[0] <= AT_SENSOR * readings[0].max()
     if FEWEST_READINGS <= at_sensor.sum() < len(result):
         result &= ~at_sensor
     for values in readings:

@@ -113,6 +113,26 @@ def test_given_poses_are_refined_or_kept() -> None:
     assert error(refined.poses, back @ truth, clouds) < TOLERANCE
 
 
+def test_readings_at_the_sensor_are_no_points() -> None:
+    """Nor those at the origin of a view that does not say where its sensor is."""
+    rng = np.random.default_rng(4)
+    clouds, motions = views()
+    poses = np.linalg.inv(motions).astype(np.float64)
+    n_clean = sum(len(cloud.points) for cloud in clouds)
+    dirty = []
+    for cloud in clouds:
+        assert cloud.viewpoints is not None
+        place = np.tile(cloud.viewpoints[0], (len(cloud.points), 1))
+        rounded = place * (1 + rng.normal(0, 1e-15, place.shape))
+        points = np.concatenate([cloud.points, rounded])
+        dirty.append(PointCloud(points, viewpoints=np.concatenate([place, place])))
+    found = merge_views(dirty, MergeOptions(refine=False), FAR, poses=poses)
+    assert len(found.cloud.points) <= n_clean
+    blind = [PointCloud(np.concatenate([cloud.points, np.zeros((9, 3))])) for cloud in clouds]
+    found = merge_views(blind, MergeOptions(refine=False), FAR, poses=poses)
+    assert len(found.cloud.points) == n_clean
+
+
 @pytest.mark.parametrize("wrong", [(), (3,), (1, 4)])
 def test_views_that_stand_off_the_others_are_named(wrong: tuple[int, ...]) -> None:
     """Moved by 12 mm and turned by 1.5 degrees, if the body is a person; the views beside them are right."""

@@ -17,12 +17,14 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import pcretrieve
-from pcretrieve import TriangleMesh
+from pcretrieve import PointCloud, TriangleMesh
 from pcretrieve.draw.open3d import RayScene
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.conf import image_poses, trajectory_file
-from pcretrieve.options import PipelineOptions
+from pcretrieve.options import MergeOptions, PipelineOptions, ScanOptions
+from pcretrieve.points.register import merge_views
 from pcretrieve.points.register.alignment import moved
+from pcretrieve.points.register.views import depth_limit, placed_by, prepared
 from pcretrieve.values import FloatArray
 
 CAMERA = TurningOptions(n_frames=30, width=120, height=160, focal=170.0)
@@ -73,6 +75,62 @@ def test_a_foreign_frame_does_not_end_the_sequence(tmp_path: Path) -> None:
     assert found.left_out == (2,)
     (step,) = found.cloud.provenance
     assert any("left out view 2" in note for note in step.notes)
+
+
+# --- the background ------------------------------------------------------------------------------------
+
+
+@cache
+def in_a_room(n_frames: int) -> list[PointCloud]:
+    """Frames of a turn on a floor, before a room of which nothing is flat."""
+    camera = replace(CAMERA, n_frames=n_frames, wall=2.9)
+    images, _ = turning_frames(body(), camera, np.random.default_rng(0))
+    height, width = images.shape[1:]
+    things = np.random.default_rng(2).normal(3.1, 0.12, (height // 8, width // 8))
+    images = np.where(images > 2.75, np.kron(things, np.ones((8, 8))), images)
+    v, u = np.indices((height, width))
+    rays = np.stack([u - (width - 1) / 2, v - (height - 1) / 2, np.full(u.shape, camera.focal)])
+    clouds = []
+    for image in images:
+        points = (rays / camera.focal * image)[:, image > 0].T
+        clouds.append(PointCloud(points))
+    return clouds
+
+
+def farthest(background: str) -> list[float]:
+    """The largest range in each view without its background."""
+    options = DEPTH_CAMERA.model_copy(update={"background": background})
+    views, _, _ = prepared(in_a_room(4), options, ScanOptions(), np.random.default_rng(0))
+    return [float(np.linalg.norm(view.cloud.points, axis=1).max()) for view in views]
+
+
+def test_a_room_ends_at_a_valley_of_the_histogram_of_depths() -> None:
+    """In which the floor is; planes alone leave the largest piece of the room."""
+    assert max(farthest("room")) < 2.8 < min(farthest("planes"))
+    view = in_a_room(4)[0]
+    assert (
+        depth_limit(view, MergeOptions(sensor="front")) is None
+    )  # nobody knows where the sensor is
+    ball = shapes.icosphere(4).vertices + [0, 0, 3]
+    assert depth_limit(PointCloud(ball), DEPTH_CAMERA) is None
+
+
+def test_a_view_without_a_place_says_what_would_place_it() -> None:
+    view = in_a_room(4)[0]
+    for options, words in (
+        (MergeOptions(sensor="origin"), "it has a background, remove that by --max-range 2"),
+        (MergeOptions(), "if it is of a depth camera, give --sensor origin"),
+        (MergeOptions(sensor="origin", background="room"), "give --keep-largest"),
+        (DEPTH_CAMERA, "lower min_overlap in [merge]"),
+    ):
+        assert words in placed_by(view, options, ScanOptions())
+
+
+@pytest.mark.slow
+def test_frames_far_apart_in_a_room_are_placed_by_the_preset() -> None:
+    """Every tenth of a hundred."""
+    preset = PipelineOptions.of("depth-camera")
+    assert merge_views(in_a_room(10), preset.merge, preset.scan).left_out == ()
 
 
 # --- poses in files -----------------------------------------------------------------------------------

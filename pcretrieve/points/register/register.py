@@ -23,7 +23,7 @@ from pcretrieve.points.register.alignment import (
 )
 from pcretrieve.points.register.groups import COARSE, FINE, largest_group
 from pcretrieve.points.register.tracking import followed, posed_track, tracks
-from pcretrieve.points.register.views import View, prepared
+from pcretrieve.points.register.views import View, placed_by, prepared
 from pcretrieve.values import FloatArray, PointCloud, Step
 
 # Smallest overlap of two views that is reported; fraction of the points of one of them.
@@ -87,7 +87,7 @@ def merge_views(
     if poses is not None:
         _check_poses(poses, len(views))
     rng = np.random.default_rng(options.seed)
-    ready, scale = prepared(views, options, near, rng)
+    ready, scale, notes = prepared(views, options, near, rng)
     cell, reach = options.cell * scale, options.reach * scale
     if poses is None:
         keys, placed, key_of = _found(ready, cell, reach, options, rng)
@@ -103,7 +103,13 @@ def merge_views(
         "points": float(len(cloud.points)),
     }
     overlaps = _overlaps(ready, keys, placed, key_of, reach)
-    notes = [*_notes(keys, placed, shares, options), *_standing_off(overlaps)]
+    notes += [*_notes(keys, placed, shares, options), *_standing_off(overlaps)]
+    notes += [
+        f"left out view {number}: it has no place where it shares a surface with the others; "
+        f"{placed_by(view, options, near)}"
+        for number, view in enumerate(views)
+        if number not in placed
+    ]
     step = Step("merge", time.perf_counter() - started, sizes, tuple(notes))
     return Merged(cloud.after(step), all_poses, shares, overlaps, scale)
 
@@ -154,14 +160,12 @@ def _of_all(
 
 
 def _notes(keys: Poses, placed: Poses, shares: FloatArray, options: MergeOptions) -> Iterator[str]:
-    """Say which views have key frames, no place, or little in common with the others."""
+    """Say which views have key frames, or little in common with the others."""
     if len(keys) < len(placed):
         yield f"registered {len(placed)} views of a sequence by {len(keys)} key frames"
-    for number, share in enumerate(shares):
-        if number not in placed:
-            yield f"left out view {number}: it has no place where it shares a surface with the others"
-        elif share < options.min_overlap:
-            yield f"view {number} shares only {share:.1%} of its points with the others"
+    for number in placed:
+        if shares[number] < options.min_overlap:
+            yield f"view {number} shares only {shares[number]:.1%} of its points with the others"
 
 
 def _overlaps(

@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 from pcretrieve.errors import InputError, ReconstructionError, Stage
 from pcretrieve.formats.conf import SENSOR_DISTANCE
 from pcretrieve.options import MergeOptions, ScanOptions
-from pcretrieve.points.crop import COMPARED, N_NEAR, N_PLANES, fitted_plane, kept_points
+from pcretrieve.points.clean import FEWEST_POINTS
+from pcretrieve.points.crop import (
+    AT_SENSOR,
+    COMPARED,
+    N_NEAR,
+    N_PLANES,
+    fitted_plane,
+    kept_points,
+)
 from pcretrieve.points.normals import estimate_normals
 from pcretrieve.values import FloatArray, PointCloud, bounding_diagonal
 
@@ -40,6 +48,18 @@ LEAST_LEFT = 0.03
 # At least this fraction of the points on a plane are nearer to it than half the thickness: .95 of a plane
 # with noise, .5 of a slice of a body.
 LEAST_CENTRAL = 0.9
+
+# The histogram of ranges: number of bins, which grow with the range; the quantile at which they begin; the
+# number of bins of which each has the mean; and the least share of points in a bin.
+N_BINS = 60
+LEAST_QUANTILE = 0.005
+SMOOTHED = 3
+SMALLEST_SHARE = 1e-4
+
+# A valley is lower than the peaks beside it by this factor, and at least this fraction of all points is in
+# front of the one at which the background begins.
+DEEPER = 3.0
+LEAST_FRONT = 0.1
 
 # Number of points of each view for registration and verification.
 SOME_POINTS = 1000
@@ -70,19 +90,69 @@ class View(NamedTuple):
 
 def prepared(
     clouds: Sequence[PointCloud], options: MergeOptions, near: ScanOptions, rng: np.random.Generator
-) -> tuple[list[View], float]:
-    """The views, and the median of their diagonals, to which relative options refer; unit of the files."""
+) -> tuple[list[View], float, list[str]]:
+    """The views; the median of their diagonals, to which relative options refer; notes on the background."""
     sensors = [_sensor(cloud, number, options, near) for number, cloud in enumerate(clouds)]
+    ranges, notes = [near.max_range] * len(clouds), []
+    if options.background == "room" and near.max_range == "none":
+        found = [depth_limit(cloud, options) for cloud in clouds]
+        if known := [limit for limit in found if limit is not None]:
+            # A body may have a valley of its own in some views.
+            middle = float(np.median(known))
+            ranges = [max(limit or middle, middle) for limit in found]
+            notes.append(
+                f"took max_range = {min(ranges):.3g} to {max(ranges):.3g} from the histograms of depths"
+            )
     fronts = [
-        _foreground(cloud, sensor, number, options, near)
-        for number, (cloud, sensor) in enumerate(zip(clouds, sensors, strict=True))
+        _foreground(cloud, sensor, number, options, ScanOptions(max_range=most))
+        for number, (cloud, sensor, most) in enumerate(zip(clouds, sensors, ranges, strict=True))
     ]
     scale = float(np.median([bounding_diagonal(points) for points in fronts]))
     views = [
         _view(points, sensor, options, options.cell * scale, rng)
         for points, sensor in zip(fronts, sensors, strict=True)
     ]
-    return views, scale
+    return views, scale, notes
+
+
+def depth_limit(cloud: PointCloud, options: MergeOptions) -> float | None:
+    """The range at which the background of a view begins: in the first valley of the histogram of ranges.
+
+    None if there is no valley, or nobody knows where the sensor is. A floor fills the valley a little.
+    """
+    from scipy.ndimage import uniform_filter1d
+
+    if cloud.viewpoints is None and options.sensor != "origin":
+        return None
+    seen = cloud.points if cloud.viewpoints is None else cloud.points - cloud.viewpoints
+    ranges = np.linalg.norm(seen, axis=1)
+    ranges = ranges[ranges > AT_SENSOR * ranges.max(initial=0)]
+    if len(ranges) < FEWEST_POINTS:
+        return None
+    edges = np.geomspace(np.quantile(ranges, LEAST_QUANTILE), ranges.max(), N_BINS + 1)
+    shares = uniform_filter1d(np.histogram(ranges, edges)[0] / len(ranges), SMOOTHED)
+    shares = np.maximum(shares, SMALLEST_SHARE)
+    before, behind = (np.maximum.accumulate(one) for one in (shares, shares[::-1]))
+    is_valley = DEEPER * shares <= np.minimum(before, behind[::-1])
+    is_valley &= np.cumsum(shares) >= LEAST_FRONT
+    if not is_valley.any():
+        return None
+    first = int(is_valley.argmax())
+    length = int((~is_valley[first:]).argmax())
+    # Behind the lowest bin, which has the mean of the bins beside it.
+    return float(edges[first + shares[first : first + length].argmin() + 2])
+
+
+def placed_by(cloud: PointCloud, options: MergeOptions, near: ScanOptions) -> str:
+    """What would probably place a view that has no place, in words."""
+    limit = depth_limit(cloud, options)
+    if near.max_range == "none" and options.background != "room" and limit is not None:
+        return f"it has a background, remove that by --max-range {limit:.2g}"
+    if cloud.viewpoints is None and options.sensor == "front":
+        return "if it is of a depth camera, give --sensor origin"
+    if not options.keep_largest:
+        return "if it shows more than the body, give --keep-largest"
+    return "lower min_overlap in [merge], or add views between it and the others"
 
 
 def _sensor(view: PointCloud, number: int, options: MergeOptions, near: ScanOptions) -> FloatArray:
@@ -111,10 +181,13 @@ def _foreground(
     cloud: PointCloud, sensor: FloatArray, number: int, options: MergeOptions, near: ScanOptions
 ) -> FloatArray:
     """The (n, 3) points within `max_range`, in front of the background, and of the largest component."""
-    within = ScanOptions(max_range=near.max_range)
-    kept = kept_points(PointCloud(cloud.points, viewpoints=sensor), within, of_view=True)
-    points: FloatArray = cloud.points[kept.points]
-    if options.background == "planes":
+    kept = kept_points(PointCloud(cloud.points, viewpoints=sensor), near, of_view=True).points
+    if cloud.viewpoints is None:
+        kept &= cloud.points.any(
+            axis=1
+        )  # the sensor is perhaps elsewhere, but these are no readings
+    points: FloatArray = cloud.points[kept]
+    if options.background != "none":
         rng = np.random.default_rng(0)
         for _ in range(MOST_PLANES):
             behind = _background_plane(points, sensor, rng)
