@@ -102,7 +102,7 @@ def test_every_option_is_explained() -> None:
         (b"# \xff\n", r"options.toml is not valid TOML: it is not UTF-8 text"),
         (
             b"[surfice]\n",
-            r"options.toml: there is no option 'surfice'; `pcretrieve lab options` lists them all",
+            r"there is no option 'surfice'; `pcretrieve lab options` lists them all; did you mean 'surface'",
         ),
         (b"[surface]\ndepth = 7\n", r"options.toml: in \[surface\], there is no option 'depth'"),
         (

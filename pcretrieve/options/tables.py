@@ -14,7 +14,7 @@ from pydantic import (
     model_validator,
 )
 
-from pcretrieve.errors import OptionError
+from pcretrieve.errors import OptionError, did_you_mean
 from pcretrieve.plugins import DESCRIPTOR_NAMES, METHODS
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -57,7 +57,11 @@ def _explain(error: ValidationError) -> str:
         elif problem["type"] == "value_error":
             clauses.append(f"{name}: {cause}" if name else str(cause))
         elif problem["type"] == "extra_forbidden":
-            clauses.append(f"there is no option {name!r}; `pcretrieve lab options` lists them all")
+            known = [one for table in Options.__subclasses__() for one in table.model_fields]
+            meant = did_you_mean(name.rpartition(".")[2], known)
+            clauses.append(
+                f"there is no option {name!r}; `pcretrieve lab options` lists them all{meant}"
+            )
         else:
             clauses.append(
                 f"{name}: {problem['msg'][0].lower()}{problem['msg'][1:]}, got {problem['input']!r:.200}"

@@ -117,6 +117,8 @@ def report(
     """
     with pr.Catalogue.opened(catalogue) as store:
         chosen = pr.PipelineOptions.of(options, store.options)
+        if not len(store) and store.rows.failures():  # of which the page has the reasons
+            matrix = pr.DistanceMatrix((), np.zeros((0, 0)))
         # As the measures: with a whitening fitted to labels, the queries that they call bad would look good.
         chosen = (
             chosen.without_labels

@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Self
 
-from pcretrieve.errors import InputError, OptionError
+from pcretrieve.errors import InputError, OptionError, did_you_mean
 from pcretrieve.options import RetrievalOptions, Shrinkage, WhiteningKind
 from pcretrieve.retrieval import covariances
 from pcretrieve.retrieval.distances import table_coordinates
@@ -162,7 +162,7 @@ def read_whitening(path: Path) -> Whitening:
     except Exception as error:
         raise InputError(
             f"a whitening must be a name such as auto, or a file of `pcretrieve lab calibrate`, got {path} "
-            f"({error})"
+            f"({error}){did_you_mean(str(path), get_args(WhiteningKind))}"
         ) from error
 
 

@@ -139,8 +139,9 @@ def opened_site(
 
     with Catalogue(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
-        # Made now, so that what it lacks is said before the first request.
-        index(store, options=chosen)
+        # Made now, so that what it lacks is said before the first request; failures have pages without one.
+        if len(store) or not store.rows.failures():
+            index(store, options=chosen)
         title, thumbnails = Path(store.location).name, Thumbnails(store, up)
         scanned = store.options.model_copy(update={"signature": chosen.signature})
     location, jobs, collection = str(catalogue), None, None

@@ -88,6 +88,13 @@ def test_a_similar_name_is_suggested(eggs: Path, monkeypatch: pytest.MonkeyPatch
             "clean-mesh, paper, classic; did you mean 'body-scanner'?",
         ),
         ("query Egg00 --method hpat", "did you mean 'hapt'?"),
+        ("query Egg00 --method hapt+wsk", "did you mean 'wks'?"),
+        ("query Egg00 --whitening peple", "did you mean 'people'?"),
+        ("query Egg0", "did you mean 'Egg00'?"),
+        ("query Egg00 --filter label=kind --filter label=<kind_1>", "did you mean '<kind 1>'?"),
+        ("ingest c.sqlit", "no file or folder c.sqlit"),
+        ("list --catalog c.sqlite", "did you mean --catalogue"),
+        ("evaluate --labels shrec1", "did you mean 'shrec11'?"),
     ):
         assert said.lower() in refusal(*words.split()).lower()
 

@@ -191,6 +191,18 @@ def test_a_false_match_rate_needs_as_many_pairs(eggs: Path) -> None:
     assert "00: the 96 pairs of two classes are too few for a false-match rate of 1e-06" in said
 
 
+def test_a_catalogue_of_failures_has_pages(tmp_path: Path) -> None:
+    """With the reasons; one without any shapes has none."""
+    catalogue, page = tmp_path / "c.sqlite", tmp_path / "page.html"
+    with pr.Catalogue(catalogue, create=True) as store:
+        assert "an index needs at least 1 shape" in refusal("report", "-c", catalogue, "-o", page)
+        assert "an index needs at least 1 shape" in refusal("serve", "-c", catalogue, "--port", 0)
+        failed = Record("bad", "/bad.off", "", status="failed", stage="read", error="ScanReadError")
+        store.put(replace(failed, message="it is empty"))
+    run("report", "-c", catalogue, "-o", page)
+    assert "it is empty" in page.read_text()
+
+
 # --- matrices and comparisons ---------------------------------------------------------------------------
 
 

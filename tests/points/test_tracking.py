@@ -111,7 +111,7 @@ def test_a_room_ends_at_a_valley_of_the_histogram_of_depths() -> None:
     assert (
         depth_limit(view, MergeOptions(sensor="front")) is None
     )  # nobody knows where the sensor is
-    ball = shapes.icosphere(4).vertices + [0, 0, 3]
+    ball = np.add(shapes.icosphere(4).vertices, [0, 0, 3])
     assert depth_limit(PointCloud(ball), DEPTH_CAMERA) is None
 
 

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import re
 import shutil
+import socket
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from html import unescape
 from pathlib import Path
 from urllib.parse import quote
 
 import pytest
-from search_server import NASTY, Server, running
+from commands import program
+from search_server import NASTY, Server, running, write_eggs
 
+from pcretrieve import Catalogue
+from pcretrieve.catalogue import Record
 from pcretrieve.pages.html import without_folders
 
 
@@ -146,3 +151,24 @@ def test_messages_name_no_folder() -> None:
         ),
     ):
         assert without_folders(message, Path("/own folder/of scans")) == told
+
+
+def test_a_catalogue_of_failures_is_served(tmp_path: Path) -> None:
+    """The page has the failures; whom a scan shows, nobody can say."""
+    with Catalogue(tmp_path / "c.sqlite", create=True) as store:
+        failed = Record("bad", "/bad.off", "", status="failed", stage="read", error="ScanReadError")
+        store.put(replace(failed, message="it is empty"))
+    with running(tmp_path / "c.sqlite") as server:
+        assert ids(server.ask("/").body) == ["bad"]
+        assert b"it is empty" in server.ask("/shape/bad").body
+        assert server.ask("/map").status < 500
+
+
+def test_a_server_speaks_when_it_listens(tmp_path: Path) -> None:
+    """What it cannot do, such as to take a port of another program, is all that it says."""
+    write_eggs(tmp_path / "c.sqlite")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        words = ("serve", "-c", tmp_path / "c.sqlite", "--port", taken.getsockname()[1])
+        done = program(*words, code=1)
+    assert done.stderr.startswith("Error: cannot serve at port")
+    assert len(done.stderr.splitlines()) == 1 and not done.stdout
