@@ -74,9 +74,6 @@ EXIT_TIMEOUT = 2.0  # until a process that has closed its pipe is killed
 # Beginning of the names of temporary folders.
 PREFIX = "pcretrieve-worker-"
 
-# <sys/prctl.h>
-PR_SET_PDEATHSIG = 1
-
 # What the kernel adds to the memory of a worker before it chooses a process to kill for lack of memory, so
 # that it does not choose the parent; thousandths of all memory.
 OOM_SCORE = 500
@@ -463,10 +460,9 @@ def _serve(
 
 def _prepare(folder: str | None, memory: float | None) -> bool:
     """Set the limits and the temporary folder of this process; False if its parent has ended already."""
-    if sys.platform == "linux":
-        # The kernel kills this process when its parent ends, also during a computation. Other systems let it
-        # continue until it next reads from or writes to a pipe. The parent is the thread that started it.
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    from pcretrieve.values.compiled import end_with_parent, tuned_process
+
+    end_with_parent()
     parent = multiprocessing.parent_process()
     if parent is None or os.getppid() != parent.pid:
         return False
@@ -476,8 +472,6 @@ def _prepare(folder: str | None, memory: float | None) -> bool:
         # Of Python, and of native code and child processes.
         os.environ["TMPDIR"] = tempfile.tempdir = folder
     from threadpoolctl import threadpool_limits
-
-    from pcretrieve.values.compiled import tuned_process
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threadpool_limits(limits=1)

@@ -7,9 +7,8 @@ takes a second, a surface at least eleven.
 
 from __future__ import annotations
 
-import ctypes
-import io
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -19,18 +18,15 @@ from importlib import import_module
 from importlib.metadata import distribution
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcretrieve.errors import RemeshError, ShapeError
 from pcretrieve.options import RemeshOptions
 from pcretrieve.surface.repair import repaired
 from pcretrieve.surface.topology import compact, defects, edges_of, face_groups
 from pcretrieve.values import FloatArray, IntArray, Step, TriangleMesh
-
-Arrays = dict[str, NDArray[Any]]
+from pcretrieve.values.compiled import end_with_parent
 
 # The faces of a tetrahedron of positive volume, counter-clockwise seen from outside.
 OUTWARD_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
@@ -122,13 +118,17 @@ def tetrahedralize(
     ----------
     .. [1] Hu, Schneider, Wang, Zorin and Panozzo, "Fast tetrahedral meshing in the wild", ACM TOG 2020.
     """
-    scalars = {"edge_length": edge_length, "envelope": envelope, "optimize": optimize}
-    arrays = {name: np.array(value) for name, value in scalars.items()}
+    settings = {
+        "edge_length_fac": edge_length,
+        "epsilon": envelope,
+        "optimize": optimize,
+        "num_threads": 1,
+    }
     places = [str(Path(place).resolve()) for place in sys.path]
     try:
         done = subprocess.run(
             [sys.executable, "-c", ANSWER, *places],
-            input=_packed({"vertices": vertices, "faces": faces, **arrays}),
+            input=pickle.dumps((vertices, faces, settings)),
             stdout=subprocess.PIPE,
             timeout=timeout,
         )
@@ -138,26 +138,13 @@ def tetrahedralize(
         ) from error
     if done.returncode or not done.stdout:
         raise RemeshError(f"fTetWild died, with exit code {done.returncode}")
-    found = _unpacked(done.stdout)
-    if "error" in found:
-        raise RemeshError(f"fTetWild failed: {found['error']}")
-    if not len(found["tetrahedra"]):
+    found = pickle.loads(done.stdout)
+    if isinstance(found, str):
+        raise RemeshError(f"fTetWild failed: {found}")
+    nodes, tetrahedra = found
+    if not len(tetrahedra):
         raise RemeshError("fTetWild gave no tetrahedra")
-    return found["nodes"], found["tetrahedra"]
-
-
-# Messages are .npz archives. Nothing is pickled.
-
-
-def _packed(arrays: Arrays) -> bytes:
-    buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, **arrays)
-    return buffer.getvalue()
-
-
-def _unpacked(message: bytes) -> Arrays:
-    with np.load(io.BytesIO(message), allow_pickle=False) as archive:
-        return dict(archive)
+    return nodes, tetrahedra
 
 
 def _library() -> ModuleType:
@@ -165,35 +152,6 @@ def _library() -> ModuleType:
     sys.modules["pytetwild"] = package = ModuleType("pytetwild")
     package.__path__ = [str(distribution("pytetwild").locate_file("pytetwild"))]
     return import_module("pytetwild.pytetwild")
-
-
-def _tetrahedra(pytetwild: ModuleType, question: Arrays) -> Arrays:
-    try:
-        nodes, tetrahedra = pytetwild.tetrahedralize(
-            question["vertices"],
-            question["faces"],
-            edge_length_fac=float(question["edge_length"]),
-            epsilon=float(question["envelope"]),
-            optimize=bool(question["optimize"]),
-            num_threads=1,
-        )
-    except (RuntimeError, ValueError, TypeError) as error:
-        return {"error": np.array(str(error))}
-    return {"nodes": nodes.astype(np.float64), "tetrahedra": tetrahedra.astype(np.int32)}
-
-
-# <sys/prctl.h>
-PR_SET_PDEATHSIG = 1
-
-
-def end_with_parent() -> None:
-    """Ask the kernel to kill this process when its parent ends, also during a computation.
-
-    Linux only: on other systems the process continues until it has finished. For the kernel, the parent is
-    the thread that started this process.
-    """
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def answer() -> None:
@@ -214,5 +172,12 @@ def answer() -> None:
     folder = Path(tempfile.mkdtemp(prefix="pcretrieve-"))
     os.chdir(folder)
     folder.rmdir()
+    vertices, faces, settings = pickle.load(sys.stdin.buffer)
+    found: tuple[FloatArray, IntArray] | str
+    try:
+        nodes, tetrahedra = _library().tetrahedralize(vertices, faces, **settings)
+        found = nodes.astype(np.float64), tetrahedra.astype(np.int32)
+    except (RuntimeError, ValueError, TypeError) as error:
+        found = str(error)
     with answers:
-        answers.write(_packed(_tetrahedra(_library(), _unpacked(sys.stdin.buffer.read()))))
+        pickle.dump(found, answers)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import atexit
+import ctypes
 import os
+import signal
+import sys
 from collections.abc import Callable
 from functools import cache, cached_property, update_wrapper
 from pathlib import Path
@@ -56,6 +59,20 @@ def tuned_process() -> None:
     # twice the largest block that it has mapped and freed (mallopt(3), M_MMAP_THRESHOLD). Otherwise each
     # surface takes it again from the system, with thousands of page faults: 6 % of the time of a scan.
     np.empty((32 << 20) - (64 << 10), dtype=np.uint8)
+
+
+# <sys/prctl.h>
+PR_SET_PDEATHSIG = 1
+
+
+def end_with_parent() -> None:
+    """Ask the kernel to kill this process when its parent ends, also during a computation.
+
+    Linux only: on other systems the process continues until it has finished, or next reads from or writes to
+    a pipe. For the kernel, the parent is the thread that started this process.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 @cache
