@@ -8,7 +8,7 @@ import numpy as np
 
 from pcretrieve.arrays import bounds
 from pcretrieve.points.grid import Grid, Mask, Voxels, components, distances
-from pcretrieve.values import FloatArray, IntArray
+from pcretrieve.values import FloatArray
 from pcretrieve.values.compiled import compiled
 
 # Number of empty voxels around the points, in which finite differences are computed.
@@ -71,11 +71,11 @@ def flood(
     grid = Grid.around(points, cell, int(np.ceil(wall)) + MARGIN, shift)
     occupied = np.zeros(grid.shape, dtype=bool)
     occupied[grid.index(points)] = True
-    distance = distances(occupied, max(FARTHEST, wall + 1))
+    distance = distances(occupied, max(FARTHEST, wall + MARGIN))
     labels, _ = components(distance > wall, corners=False)
     reached = labels == labels[0, 0, 0]
     del labels  # before further large arrays are made
-    reached = _regrown(reached, distance, int(wall) + 1, CLEARANCE)
+    reached = _regrown(reached, distance, wall, CLEARANCE)
     # Around the points there is only outside, which later steps need not visit. All voxels `MARGIN` beyond
     # the points have been reached, so that none farther away is nearer to a voxel of the rest.
     held = points if further is None else np.concatenate([points, further])
@@ -97,18 +97,21 @@ def _around(points: FloatArray, grid: Grid) -> tuple[Grid, tuple[slice, ...]]:
 
 
 @compiled()
-def _regrown(outside: Mask, distance: Voxels, n_steps: int, clearance: float) -> Mask:
-    """The voxels outside the walls, and those that are reached from them by a number of steps."""
+def _regrown(outside: Mask, distance: Voxels, wall: float, clearance: float) -> Mask:
+    """The voxels outside the walls, and those reached from them by as many steps as the walls are thick."""
     result: Mask = outside.copy()
     reached, to_points = result.ravel(), distance.ravel()
     step = (outside.shape[1] * outside.shape[2], outside.shape[2], 1)
     front = np.empty(distance.size, dtype=np.int32)
-    n = _first_front(outside, to_points, clearance, front)
-    for i in range(n):
-        reached[front[i]] = True
+    n = 0
+    for cell in range(distance.size):
+        # A voxel beside a wall; none is on the border of the grid.
+        if reached[cell] and to_points[cell] <= wall + 1:
+            front[n] = cell
+            n += 1
     # Breadth-first search, one step for all voxels of the front at a time.
     begin = 0
-    for _ in range(n_steps - 1):
+    for _ in range(int(wall) + 1):
         end = n
         for i in range(begin, end):
             for axis in range(3):
@@ -119,26 +122,6 @@ def _regrown(outside: Mask, distance: Voxels, n_steps: int, clearance: float) ->
                         n += 1
         begin = end
     return result
-
-
-@compiled()
-def _first_front(outside: Mask, to_points: Voxels, clearance: float, front: IntArray) -> int:
-    """Write the voxels with a face to the outside that are away from the points; returns their number."""
-    n_x, n_y, n_z = outside.shape
-    was = outside.ravel()
-    layer = n_y * n_z
-    n = 0
-    for x in range(1, n_x - 1):
-        for y in range(1, n_y - 1):
-            for z in range(1, n_z - 1):
-                c = (x * n_y + y) * n_z + z
-                if was[c] or to_points[c] <= clearance:
-                    continue
-                beside = was[c - 1] or was[c + 1] or was[c - n_z] or was[c + n_z]
-                if beside or was[c - layer] or was[c + layer]:
-                    front[n] = c
-                    n += 1
-    return n
 
 
 @compiled()
