@@ -65,13 +65,15 @@ REFERENCES = {
     "descriptors.hapt._vertex_normals": (
         "descriptors/test_hapt.py::normals_at_vertices_do_not_depend_on_how_sides_are_divided"
     ),
+    "descriptors.hapt._vote": (
+        "descriptors/test_hapt.py::lines_through_vertices_and_edges_are_counted_once"
+    ),
     "points.grid.components": (
         "points/test_voxels.py::components_are_those_of_scipy_with_the_same_numbers"
     ),
     "points.grid._set_along_z": "points/test_voxels.py::distances_are_exact_up_to_the_limit",
     "points.grid._lower": "points/test_voxels.py::distances_are_exact_up_to_the_limit",
     "points.grid._roots": "points/test_voxels.py::distances_are_exact_up_to_the_limit",
-    "points.grid._vote": "points/test_voxels.py::lines_through_vertices_and_edges_are_counted_once",
     "points.neighbors._sorted": "points/test_normals.py::the_nearest_points_are_those_of_a_tree",
     "points.neighbors._nearest": "points/test_normals.py::the_nearest_points_are_those_of_a_tree",
     "points.neighbors.plane_deviations": (

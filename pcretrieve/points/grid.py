@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from pcretrieve.arrays import bounds
-from pcretrieve.values import FloatArray, IntArray, TriangleMesh
+from pcretrieve.values import FloatArray
 from pcretrieve.values.compiled import compiled
 
 #: A set of voxels, or of other elements.
@@ -252,78 +252,3 @@ def _lower(squares: NDArray[Any], most: int) -> None:
                 for z in range(len(line)):
                     line[z] = min(line[z], line.dtype.type(min(before[z], after[z]) + square))
                 k += 1
-
-
-# Displacement of the grid lines along each axis, in voxels, that keeps them off the vertices and edges of
-# surfaces that are aligned with the grid, where a crossing would be counted twice or not at all.
-DISPLACEMENT = (1.3e-7, 2.1e-7, 0.7e-7)
-
-
-def interior(mesh: TriangleMesh, grid: Grid) -> Mask:
-    """The voxels whose centres are inside a surface.
-
-    Along each of the three axes, the winding number of the surface round a voxel is the sum of the
-    orientations of the triangles that the grid line crosses before the voxel [1]_. A voxel is inside if the
-    winding number is not zero along two axes or three, so that a hole of an open surface is closed where the
-    lines along the two other axes do not pass through it.
-
-    References
-    ----------
-    .. [1] F. Nooruddin and G. Turk, "Simplification and repair of polygonal models using volumetric
-       techniques", IEEE Transactions on Visualization and Computer Graphics 9 (2003).
-    """
-    at = grid.coordinates(mesh.vertices) + DISPLACEMENT
-    votes = np.zeros(grid.shape, dtype=np.int8)
-    for axis in range(3):
-        _vote(votes, at, mesh.faces, axis)
-    return votes >= 2
-
-
-@compiled()
-def _vote(votes: NDArray[np.int8], at: FloatArray, faces: IntArray, axis: int) -> None:
-    """Add one for each voxel round which the winding number of a surface, along an axis, is not zero."""
-    # By the crossings between a voxel and the one before.
-    turns = np.zeros(votes.shape, dtype=np.int32)
-    place = np.zeros(3, dtype=np.int64)
-    i, j = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
-    for f in range(len(faces)):
-        a, b, c = at[faces[f, 0]], at[faces[f, 1]], at[faces[f, 2]]
-        first, last = int(np.ceil(min(a[i], b[i], c[i]))), int(np.floor(max(a[i], b[i], c[i])))
-        low, high = int(np.ceil(min(a[j], b[j], c[j]))), int(np.floor(max(a[j], b[j], c[j])))
-        for u in range(first, last + 1):
-            for v in range(low, high + 1):
-                turn, height = _crossing(a, b, c, (i, j, axis), u, v)
-                if turn:
-                    place[i], place[j], place[axis] = u, v, int(np.ceil(height))
-                    turns[place[0], place[1], place[2]] += turn
-    _count(votes, turns, axis)
-
-
-@compiled()
-def _crossing(
-    a: FloatArray, b: FloatArray, c: FloatArray, axes: tuple[int, int, int], u: int, v: int
-) -> tuple[int, float]:
-    """How a grid line turns round a triangle that it crosses, 1 or −1, and where; 0 if it does not.
-
-    (u, v): the place of the line along the first two axes; it runs along the third.
-    """
-    i, j, axis = axes
-    # Twice the signed areas of the triangles of the line and one edge, opposite each corner.
-    p = (b[i] - u) * (c[j] - v) - (b[j] - v) * (c[i] - u)
-    q = (c[i] - u) * (a[j] - v) - (c[j] - v) * (a[i] - u)
-    r = (a[i] - u) * (b[j] - v) - (a[j] - v) * (b[i] - u)
-    if not ((p > 0 and q > 0 and r > 0) or (p < 0 and q < 0 and r < 0)):
-        return 0, 0.0
-    height = (p * a[axis] + q * b[axis] + r * c[axis]) / (p + q + r)
-    return (1 if p > 0 else -1), height
-
-
-@compiled()
-def _count(votes: NDArray[np.int8], turns: NDArray[np.int32], axis: int) -> None:
-    """Add the turns along an axis, and one vote where their sum is not zero."""
-    before = (axis == 0, axis == 1, axis == 2)
-    for x in range(before[0], votes.shape[0]):
-        for y in range(before[1], votes.shape[1]):
-            for z in range(before[2], votes.shape[2]):
-                turns[x, y, z] += turns[x - before[0], y - before[1], z - before[2]]
-                votes[x, y, z] += turns[x, y, z] != 0

@@ -1,4 +1,4 @@
-"""Voxels: components, distances, the inside of a surface, and the outside of points."""
+"""Voxels: components, distances, and the outside of points."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ import pytest
 import shapes
 from scipy import ndimage
 
-from pcretrieve.points.grid import Grid, components, distances, interior
+from pcretrieve.points.grid import Grid, components, distances
 from pcretrieve.points.outside import _regrown, flood, sampled
-from pcretrieve.values import FloatArray, TriangleMesh
-
-CELL = 0.05
+from pcretrieve.values import FloatArray
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
@@ -40,53 +38,14 @@ def test_distances_are_exact_up_to_the_limit(limit: float) -> None:
     assert (distances(np.zeros((3, 4, 5), dtype=bool), limit) == limit).all()  # without sources
 
 
-# --- the inside of a surface --------------------------------------------------------------------------
+# --- the outside of points ----------------------------------------------------------------------------
 
-
-def filled(mesh: TriangleMesh, around: TriangleMesh) -> tuple[np.ndarray, FloatArray]:
-    """The voxels inside a mesh, and the distance of each voxel from the origin."""
-    grid = Grid.around(around.vertices, CELL, margin=2)
-    return interior(mesh, grid), radii(grid)
+EDGE, GAP = 0.06, 0.2
 
 
 def radii(grid: Grid) -> FloatArray:
     at = np.moveaxis(np.indices(grid.shape), 0, -1)
     return np.asarray(np.linalg.norm(grid.centres(at), axis=-1))
-
-
-def test_voxels_of_a_ball_are_inside_and_those_of_a_cavity_are_not() -> None:
-    ball, inner = shapes.icosphere(4), shapes.icosphere(3, radius=0.6)
-    turned, cavity = (TriangleMesh(mesh.vertices, mesh.faces[:, ::-1]) for mesh in (ball, inner))
-    above = ball.vertices[ball.faces].mean(axis=1)[:, 2] > 0.95
-    # A hole is closed by the lines along two other axes.
-    pricked = TriangleMesh(ball.vertices, ball.faces[~above])
-    for mesh, depth in ((ball, 0.99), (turned, 0.99), (pricked, 0.9)):
-        inside, distance = filled(mesh, ball)
-        assert inside[distance < depth].all() and not inside[distance > 1].any()
-    inside, distance = filled(shapes.joined(ball, cavity), ball)
-    assert inside[(distance > 0.62) & (distance < 0.97)].all() and not inside[distance < 0.58].any()
-
-
-def test_lines_through_vertices_and_edges_are_counted_once() -> None:
-    """A cube whose vertices, edges and faces are on the lines of the grid."""
-    corners = (
-        np.array(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij")).reshape(3, -1).T
-    )
-    faces = np.array(
-        [
-            *([0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]),
-            *([2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]),
-        ]
-    )
-    inside = interior(TriangleMesh(corners, faces), Grid(np.full(3, -0.5), 0.25, (9, 9, 9)))
-    assert inside[3:6, 3:6, 3:6].all(), "the voxels whose centres are inside, not on the surface"
-    inside[2:7, 2:7, 2:7] = False
-    assert not inside.any()
-
-
-# --- the outside of points ----------------------------------------------------------------------------
-
-EDGE, GAP = 0.06, 0.2
 
 
 def shell(hole: float) -> FloatArray:
