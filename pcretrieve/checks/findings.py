@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pcretrieve.checks import stages
 from pcretrieve.checks.fit import Fit, between
 from pcretrieve.checks.grading import Check
+from pcretrieve.checks.layers import double_layers
 from pcretrieve.points.grid import joined_by
-from pcretrieve.points.layers import double_layers
 from pcretrieve.points.neighbors import neighborhoods
 from pcretrieve.surface import SurfaceMarks
 from pcretrieve.values import FloatArray, PointCloud, Shape, TriangleMesh

@@ -18,7 +18,7 @@ from pcretrieve.checks.grading import (
     graded,
     percent,
 )
-from pcretrieve.points.layers import Layers
+from pcretrieve.checks.layers import Layers
 from pcretrieve.points.neighbors import Neighborhoods
 from pcretrieve.surface import defects
 from pcretrieve.values import FloatArray, IntArray, PointCloud, Shape, Step, TriangleMesh

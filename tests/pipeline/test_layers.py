@@ -8,9 +8,9 @@ import shapes
 
 from pcretrieve import PointCloud
 from pcretrieve.checks import findings_of
+from pcretrieve.checks.layers import double_layers
 from pcretrieve.options import ScanOptions
 from pcretrieve.points import clean, oriented_normals
-from pcretrieve.points.layers import double_layers
 from pcretrieve.values import FloatArray, TriangleMesh
 
 # A share of the surface beyond which the check "Double walls" is not passed.
