@@ -65,11 +65,10 @@ def thumbnail(
     (camera,) = pictures.cameras_framing(
         vertices[faces.ravel()], [pictures.rotation(AZIMUTH, ELEVATION) @ axes]
     )
-    framed = camera.seen(vertices)
-    face = pictures.visible_faces(framed, faces, size)
-    covered = (face >= 0).astype(np.float64)
-    shade = pictures.pooled(np.append(pictures.face_brightness(framed, faces), 0.0)[face])
-    return Thumbnail(_png(shade, pictures.pooled(covered)), axes[1])
+    clay = np.tile(pictures.CLAY, (len(faces), 1))
+    return Thumbnail(
+        _png(pictures.surface_picture(vertices, faces, clay, camera, size=size)), axes[1]
+    )
 
 
 def resized(picture: bytes, size: int) -> bytes:
@@ -77,14 +76,7 @@ def resized(picture: bytes, size: int) -> bytes:
     with Image.open(BytesIO(picture)) as image:
         if image.width <= size:
             return picture
-        pixels = np.asarray(image.convert("RGBA"), np.float64) / 255  # (n, n, 4)
-    coverage = pixels[:, :, 3].astype(np.float32)
-    shade = (coverage * pixels[:, :, 0] / pictures.CLAY[0]).astype(np.float32)
-    smaller = [
-        Image.fromarray(a).resize((size, size), Image.Resampling.BOX) for a in (shade, coverage)
-    ]
-    shade, coverage = (np.asarray(each) for each in smaller)
-    return _png(shade.astype(np.float64), coverage.astype(np.float64))
+        return _png(image.convert("RGBA").resize((size, size), Image.Resampling.BOX))
 
 
 def cloud_thumbnail(points: FloatArray) -> bytes:
@@ -106,20 +98,19 @@ def picture_html(picture: bytes | None, words: str) -> str:
     return f"<div style='display: inline-block'>{image}<code>{escape(words)}</code></div>"
 
 
-def _png(shade: FloatArray, coverage: FloatArray) -> bytes:
-    """A PNG file of means over the area of each pixel; `shade` is 0 where nothing is seen."""
-    # The mean over the part of the pixel that shows the body, so that edges are not darker.
-    brightness = shade / np.where(coverage > 0, coverage, 1)
-    step = np.round(coverage * N_COVERAGES)
-    level = np.round(brightness * (N_LEVELS - 1))
+def _png(picture: Image.Image) -> bytes:
+    """A PNG file of a picture in shades of clay."""
+    red, _, _, opacity = np.moveaxis(np.asarray(picture) / 255, 2, 0)
+    step = np.round(opacity * N_COVERAGES)
+    level = np.round(np.minimum(red / pictures.CLAY[0], 1) * (N_LEVELS - 1))
     number = np.where(
         step > 0, 1 + (step - 1) * N_LEVELS + level, 0
     )  # (size, size), row of the palette
     levels = np.linspace(0, 255, N_LEVELS)[:, np.newaxis] * pictures.CLAY  # (N_LEVELS, 3)
     colours = np.concatenate([np.zeros((1, 3)), np.tile(levels, (N_COVERAGES, 1))])
     alphas = np.concatenate([[0], np.repeat(np.linspace(0, 255, N_COVERAGES + 1)[1:], N_LEVELS)])
-    picture = Image.fromarray(number.astype(np.uint8))
-    picture.putpalette(np.round(colours).astype(np.uint8).tobytes())
+    paletted = Image.fromarray(number.astype(np.uint8))
+    paletted.putpalette(np.round(colours).astype(np.uint8).tobytes())
     file, transparency = BytesIO(), np.round(alphas).astype(np.uint8).tobytes()
-    picture.save(file, "PNG", transparency=transparency)
+    paletted.save(file, "PNG", transparency=transparency)
     return file.getvalue()
