@@ -145,7 +145,7 @@ def _nearest(
     return distance, near
 
 
-@compiled(error_model="numpy")
+@compiled(error_model="numpy", inline="always")
 def _search(
     grouped: FloatArray,
     starts: Order,

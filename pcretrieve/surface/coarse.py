@@ -118,10 +118,7 @@ def _accumulate(odd: Mask) -> None:
                 line[z] = is_inside
 
 
-Face = tuple[int, int, int]
-
-
-@compiled(error_model="numpy")
+@compiled()
 def _crossed(
     at: FloatArray, faces: NDArray[np.int32], shape: tuple[int, int, int], axis: int
 ) -> tuple[Mask, Voxels]:
@@ -133,9 +130,7 @@ def _crossed(
     crossings = np.full(shape, np.float32(np.nan), dtype=np.float32)
     i, j = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
     place = np.zeros(3, dtype=np.int64)
-    for f in range(len(faces)):
-        # Numbers, because counting the references to a row of an array takes longer than the arithmetic.
-        face = faces[f, 0], faces[f, 1], faces[f, 2]
+    for face in faces:
         first, last = _lines(at, face, i, shape[i], BESIDE[0])
         lowest, highest = _lines(at, face, j, shape[j], BESIDE[1])
         for u in range(first, last):
@@ -157,7 +152,9 @@ def _crossed(
 
 
 @compiled()
-def _lines(at: FloatArray, face: Face, axis: int, n: int, beside: float) -> tuple[int, int]:
+def _lines(
+    at: FloatArray, face: NDArray[np.int32], axis: int, n: int, beside: float
+) -> tuple[int, int]:
     """The first of n lines, `beside` the voxels of an axis, between the ends of a face; and the one after."""
     a, b, c = at[face[0], axis], at[face[1], axis], at[face[2], axis]
     first = max(0, int(np.ceil(min(a, b, c) - beside)))
@@ -165,8 +162,10 @@ def _lines(at: FloatArray, face: Face, axis: int, n: int, beside: float) -> tupl
     return first, last + 1
 
 
-@compiled(error_model="numpy")
-def _meeting(at: FloatArray, face: Face, axes: tuple[int, int, int], x: float, y: float) -> float:
+@compiled(inline="always")
+def _meeting(
+    at: FloatArray, face: NDArray[np.int32], axes: tuple[int, int, int], x: float, y: float
+) -> float:
     """Where a line meets a face, along the last of the axes; NaN if it does not.
 
     (x, y): the place of the line along the two other axes.

@@ -194,11 +194,8 @@ def _summed(points: FloatArray, normals: FloatArray, number: IntArray, n: int) -
     side = int(2 * REACH) + 2
     terms, of_y = np.empty(9 * side), np.empty(side)
     for i in range(len(points)):
-        # Numbers, because counting the references to a row of an array takes longer than the arithmetic.
-        point = points[i, 0], points[i, 1], points[i, 2]
-        normal = normals[i, 0], normals[i, 1], normals[i, 2]
-        _set_terms(terms, point, normal, number.shape[2])
-        _add_terms(sums, terms, of_y, point, number)
+        _set_terms(terms, points[i], normals[i], number.shape[2])
+        _add_terms(sums, terms, of_y, points[i], number)
     return sums.reshape(n, 9)
 
 
@@ -208,8 +205,8 @@ def _reached(place: float, n: int) -> tuple[int, int]:
     return max(0, int(np.ceil(place - REACH))), min(n, int(place + REACH) + 1)
 
 
-@compiled()
-def _set_terms(terms: FloatArray, point: Vector, normal: Vector, n_z: int) -> None:
+@compiled(inline="always")
+def _set_terms(terms: FloatArray, point: FloatArray, normal: FloatArray, n_z: int) -> None:
     """Set the nine terms of a point for each voxel that it reaches on a line along z."""
     x, y, z = point
     square = x * x + y * y + z * z
@@ -229,9 +226,9 @@ def _set_terms(terms: FloatArray, point: Vector, normal: Vector, n_z: int) -> No
         terms[t + 8] = factor * along
 
 
-@compiled()
+@compiled(inline="always")
 def _add_terms(
-    sums: FloatArray, terms: FloatArray, of_y: FloatArray, point: Vector, number: IntArray
+    sums: FloatArray, terms: FloatArray, of_y: FloatArray, point: FloatArray, number: IntArray
 ) -> None:
     """Add the terms of a point, by the weights of the lines of voxels, to the sums of voxels in its reach."""
     x, y, z = point
@@ -252,14 +249,12 @@ def _add_terms(
             if first < last:
                 # The numbers of the voxels on this line are consecutive.
                 here, weight = 9 * number[u, v, first], of_x * of_y[v - reached_y[0]]
-                _add_line(sums, here, weight, terms, 9 * (first - low), 9 * (last - first))
+                _add_line(sums, here, weight, terms[9 * (first - low) : 9 * (last - low)])
 
 
-@compiled()
-def _add_line(
-    sums: FloatArray, here: int, weight: float, terms: FloatArray, begin: int, n: int
-) -> None:
+@compiled(inline="always")
+def _add_line(sums: FloatArray, here: int, weight: float, terms: FloatArray) -> None:
     # Numba need not test whether an index without a sign counts from the end of an array.
-    start, first = np.uint64(here), np.uint64(begin)
-    for j in range(np.uint64(n)):
-        sums[start + j] += weight * terms[first + j]
+    start = np.uint64(here)
+    for j in range(np.uint64(len(terms))):
+        sums[start + j] += weight * terms[j]

@@ -157,7 +157,7 @@ def _empty_queues(n: int, n_buckets: int) -> Queues:
     return Queues(head, tail, np.empty((2, n), dtype=np.int32), np.zeros(2, dtype=np.int64))
 
 
-@compiled()
+@compiled(inline="always")
 def _put(queues: Queues, queue: int, cell: int, priority: int) -> None:
     """Append a voxel to its bucket."""
     queues.after[queue, cell] = -1
@@ -169,7 +169,7 @@ def _put(queues: Queues, queue: int, cell: int, priority: int) -> None:
     queues.top[queue] = max(queues.top[queue], priority)
 
 
-@compiled()
+@compiled(inline="always")
 def _take(queues: Queues) -> tuple[int, int]:
     """The queue and the voxel that is next, which is removed; the voxel is −1 if there is none."""
     for queue in (1, 0):

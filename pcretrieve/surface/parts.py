@@ -65,43 +65,36 @@ def walls(
     links = walls.reshape(3, -1)
     for i in range(len(at)):
         for axis in range(3):
-            lean = normals[i, axis]
-            if abs(lean) >= LEAST_LEAN:
-                first, second = (axis + 1) % 3, (axis + 2) % 3
-                middle = (at[i, first], at[i, second], at[i, axis])
-                slopes = (-normals[i, first] / lean, -normals[i, second] / lean)
-                _cross(links, middle, slopes, axis, shape, radius)
+            if abs(normals[i, axis]) >= LEAST_LEAN:
+                _cross(links[axis], at[i], normals[i], axis, shape, radius)
     return walls
 
 
-@compiled()
+@compiled(inline="always")
 def _cross(
     links: Mask,
-    middle: tuple[float, float, float],
-    slopes: tuple[float, float],
+    at: FloatArray,
+    normal: FloatArray,
     axis: int,
     shape: tuple[int, int, int],
     radius: float,
 ) -> None:
-    """Mark the links along an axis, (3, abc), that cross a surfel: they meet its plane within the disk.
-
-    The middle of the surfel has its coordinate along the axis last. It and the slopes are numbers, because
-    counting the references to a row of an array takes longer than the arithmetic.
-    """
+    """Mark the links along an axis that cross a surfel: those that meet its plane within the disk."""
     step = (shape[1] * shape[2], shape[2], 1)
     first, second = (axis + 1) % 3, (axis + 2) % 3
-    columns = _within(middle[0], radius, shape[first])
-    rows = _within(middle[1], radius, shape[second])
+    rise, slope = -normal[first] / normal[axis], -normal[second] / normal[axis]
+    columns = _within(at[first], radius, shape[first])
+    rows = _within(at[second], radius, shape[second])
     for a in range(columns[0], columns[1]):
         for b in range(rows[0], rows[1]):
-            da, db = a - middle[0], b - middle[1]
-            along = slopes[0] * da + slopes[1] * db
-            c = int(np.floor(middle[2] + along))
+            da, db = a - at[first], b - at[second]
+            along = rise * da + slope * db
+            c = int(np.floor(at[axis] + along))
             # Without branches, of which many would be mispredicted.
             meets = da * da + db * db + along * along <= radius * radius
             meets &= 0 <= c < shape[axis]
             c = min(max(c, 0), shape[axis] - 1)
-            links[axis, a * step[first] + b * step[second] + c * step[axis]] |= meets
+            links[a * step[first] + b * step[second] + c * step[axis]] |= meets
 
 
 @compiled()

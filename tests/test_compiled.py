@@ -1,0 +1,26 @@
+"""Loops that numba compiles: what `compiled` adds to `numba.njit`."""
+
+import numba
+
+from pcretrieve.values.compiled import compiled
+
+
+@compiled(inline="always")
+def _inner(x: int) -> int:
+    return 2 * x
+
+
+@compiled()
+def _outer(n: int) -> int:
+    total = 0
+    for x in range(n):
+        total += _inner(x)
+    return total
+
+
+def test_a_function_that_is_inlined_is_part_of_its_caller() -> None:
+    # Not kept for later processes: numba does not show what it has read from a file.
+    caller = numba.njit(_outer.py_func)
+    assert caller(4) == 12
+    (llvm,) = caller.inspect_llvm().values()
+    assert "_inner" not in llvm
