@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,9 @@ from pcretrieve.checks import stages
 from pcretrieve.checks.fit import Fit, between
 from pcretrieve.checks.grading import Check
 from pcretrieve.checks.layers import double_layers
+from pcretrieve.draw.axes import Person, person_of
 from pcretrieve.points.grid import joined_by
-from pcretrieve.points.neighbors import neighborhoods
+from pcretrieve.points.neighbors import nearest, neighborhoods
 from pcretrieve.surface import SurfaceMarks
 from pcretrieve.values import FloatArray, PointCloud, Shape, TriangleMesh
 
@@ -21,6 +22,18 @@ N_NEIGHBORS = 8
 
 # Largest distance of voxels that belong to one cut or bridge, relative to the diagonal.
 PLACE = 0.02
+
+# Parts of a person by the ways over the surface to the nearest foot and hand, relative to the way from a hand
+# to a foot. What lies between two parts has no name, so that a name is right: for 96 % or more of the
+# vertices that have it, on 113 people of Anny in five poses.
+FOOT = 0.08
+LEG = 0.42
+HAND = 0.07
+ARM = 0.24
+BESIDE_ARMS = 0.34
+PELVIS = 0.48
+SHOULDERS = 0.73
+CHIN = 0.79
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +93,47 @@ def findings_of(
         checks += [*stages.surface_checks(mesh), *stages.mesh_check(mesh.provenance)]
     if shape is not None:
         checks += stages.spectrum_checks(shape)
+    if mesh is not None:
+        checks = _with_parts(checks, mesh)
     return Findings(tuple(checks), spacing, filled, cuts, bridges)
+
+
+def _with_parts(checks: list[Check], mesh: TriangleMesh) -> list[Check]:
+    """The checks, with the names of the parts of a person on which their places are."""
+    if not any(check.places for check in checks):
+        return checks
+    person = person_of(mesh.vertices, mesh.faces)
+    if person is None:
+        return checks
+    return [
+        replace(check, parts=parts_at(np.array(check.places), mesh, person))
+        if check.places
+        else check
+        for check in checks
+    ]
+
+
+def parts_at(places: FloatArray, mesh: TriangleMesh, person: Person) -> tuple[str, ...]:
+    """The parts of a person on which places (k, 3) are, each once; none if one of the places has no name."""
+    at = nearest(mesh.vertices, places, 1)[1][:, 0]
+    whole = person.from_feet[:, person.hands].mean()
+    to_foot = person.from_feet.min(axis=0)[at] / whole
+    to_hand = person.from_hands.min(axis=0)[at] / whole
+    names = tuple(dict.fromkeys(map(part_of_person, to_foot, to_hand)))
+    return () if "" in names else names
+
+
+def part_of_person(to_foot: float, to_hand: float) -> str:
+    """The part by the ways to the nearest foot and hand; empty where it is uncertain."""
+    if to_foot < LEG:
+        return "a foot" if to_foot < FOOT else "a leg"
+    if to_hand < ARM:
+        return "a hand" if to_hand < HAND else "an arm"
+    if to_hand > BESIDE_ARMS and to_foot > CHIN:
+        return "the head"
+    if to_hand > BESIDE_ARMS and PELVIS < to_foot < SHOULDERS:
+        return "the trunk"
+    return ""
 
 
 def _places(cells: FloatArray, reach: float) -> FloatArray:

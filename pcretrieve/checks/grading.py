@@ -53,6 +53,7 @@ class Check:
     says: what is wrong, in words of consequence, if it is named as a reason; a passed check can be, by its
         error. Empty for a check that has none.
     places: where on the scan, unit of the file.
+    parts: of a person, on which these places are; empty if they are not known.
     """
 
     name: str
@@ -64,6 +65,7 @@ class Check:
     grade: CheckGrade = ""
     says: str = ""
     places: tuple[tuple[float, float, float], ...] = ()
+    parts: tuple[str, ...] = ()
 
 
 class Measure(NamedTuple):
@@ -151,7 +153,7 @@ MEASURES = {
         "The points lie in one layer.",
         "Views are shifted against each other, or the body moved, so that limbs are too thick: register the "
         "views again by 'pcretrieve merge', which names the ones that stand off.",
-        "views are shifted against each other",
+        "views were registered badly, so that walls are double",
         "poor",
     ),
     "Filled in": Measure(
@@ -281,7 +283,7 @@ def grade_of(checks: Sequence[Check], *, rescan_error: float | None = None) -> G
     It is incomplete if a part is missing that a person would see missing, and poor if a check says so or if
     the expected error is so large that the nearest shape may be another one. The errors of the checks are
     assumed to be independent, so that the expected error is the root of the sum of their squares, or the
-    error of rescans if that is larger.
+    error of rescans if that is larger; then the check of rescans, "Signature", is one of the checks.
     """
     squared = float(sum(check.error**2 for check in checks))
     error = max(float(np.sqrt(squared)), rescan_error or 0.0)
@@ -293,20 +295,16 @@ def grade_of(checks: Sequence[Check], *, rescan_error: float | None = None) -> G
         poor += [check for check in large if check not in poor and check not in missing]
     if not missing and not poor and error <= LARGEST_ERROR:
         return Grade("good", error)
-    reasons = [_reason(check) for check in (*missing, *poor)]
-    if (
-        rescan_error
-        and rescan_error > LARGEST_ERROR
-        and all(check.name != "Signature" for check in poor)
-    ):
-        reasons.append(f"rescans differ by ± {rescan_error:.2g}")
-    return Grade("incomplete" if missing else "poor", error, tuple(reasons))
+    reasons = tuple(_reason(check) for check in (*missing, *poor))
+    return Grade("incomplete" if missing else "poor", error, reasons)
 
 
 def _reason(check: Check) -> str:
     """What is wrong, and where."""
     if not check.places:
         return check.says
+    if check.parts:
+        return f"{check.says}, on {' and '.join(check.parts)}"
     x, y, z = check.places[0]
     more = f", and at {len(check.places) - 1} more places" if len(check.places) > 1 else ""
     return f"{check.says}, near ({x:.3g}, {y:.3g}, {z:.3g}){more}"

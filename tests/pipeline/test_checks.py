@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.bodies import standing_places
+from benchmarks.simulation.bodies import POSES, body, make_subject
 from benchmarks.uniform import BODIES, points_of
 from shapes import icosphere
 
 from pcretrieve import PointCloud, TriangleMesh
 from pcretrieve.checks import Check, findings_of
-from pcretrieve.checks.findings import N_NEIGHBORS
+from pcretrieve.checks.findings import N_NEIGHBORS, parts_at
 from pcretrieve.checks.fit import Fit, parts
+from pcretrieve.checks.layers import double_layers
 from pcretrieve.checks.stages import body_check, hole_check, neck
-from pcretrieve.points.layers import double_layers
+from pcretrieve.draw.axes import person_of
 from pcretrieve.points.neighbors import neighborhoods
 from pcretrieve.values import FloatArray
 
@@ -186,3 +189,34 @@ def test_two_balls_that_touch_are_two_bodies_and_a_rod_is_one() -> None:
             mesh = tube(9.0)
         found = body_check(neck(mesh, mesh.vertices[:, 0]))
         assert (found.outcome != "passed") == is_two, name
+
+
+# --- names of the parts of a person -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_known_places_of_a_standing_person_are_named(seed: int) -> None:
+    mesh = body(make_subject("person", np.random.default_rng(seed)), POSES["person"]["stand"])
+    person = person_of(mesh.vertices, mesh.faces)
+    assert person is not None
+    known = standing_places(mesh) | {"toes": int(person.feet[0]), "fingers": int(person.hands[0])}
+    named = {}
+    for name, vertex in known.items():
+        named[name] = parts_at(mesh.vertices[[vertex]], mesh, person)
+    face = named.pop("face")
+    assert face in {("the head",), ()}
+    assert named == {
+        "crown": ("the head",),
+        "chest": ("the trunk",),
+        "back": ("the trunk",),
+        "thigh": ("a leg",),
+        "shin": ("a leg",),
+        "toes": ("a foot",),
+        "fingers": ("a hand",),
+    }
+
+
+def test_a_hole_of_a_body_that_is_no_person_has_no_part() -> None:
+    points = on_ball()
+    pierced = points[np.linalg.norm(points - [0, 0, 1], axis=1) > 0.2]
+    assert checks_of(cloud_of(pierced), BALL)["Largest hole"].parts == ()

@@ -14,7 +14,7 @@ from benchmarks.uniform import UniformOptions, scan_uniformly
 from numpy.typing import NDArray
 
 from pcretrieve import TriangleMesh, process
-from pcretrieve.checks import Check, grade_of
+from pcretrieve.checks import Check, grade_of, graded
 from pcretrieve.checks.grading import LARGEST_ERROR, CheckGrade
 from pcretrieve.descriptors import describe
 from pcretrieve.errors import ReconstructionError
@@ -137,6 +137,14 @@ def test_a_body_without_a_forearm_is_incomplete(side: int, points: FloatArray) -
     assert any(reason.startswith(told) for reason in shape.grade.reasons)
 
 
+def test_the_reason_names_the_part_of_a_person_where_a_hole_is(points: FloatArray) -> None:
+    crown = points[points[:, 1].argmax()]
+    pierced = points[np.linalg.norm(points - crown, axis=1) > 0.08 * np.ptp(points[:, 1])]
+    grade = process(pierced).grade
+    assert grade is not None
+    assert "there is a hole that shows, on the head" in grade.reasons
+
+
 # --- the grade ----------------------------------------------------------------------------------------
 
 
@@ -165,5 +173,7 @@ def test_facts_make_no_grade() -> None:
 
 
 def test_rescans_that_differ_make_a_scan_poor() -> None:
-    grade = grade_of([check("Gaps", 0.1)], rescan_error=1.2)
-    assert grade == Grade("poor", 1.2, ("rescans differ by ± 1.2",))
+    rescans = graded("Signature", 1.2, "± 1.2 over rescans")
+    grade = grade_of([check("Gaps", 0.1), rescans], rescan_error=1.2)
+    told = "the signature changes when a tenth of the points is left out"
+    assert grade == Grade("poor", 1.2, (told,))
