@@ -12,7 +12,7 @@ import re
 import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -79,7 +79,10 @@ def read_text(path: Path, *, normals: bool | None = None) -> RawScan:
     normals: whether the fourth to the sixth column, of a file whose header does not name its columns, hold
         the normals. By default, if all of them have unit length.
     """
-    layout = _layout(*_head(path), n_numbers=6 if normals else 3)
+    lines, encoding = _head(path)
+    layout = _layout(lines, encoding, n_numbers=6 if normals else 3)
+    if not layout.named:
+        _check_first_columns(lines[layout.n_header_lines :], layout)
     columns = layout.points + (layout.normals or ())
     if not layout.named and (normals or (normals is None and layout.n_columns >= 6)):
         columns = (0, 1, 2, 3, 4, 5)
@@ -110,7 +113,9 @@ def _number_rows(
                 plain, np.float64, usecols=columns, delimiter=separator, ndmin=2, comments=None
             )
     except ValueError as error:
-        raise ScanReadError(f"each line must hold {max(columns) + 1} numbers: {error}") from error
+        second = "; a line of one number may begin a second cloud: divide the file"
+        said = f"{error}{second if 'with 1 columns' in str(error) else ''}"
+        raise ScanReadError(f"each line must hold {max(columns) + 1} numbers: {said}") from error
     return table.reshape(-1, len(columns))
 
 
@@ -186,7 +191,31 @@ def _layout(lines: list[str], encoding: str, n_numbers: int) -> Layout:
     first = next((line.strip()[:MOST_QUOTED] for line in lines if line.strip()), None)
     if first is None:
         raise ScanReadError("a table of points must have rows of numbers, this one has none at all")
-    raise ScanReadError(f"each line must hold {n_numbers} numbers, got {first!r}")
+    raise ScanReadError(
+        f"each line must hold {n_numbers} numbers, got {first!r}: give the columns a header such as x y z, "
+        "if others stand before them; a list of scans must name a file that is there"
+    )
+
+
+def _check_first_columns(lines: list[str], layout: Layout) -> None:
+    """Refuse a table without a header in which numbers of points, or of rows and columns, come first."""
+    rows = [cells for line in lines if (cells := _cells(line, layout.separator))]
+
+    def whole(k: int) -> bool:
+        return all(k < len(row) and row[k].isdecimal() for row in rows)
+
+    n_before = 0 if not whole(0) else 1 if not whole(1) else 2
+    steps = (
+        {float(after[0]) - float(row[0]) for row, after in pairwise(rows)} if n_before else set()
+    )
+    counts = n_before == 2 or steps == {1}
+    fractions = [layout.decimal in cell for row in rows for cell in row[n_before : n_before + 3]]
+    if counts and all(fractions) and len(fractions) >= 3 * max(len(rows), FEWEST_POINTS):
+        names = ("number", "row column")[n_before - 1]
+        raise ScanReadError(
+            f"its first columns count points, or the rows and columns of readings, which are no coordinates: "
+            f"give the columns a header, such as {names} x y z"
+        )
 
 
 def _plain(line: str) -> str:

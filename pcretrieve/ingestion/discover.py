@@ -38,6 +38,8 @@ logger = logging.getLogger(__name__)
 # Suffixes of manifests, of which files may also be tables of points, and the columns with the paths.
 MANIFESTS = frozenset({".txt", ".csv"})
 PATH_COLUMNS = ("path", "file", "filename", "name")
+# Three numbers with decimals, which no header of a manifest has.
+DECIMALS = re.compile(r"(?:\d[.,]\d.*){3}")
 
 # Suffixes of files left unread that are named; further ones are counted together.
 MOST_NAMED = 8
@@ -202,15 +204,27 @@ def _named_by(path: Path) -> list[Path]:
         raise InputError(f"the manifest {path} must be a regular file, not a pipe or a device")
     text = read_text(path, "manifest")
     if path.suffix.lower() == ".csv":
+        if DECIMALS.search(text.partition("\n")[0]):  # no header, but a row of a table
+            return [path]
         names = [name for (name,) in read_table(path, "manifest", text, PATH_COLUMNS)]
     else:
         # Not by splitlines: names may have its other separators, such as U+2028.
         names = [line.strip() for line in text.split("\n") if not line.lstrip().startswith("#")]
     # Missing files are not an error here: reading them fails later, as a failure of one shape.
     scans = [Path(name) if url_of(Path(name)) else path.parent / name for name in names if name]
+    # Unless all are: it is a table with a row that is none, of which its reader tells.
+    if scans and not any(map(_is_there, scans)):
+        return [path]
     if not scans:
         raise InputError(f"the manifest {path} names no scans")
     return scans
+
+
+def _is_there(scan: Path) -> bool:
+    """Whether a scan is a file that is there, or at a URL."""
+    with suppress(OSError, ValueError):  # of a name that the system does not take
+        return url_of(scan) is not None or split_member(scan)[0].exists()
+    return False
 
 
 def read_text(path: Path, kind: str, names: Iterable[str] = ()) -> str:

@@ -14,6 +14,7 @@ from scan_files import CUBE, HALVES, SIDES, SQUARE, XYZ, cloud, glb, gltf, mesh,
 from pcretrieve import read_scan
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats import is_scan
+from pcretrieve.ingestion.discover import discover
 from pcretrieve.surface import defects
 
 BALL = shapes.icosphere(1)
@@ -68,6 +69,56 @@ def test_comments_behind_numbers(tmp_path: Path) -> None:
         "\n".join(f"{row}. # one#\n{row}.#two\n#" for row in POINTS[1:])
     )
     assert len(cloud(tmp_path / "a.xyz").points) == 14
+
+
+@pytest.mark.parametrize("columns", ["number", "row column"])
+@pytest.mark.parametrize(("name", "separator"), [("a.xyz", " "), ("a.txt", ","), ("a.csv", ";")])
+def test_columns_that_count_need_a_header(
+    columns: str, name: str, separator: str, tmp_path: Path
+) -> None:
+    before = {"number": "{k}", "row column": "{row}{separator}{column}"}[columns]
+    table = [
+        separator.join(
+            [
+                before.format(k=k, row=k // 9, column=k % 9, separator=separator),
+                *map(repr, row),
+                "7",
+            ]
+        )
+        for k, row in enumerate(BALL.vertices.tolist())
+    ]
+    said = refusal(tmp_path / name, "\n".join(table))
+    assert f"give the columns a header, such as {columns} x y z" in said
+    header = separator.join([*columns.split(), *"xyzw"])
+    (tmp_path / name).write_text("\n".join([header, *table]))
+    np.testing.assert_array_equal(cloud(tmp_path / name).points, BALL.vertices)
+    # Heights over a grid of whole numbers, and slices, are points as they stand.
+    for row in ("{k} {k} 0.5", "{k} 4 0.5 0.25", "{half} 0.5 0.25 0.125"):
+        rows = [row.format(k=k, half=k // 2) for k in range(9)]
+        (tmp_path / "b.xyz").write_text("\n".join(rows))
+        assert len(cloud(tmp_path / "b.xyz").points) == 9
+
+
+def test_a_table_with_an_odd_row_is_no_list_of_scans(tmp_path: Path) -> None:
+    """The message names the row that is no point, and no line is taken for a scan."""
+    for name, rows, words in (
+        ("a.txt", [*POINTS, "1 2 three"], "could not convert string 'three'"),
+        (
+            "a.csv",
+            ["P1,0.5,1.5,2.5", "P2,0.5,1.5,2.5"],
+            "got 'P1,0.5,1.5,2.5': give the columns a header",
+        ),
+        ("b.txt", ["what is this?"], "a list of scans must name a file that is there"),
+        (
+            "a.pts",
+            ["3", *POINTS[:3], "5", *POINTS[3:]],
+            "may begin a second cloud: divide the file",
+        ),
+    ):
+        assert words in refusal(tmp_path / name, "\n".join(rows))
+        assert discover([tmp_path / name]) == [tmp_path / name]
+    (tmp_path / "list.txt").write_text("gone.ply\na.txt\n")
+    assert discover([tmp_path / "list.txt"]) == [tmp_path / "gone.ply", tmp_path / "a.txt"]
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.stl", "a.obj", "a.off", "a.pcd"])

@@ -77,8 +77,8 @@ def test_paths_in_a_manifest_are_relative_to_its_folder(folder: Path) -> None:
 
 
 def test_a_manifest_may_name_what_no_file_can_be_named(folder: Path) -> None:
-    (folder / "list.txt").write_text("a\0.ply\na\0.csv\na\0.ptx\na\0.gltf\n")
-    assert names("list.txt") == ["a\0.ply", "a\0.csv", "a\0.ptx", "a\0.gltf"]
+    (folder / "list.txt").write_text("a\0.ply\na\0.csv\na\0.ptx\na\0.gltf\na.ply")
+    assert names("list.txt") == ["a\0.ply", "a\0.csv", "a\0.ptx", "a\0.gltf", "a.ply"]
 
 
 def test_a_folder_says_what_it_leaves_unread(
