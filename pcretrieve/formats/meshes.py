@@ -11,7 +11,7 @@ import io
 import math
 import re
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import IO, Any, TypeAlias
 
@@ -207,12 +207,51 @@ Scene: TypeAlias = dict[str, Callable[[], RawScan]]
 
 
 def read_scene(read: Callable[[Path], Scene], path: Path, name: str | None = None) -> RawScan:
-    """All bodies of a scene as one scan, or the body of a name."""
+    """All bodies of a scene as one scan, or the body of a name with all its pieces."""
     bodies = read(path)
-    chosen = [body() for body in (bodies.values() if name is None else [bodies[name]])]
-    if not any(len(body.points) for body in chosen):
+    chosen = [*bodies]
+    if name is not None:
+        chosen = next(pieces for pieces in scene_bodies(read, path) if pieces[0] == name)
+    scans = [bodies[piece]() for piece in chosen]
+    if not any(len(scan.points) for scan in scans):
         raise Damaged("its scene has no vertices")
-    return joined(chosen)
+    return joined(scans)
+
+
+def scene_bodies(read: Callable[[Path], Scene], path: Path) -> list[list[str]]:
+    """The names of the pieces of each body in a scene."""
+    status = path.stat()
+    return _pieces(read, path, status.st_mtime_ns, status.st_size)
+
+
+# A worker that reads one body after the other of a file finds their pieces once.
+@lru_cache(maxsize=1)
+def _pieces(
+    read: Callable[[Path], Scene], path: Path, changed: int, n_bytes: int
+) -> list[list[str]]:
+    """The names of the meshes in a scene, together if their open edges coincide.
+
+    Photogrammetry writes a mesh for each image of the texture of one body.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    bodies = read(path)
+    scans = [body() for body in bodies.values()] if len(bodies) > 1 else []
+    counts = [0 if scan.faces is None else len(scan.faces) for scan in scans]
+    if not any(counts):
+        return [[name] for name in bodies]
+    whole = joined(scans)
+    _, faces = welded(whole.points, whole.faces)
+    mesh = np.repeat(np.arange(len(scans)), counts)  # (m,), of each face
+    pairs = np.repeat(mesh, 3), len(scans) + faces.ravel()
+    size = len(scans) + len(whole.points)
+    graph = coo_array((np.ones(faces.size, np.int8), pairs), shape=(size, size))
+    _, body = connected_components(graph, directed=False)
+    return [
+        [name for name, one in zip(bodies, body, strict=False) if one == number]
+        for number in dict.fromkeys(body[: len(scans)].tolist())
+    ]
 
 
 def check_size(n_values: int, n_bytes: int) -> None:

@@ -231,7 +231,10 @@ def _added(suffix: str, added: object) -> Format:
 
 
 def _scene(read: Callable[[Path], meshes.Scene], **others: Any) -> Format:
-    return Format(partial(meshes.read_scene, read), names=lambda path: tuple(read(path)), **others)
+    def names(path: Path) -> tuple[str, ...]:
+        return tuple(first for first, *_ in meshes.scene_bodies(read, path))
+
+    return Format(partial(meshes.read_scene, read), names=names, **others)
 
 
 # Columns behind the coordinates of tables without a header are colours and intensities, by the suffix.

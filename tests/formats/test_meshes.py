@@ -184,11 +184,37 @@ def test_nodes_place_their_meshes_as_trimesh_does(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_raw(tmp_path / "deep.glb").points[:, 2], np.full(4, 5000.0))
 
 
-def test_a_surface_in_two_meshes_is_one(tmp_path: Path) -> None:
-    halves = [trimesh.Trimesh(BALL.vertices, part) for part in (BALL.faces[:39], BALL.faces[39:])]
-    scene: Any = trimesh.Scene(halves)
-    (tmp_path / "a.glb").write_bytes(scene.export(file_type="glb"))
-    assert not defects(mesh(tmp_path / "a.glb"))
+@pytest.mark.parametrize("suffix", [".glb", ".gltf", pytest.param(".3mf", marks=needs(".3mf"))])
+def test_meshes_whose_open_edges_coincide_are_one_body(suffix: str, tmp_path: Path) -> None:
+    """As of photogrammetry, which writes a mesh for each image of a texture; other bodies stay their own."""
+    path = tmp_path / f"a{suffix}"
+
+    def write(*meshes: trimesh.Trimesh) -> None:
+        scene: Any = trimesh.Scene()
+        for number, each in enumerate(meshes):
+            scene.add_geometry(each, node_name=f"texture_{number}", geom_name=f"texture_{number}")
+        content = scene.export(file_type=suffix[1:])
+        for name, data in content.items() if isinstance(content, dict) else [(path.name, content)]:
+            (tmp_path / name.replace("model.gltf", path.name)).write_bytes(data)
+
+    pieces = [trimesh.Trimesh(BALL.vertices, BALL.faces[k::3]) for k in range(3)]
+    others = [
+        trimesh.Trimesh(BALL.vertices + np.array([shift, 0, 0]), BALL.faces) for shift in (5, 7)
+    ]
+    write(*pieces)
+    assert not defects(mesh(path))
+    assert members_of(path) == ()
+    write(pieces[0], others[0], pieces[1], others[1], pieces[2])
+    first, second, third = members_of(path)
+    assert {found.name for found in (first, second, third)} == {
+        f"{path.name}#texture_{number}" for number in (0, 1, 3)
+    }
+    for member in (first, second, third):
+        assert not defects(mesh(member))
+        assert len(mesh(member).faces) == len(BALL.faces)
+    # Two halves that are not of one body: their open edges lie elsewhere.
+    write(pieces[0], trimesh.Trimesh(BALL.vertices + np.array([0.1, 0, 0]), BALL.faces[1::3]))
+    assert len(members_of(path)) == 2
 
 
 def test_modes(tmp_path: Path) -> None:
