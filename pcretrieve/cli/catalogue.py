@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
-from datetime import date, timedelta
+from datetime import datetime, timedelta
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,9 +21,11 @@ from pcretrieve.values.files import check_no_links, make_folder
 MIB = 1 << 20
 
 START = {"ID": "text", "GRADE": "text", "CLASS": "text"}
-ALL = START | {"EULER": "number", "SECONDS": "number", "FILE": "path"}
-INCOMPLETE = START | {"FILE": "path", "REASON": "words"}
-FAILED = {"STAGE" if name == "GRADE" else name: kind for name, kind in INCOMPLETE.items()}
+COLUMNS = {
+    "stored": START | {"EULER": "number", "SECONDS": "number", "FILE": "path"},
+    "incomplete": START | {"FILE": "path", "REASON": "words"},
+    "failed": {"ID": "text", "STAGE": "text", "CLASS": "text", "FILE": "path", "REASON": "words"},
+}
 
 
 @opt.command("list")
@@ -44,15 +46,15 @@ def list_command(catalogue: str, failed: bool, **chosen: Any) -> out.Result:
     pages = store.rows.pages(status="failed" if failed else None, **chosen)
     records = (record for page in pages for record in page)
 
+    which = "failed" if failed else "incomplete" if chosen["incomplete"] else "stored"
+
     def show() -> None:
         counts: Counter[str] = Counter()
-        columns = FAILED if failed else INCOMPLETE if chosen["incomplete"] else ALL
-        row = partial(_row, columns=columns, counts=counts)
-        if not out.write_table(columns, map(row, records)):
-            which = "failed" if failed else "incomplete" if chosen["incomplete"] else "stored"
+        row = partial(_row, columns=COLUMNS[which], counts=counts)
+        if not out.write_table(COLUMNS[which], map(row, records)):
             after = f" after the first {chosen['offset']}" if chosen["offset"] else ""
             say(f"no shape is {which} in {catalogue}{after}")
-        if columns is ALL and counts:
+        if which == "stored" and counts:
             found = ", ".join(f"{n} {name}" for name, n in sorted(counts.items()))
             say(f"{found}; for reasons: {', '.join(f'--{name}' for name in sorted(counts))}")
 
@@ -113,25 +115,18 @@ def _show(record: pr.Record, stored: dict[str, int]) -> None:
     out.write_steps(record.steps)
 
 
-def _day(text: str) -> str:
-    try:
-        return date.fromisoformat(text).isoformat()
-    except ValueError as error:
-        raise click.BadParameter(f"must be a day such as 2026-01-31, got {text}") from error
-
-
 @opt.command("remove")
 @click.argument("shape_ids", nargs=-1, metavar="[ID]...", shell_complete=opt.complete_ids)
 @opt.catalogue_option
 @opt.option(
     "--before DATE",
     "Remove the shapes that were stored before this day, such as 2026-01-31 (UTC).",
-    _day,
+    click.DateTime(("%Y-%m-%d",)),
 )
 @opt.option("--dry-run", "Show what would be removed, and remove nothing.")
 @opt.option("--yes", "Remove several shapes without a question.")
 def remove_command(
-    shape_ids: tuple[str, ...], catalogue: str, before: str | None, dry_run: bool, yes: bool
+    shape_ids: tuple[str, ...], catalogue: str, before: datetime | None, dry_run: bool, yes: bool
 ) -> out.Result:
     """Remove shapes from a catalogue, and their bytes from its file. The scans stay where they are.
 
@@ -146,7 +141,7 @@ def remove_command(
     chosen = dict.fromkeys(shape_ids)
     with pr.Catalogue(catalogue) as store:
         if before is not None:
-            last = (date.fromisoformat(before) - timedelta(1)).isoformat()
+            last = (before.date() - timedelta(1)).isoformat()
             chosen = dict.fromkeys(store.rows.wanted(days=("0", last))[1])
         paths = {record.id: record.path for record in store.rows.several(chosen)}
         for shape_id in chosen:
@@ -215,14 +210,15 @@ def check_command(catalogue: str, sample: int, repair: bool, remote: bool) -> ou
     pcretrieve catalogue check -c bodies.sqlite --repair
     """
     with pr.Catalogue(catalogue) as store, Progress("check", "bar") as shown:
-
-        def advance(n_shapes: int) -> None:
-            for _ in range(n_shapes):
-                shown.advance({})
-
         shown.start(len(store) + sum(store.rows.failures().values()))
         allowed = remote or _may_fetch
-        result = pr.check(store, sample=sample, repair=repair, remote=allowed, on_shapes=advance)
+        result = pr.check(
+            store,
+            sample=sample,
+            repair=repair,
+            remote=allowed,
+            on_shapes=lambda _: shown.advance({}),  # one at a time
+        )
         options = store.options
     document = {"catalogue": without_password(catalogue), "is_whole": result.is_whole} | asdict(
         result

@@ -88,6 +88,8 @@ class Command(click.Command):
         with errors_as_json(ctx, bool({JSON_FLAG, JSON_LINES_FLAG} & {*args})):
             try:
                 return super().parse_args(ctx, args)
+            except click.NoSuchOption:  # which has a suggestion
+                raise
             except click.UsageError as error:
                 stray = [word for word in given if word.endswith(".sqlite")]
                 takes_one = {"-c", "--catalogue"} & {

@@ -105,14 +105,14 @@ def merge_command(paths: tuple[str, ...], output: Path, **values: Any) -> out.Re
     views: list[dict[str, object]] = []
     say(f"{'view':<8}  {'overlap':>7}  {'rms':>10}  file")
     for number, name in enumerate(merged.names):
-        placed, rms = number not in merged.left_out, merged.rms(number)
-        share, error = (f"{merged.shares[number]:.1%}", f"{rms:.3g}") if placed else ("-", "-")
-        say(f"{'placed' if placed else 'left out':<8}  {share:>7}  {error:>10}  {name}")
-        pose = merged.poses[number] if placed else None
-        overlap = float(merged.shares[number])
-        views.append(
-            {"path": name, "placed": placed, "pose": pose, "overlap": overlap, "rms": _number(rms)}
-        )
+        view: dict[str, object] = {"path": name, "placed": False, "pose": None}
+        overlap, rms = float(merged.shares[number]), merged.rms(number)
+        line = f"{'left out':<8}  {'-':>7}  {'-':>10}  {name}"
+        if number not in merged.left_out:
+            view |= {"placed": True, "pose": merged.poses[number]}
+            line = f"{'placed':<8}  {overlap:>7.1%}  {rms:>10.3g}  {name}"
+        views.append(view | {"overlap": overlap, "rms": _number(rms)})
+        say(line)
     for note in step.notes:
         say(note)
     say(

@@ -14,6 +14,8 @@ import stat
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -98,20 +100,15 @@ def shape_ids(paths: Collection[str], taken: Mapping[str, str]) -> dict[str, str
 
     used = set(taken)
     ids = {path: shape_id for shape_id, path in taken.items()}
-    last: dict[
-        str, int
-    ] = {}  # the last number of each name, where the search for the next one starts
+    # The further ids of each name, of which those before are taken.
+    further: dict[str, Iterator[str]] = {}
     for path in paths:
-        if path in ids:
-            continue
-        file, name = split_member(Path(path))
-        stem = file.stem if name is None else f"{file.stem}#{name}"
-        number = last.get(stem, 0) + 1
-        while (shape_id := numbered_id(stem, number)) in used:
-            number += 1
-        last[stem] = number
-        ids[path] = shape_id
-        used.add(shape_id)
+        if path not in ids:
+            file, name = split_member(Path(path))
+            stem = file.stem if name is None else f"{file.stem}#{name}"
+            numbered = further.setdefault(stem, map(partial(numbered_id, stem), count(1)))
+            ids[path] = next(one for one in numbered if one not in used)
+            used.add(ids[path])
     return {path: ids[path] for path in paths}
 
 

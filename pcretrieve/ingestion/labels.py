@@ -77,15 +77,10 @@ def discover_labelled(
     limits: Mapping[str, Any] | None = None,
 ) -> tuple[list[Path], dict[str, str]]:
     """Find the files of scans, as by `discover`, and their classes."""
-    layout = LAYOUTS.get(str(labels))
-    files = [*beside]
-    if layout is None:
-        files += [labels] if labels is not None else []
-    else:
-        folders = [Path(argument) for argument in arguments if Path(argument).is_dir()]
-        files += [
-            file for folder in folders for name in layout.files for file in folder.rglob(name)
-        ]
+    layout = LAYOUTS.get(str(labels), Layout())
+    folders = [Path(argument) for argument in arguments if Path(argument).is_dir()]
+    named = (file for folder in folders for name in layout.files for file in folder.rglob(name))
+    files = [*beside, *named, *([] if labels is None else [labels])]
     scans = discover(arguments, files, limits)
     return scans, {} if labels is None else labels_of(labels, scans)
 

@@ -170,7 +170,7 @@ def test_remove_by_day(path: Path) -> None:
     }
     assert result("remove", "--before", "2026-01-03", "-c", path)["removed"] == []
     assert "give the ids of shapes, or --before" in refusal("remove", "-c", path)
-    assert "must be a day such as 2026-01-31, got x" in refusal(
+    assert "'x' does not match the format '%Y-%m-%d'" in refusal(
         "remove", "--before", "x", "-c", path
     )
 

@@ -55,7 +55,8 @@ def test_a_turn_before_a_camera_becomes_one_cloud_without_its_background(tmp_pat
     merged = pcretrieve.merge_views(tmp_path, "depth-camera")
     assert merged.left_out == ()
     (step,) = merged.cloud.provenance
-    (note,) = step.notes
+    took, note = step.notes
+    assert took.startswith("took max_range = ")
     n_keys = int(note.split()[-3])
     assert note == f"registered 30 views of a sequence by {n_keys} key frames" and 5 < n_keys < 30
     assert (
