@@ -66,6 +66,19 @@ def bounding_diagonal(points: FloatArray) -> float:
     return float(np.linalg.norm(np.subtract(*bounds(points)))) if len(points) else 0.0
 
 
+def unit_vectors(vectors: FloatArray) -> FloatArray:
+    """(..., d) vectors, divided by their length; a zero vector is not changed."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.where(length > 0, length, 1))
+
+
+def tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(..., 3) two directions at right angles to unit normals and to each other, right-handed with them."""
+    axis = np.eye(3)[np.abs(normals).argmin(axis=-1)]
+    first = unit_vectors(np.cross(normals, axis))
+    return first, np.cross(normals, first)
+
+
 def power_of_two(length: float) -> float:
     """The least power of two above a length."""
     return math.ldexp(1.0, math.frexp(length)[1])

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.arrays import tangents
 from pcretrieve.points.neighbors import nearest
 from pcretrieve.values import FloatArray, PointCloud
 
@@ -93,9 +94,7 @@ def _bunching(
     offsets: (m, k, 3) float64, of points from the places that have the normals, relative to the diagonal.
     is_same: (m, k) bool, the points that count.
     """
-    # The normal, of either sign, and two directions at right angles to it.
-    frames = np.linalg.svd(normals[:, np.newaxis])[2]
-    z, x, y = np.einsum("mai,mki->amk", frames, offsets)
+    z, x, y = np.einsum("ami,mki->amk", [normals, *tangents(normals)], offsets)
     # The heights above a quadratic surface that is fitted to the points. Points on a line determine none: a
     # term of the size of rounding errors decides for one.
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=2)  # (m, k, 6)

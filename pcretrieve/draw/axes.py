@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcretrieve.arrays import UPWARD, FloatArray, IntArray
+from pcretrieve.arrays import UPWARD, FloatArray, IntArray, unit_vectors
 from pcretrieve.errors import OptionError
 
 # (6, 3) the directions of the axes that are called `UPWARD`.
@@ -54,8 +54,7 @@ class Person(NamedTuple):
             vertices[ways.max(axis=0).argmin()] for ways in (self.from_hands, self.from_feet)
         )
         parts = np.stack([chest - pelvis, pelvis - vertices[self.feet].mean(axis=0)])
-        parts /= np.linalg.norm(parts, axis=1, keepdims=True)
-        return np.asarray(parts.sum(axis=0) / np.linalg.norm(parts.sum(axis=0)))
+        return unit_vectors(unit_vectors(parts).sum(axis=0))
 
     def forwards(self, vertices: FloatArray) -> FloatArray:
         """(3,) from the middle of each foot to its end, which are the toes."""

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.arrays import tangents, unit_vectors
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
 from pcretrieve.points.clean import FEWEST_POINTS, check_extent
@@ -293,9 +294,7 @@ def _planes(points: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, F
     near = np.asarray(cKDTree(points).query(points[first], k=k)[1])  # (p, k)
     second, third = near[np.arange(N_PLANES), rng.integers(k, size=(2, N_PLANES))]
     a, b, c = points[first], points[second], points[third]
-    normals = np.cross(b - a, c - a)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = normals / np.where(length > 0, length, 1)
+    normals = unit_vectors(np.cross(b - a, c - a))
     return normals, np.einsum("ij,ij->i", normals, a)
 
 
@@ -323,9 +322,7 @@ def _is_around(
     points: FloatArray, up: FloatArray, ground: NDArray[np.bool_], body: NDArray[np.bool_]
 ) -> bool:
     """Whether the ground is seen beyond the outline of the body, in most directions."""
-    right = np.cross(up, np.eye(3)[abs(up).argmin()])
-    right /= np.linalg.norm(right)
-    flat = points @ np.column_stack([right, np.cross(up, right)])  # (s, 2)
+    flat = points @ np.column_stack(tangents(up))  # (s, 2)
     flat = flat - np.median(flat[body], axis=0)
     radius = np.linalg.norm(flat, axis=1)
     sector = (

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.arrays import tangents
 from pcretrieve.points.neighbors import (
     SPACING_NEIGHBORS,
     Neighborhoods,
@@ -138,11 +139,7 @@ def disks(
     # A spiral of Vogel, whose points have equal areas.
     number = np.arange(n.sum()) - np.repeat(np.cumsum(n) - n, n)
     out = radius[which] * np.sqrt((number + 0.5) / n[which])
-    normal = normals[centres]
-    axis = np.eye(3)[np.abs(normal).argmin(axis=1)]
-    first = np.cross(normal, axis)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    second = np.cross(normal, first)
+    first, second = tangents(normals[centres])
     turn = GOLDEN * number
     across, up = (out * np.cos(turn))[:, None], (out * np.sin(turn))[:, None]
     placed = points[centres[which]] + across * first[which] + up * second[which]

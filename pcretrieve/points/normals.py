@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.arrays import DOUBLE_OFFSET, Frame
+from pcretrieve.arrays import DOUBLE_OFFSET, Frame, unit_vectors
 from pcretrieve.draw.open3d import library, open3d_cloud
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
@@ -123,7 +123,7 @@ def _by_viewpoint(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOpti
             "scan.orientation 'viewpoint' needs sensor positions, this scan has none: take 'auto'",
             stage=Stage.ORIENT,
         )
-    towards = _unit(cloud.viewpoints - cloud.points)
+    towards = unit_vectors(cloud.viewpoints - cloud.points)
     outside, flooded, notes = _tight_flood(cloud, neighbors, options)
     guided = partial(_guided_normals, cloud.points, neighbors=neighbors, options=options)
     if outside is None or flooded is None:
@@ -131,7 +131,7 @@ def _by_viewpoint(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOpti
     direction = outside.direction_at(cloud.points)
     opposed = float((np.einsum("ij,ij->i", towards, direction) < -OPPOSED).mean())
     if opposed <= MOST_OPPOSED:
-        return replace(cloud, normals=guided(_unit(towards + direction))), notes
+        return replace(cloud, normals=guided(unit_vectors(towards + direction))), notes
     # Towards a place where no sensor was, such as the shift of the coordinates, normals turn where the body
     # does; by a leak, in and around it.
     seen, everywhere = guided(towards), np.ones(len(towards), dtype=np.bool_)
@@ -228,12 +228,6 @@ def _with_disks(cloud: PointCloud, neighbors: Neighborhoods, step: float) -> Flo
     normals[sparse] = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0]
     placed, _ = disks(cloud.points, normals, spacings, sparse, step=step)
     return np.concatenate([cloud.points, placed])
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    """(n, 3) unit vectors; a zero vector is not changed."""
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(vectors / np.where(length > 0, length, 1))
 
 
 def _guided_normals(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pcretrieve.arrays import bounds
+from pcretrieve.arrays import bounds, unit_vectors
 from pcretrieve.points.grid import Grid, Mask, Voxels, components, distances
 from pcretrieve.values import FloatArray
 from pcretrieve.values.compiled import compiled
@@ -42,8 +42,7 @@ class Outside:
         slope = np.empty((len(points), 3))
         for axis, step in enumerate(np.eye(3)):
             slope[:, axis] = sampled(self.depth, at - step) - sampled(self.depth, at + step)
-        length = np.linalg.norm(slope, axis=1, keepdims=True)
-        return slope / np.where(length > 0, length, 1)
+        return unit_vectors(slope)
 
 
 def flood(

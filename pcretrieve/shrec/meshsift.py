@@ -16,6 +16,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.csgraph import dijkstra
 
+from pcretrieve.arrays import tangents, unit_vectors
 from pcretrieve.errors import DegenerateMeshError, Stage
 from pcretrieve.shrec.cm_bof import coarser
 from pcretrieve.values import FloatArray, IntArray, Shape, TriangleMesh
@@ -177,10 +178,7 @@ def _described(
 
 def _tangent_axes(normal: FloatArray) -> FloatArray:
     """(2, 3) two orthogonal directions that are perpendicular to a normal of any length."""
-    normal /= np.linalg.norm(normal) or 1.0
-    right = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    right /= np.linalg.norm(right) or 1.0
-    return np.stack([right, np.cross(normal, right)])
+    return np.stack(tangents(unit_vectors(normal)))
 
 
 def _shape_bins(curvatures: FloatArray) -> IntArray:
@@ -289,10 +287,7 @@ def _curvatures(mesh: TriangleMesh, links: csr_array) -> tuple[FloatArray, Float
     n = len(mesh.vertices)
     normals = _unit_normals(mesh)
     # Two directions in the tangent plane: the axis that is the farthest from the normal, made orthogonal.
-    axis = np.eye(3)[np.abs(normals).argmin(axis=1)]
-    first = np.cross(normals, axis)
-    first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), np.finfo(np.float64).tiny)
-    second = np.cross(normals, first)
+    first, second = tangents(normals)
     starts, ends = np.repeat(np.arange(n), np.diff(links.indptr)), links.indices
     along = mesh.vertices[ends] - mesh.vertices[starts]
     length = np.maximum(np.linalg.norm(along, axis=1), np.finfo(np.float64).tiny)
@@ -308,9 +303,7 @@ def _unit_normals(mesh: TriangleMesh) -> FloatArray:
     """(n, 3) unit normals of the vertices: the directions of the sums of the area vectors of their faces."""
     corners = np.repeat(mesh.area_vectors, 3, axis=0)  # (3m, 3)
     sums = [np.bincount(mesh.faces.ravel(), corners[:, k], len(mesh.vertices)) for k in range(3)]
-    normals = np.column_stack(sums).astype(np.float64)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
-    return normals
+    return unit_vectors(np.column_stack(sums).astype(np.float64))
 
 
 def _fitted_curvatures(sums: list[NDArray[Any]]) -> FloatArray:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.arrays import unit_vectors
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.grid import Grid, Mask, Voxels, components
@@ -124,8 +125,7 @@ def rims(at: FloatArray, normals: FloatArray, to_points: Voxels) -> tuple[FloatA
     i, j = cKDTree(at).query_pairs(RIM, output_type="ndarray").T
     opposite = np.einsum("ij,ij->i", normals[i], normals[j]) < -OPPOSITE
     i, j = i[opposite], j[opposite]
-    directions = normals[i] - normals[j]  # (p, 3)
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions = unit_vectors(normals[i] - normals[j])  # (p, 3)
     lines = at[j] - at[i]
     across = np.einsum("ij,ij->i", lines, directions) > ACROSS * np.linalg.norm(lines, axis=1)
     middles = (at[i] + at[j])[across] / 2

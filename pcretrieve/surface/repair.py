@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pcretrieve.arrays import unit_vectors
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError
 from pcretrieve.points.grid import joined_by
 from pcretrieve.surface import topology
@@ -165,11 +166,7 @@ def denoised(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
 
 def _median_angle(mesh: TriangleMesh, pairs: topology.Index) -> float:
     """The median angle between the normals of pairs (p, 2) of faces; radians."""
-    tiny = np.finfo(np.float64).tiny
-    normals = mesh.area_vectors / np.maximum(
-        np.linalg.norm(mesh.area_vectors, axis=1, keepdims=True), tiny
-    )
-    cosines = np.einsum("ij,ij->i", *normals[pairs.T])
+    cosines = np.einsum("ij,ij->i", *unit_vectors(mesh.area_vectors)[pairs.T])
     return float(np.arccos(np.clip(np.median(cosines), -1, 1))) if len(cosines) else 0.0
 
 

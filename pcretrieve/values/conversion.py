@@ -11,6 +11,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.arrays import unit_vectors
 from pcretrieve.errors import InputError
 from pcretrieve.values.geometry import PointCloud, TriangleMesh
 
@@ -76,7 +77,10 @@ def _converted(geometry: object) -> PointCloud | TriangleMesh:
     points = getattr(geometry, "points", None)
     if points is not None and not callable(points):
         normals = getattr(geometry, "normals", None)
-        return PointCloud(np.asarray(points), None if normals is None else _unit(normals))
+        return PointCloud(
+            np.asarray(points),
+            None if normals is None else unit_vectors(np.asarray(normals, dtype=np.float64)),
+        )
     # Two arrays of rows are the vertices and the faces of a mesh; two rows are points.
     if isinstance(geometry, (tuple, list)) and len(geometry) == 2 and np.ndim(geometry[0]) == 2:
         return TriangleMesh(np.asarray(geometry[0]), np.asarray(geometry[1]))
@@ -96,7 +100,8 @@ def _of_open3d(geometry: Any) -> PointCloud | TriangleMesh:
     if not hasattr(legacy, "points") or hasattr(legacy, "lines"):
         raise TypeError(f"neither a point cloud nor a triangle mesh: {type(geometry).__name__}")
     return PointCloud(
-        np.array(legacy.points), _unit(legacy.normals) if legacy.has_normals() else None
+        np.array(legacy.points),
+        unit_vectors(np.asarray(legacy.normals)) if legacy.has_normals() else None,
     )
 
 
@@ -111,10 +116,3 @@ def _of_pyvista(geometry: Any) -> PointCloud | TriangleMesh:
         -1, 4
     )  # the number of corners, and these
     return TriangleMesh(np.array(geometry.points), faces[:, 1:])
-
-
-def _unit(normals: Any) -> NDArray[np.float64]:
-    """Normals divided by their length; normals of length zero are not changed."""
-    vectors = np.array(normals, dtype=np.float64)
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.where(length > 0, length, 1))
