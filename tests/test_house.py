@@ -133,7 +133,6 @@ REFERENCES = {
         "surface/test_simplify.py::topology_stays_however_few_faces_are_wanted"
     ),
     "surface.topology.twins": "surface/test_topology.py::defects",
-    "surface.topology._is_connected": "surface/test_topology.py::defects",
 }
 
 # A function that is larger has parts that are thoughts of their own.
