@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pcretrieve.arrays import unit_vectors
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.points.grid import Grid, Mask, Voxels, components
+from pcretrieve.points.grid import Grid, Mask, Voxels, components, distances
 from pcretrieve.values import FloatArray
 from pcretrieve.values.compiled import compiled
 
@@ -240,8 +240,6 @@ def joined(
     pieces, sizes = components(inside, corners=False)
     if len(sizes) == 1:
         return inside, nowhere
-    from scipy.ndimage import distance_transform_edt
-
     support = _counted(pieces, grid.coordinates(points), len(sizes)) / len(points)
     sizes[0] = 0
     body = pieces == sizes.argmax()
@@ -258,7 +256,7 @@ def joined(
                 )
             notes.append(f"dropped a piece with {support[piece]:.1%} of the points, {gap:.3g} away")
             continue
-        thickness = float(distance_transform_edt(pieces == piece).max())
+        thickness = float(distances(pieces != piece, np.inf).max())
         tube = _tube(start, end, radius=min(3.0, max(1.5, thickness)))
         bridges.append(tube[~body[tuple(tube.T)] & (pieces[tuple(tube.T)] != piece)])
         body |= pieces == piece
