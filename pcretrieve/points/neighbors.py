@@ -252,17 +252,9 @@ def plane_deviations(points: FloatArray, near: NDArray[np.intp]) -> FloatArray:
     weight = np.ones(k)
     found = np.empty(n)
     for i in range(n):
-        x, y, z = _smallest_eigenvector(_covariance(points, near[i], weight))
-        # The smallest eigenvalue is Σ d² too, but its root would have half as many digits.
-        total, squares = 0.0, 0.0
-        for j in range(k):
-            total += (
-                x * points[near[i, j], 0] + y * points[near[i, j], 1] + z * points[near[i, j], 2]
-            )
-        for j in range(k):
-            p = near[i, j]
-            squares += (x * points[p, 0] + y * points[p, 1] + z * points[p, 2] - total / k) ** 2
-        found[i] = np.sqrt(squares / max(1, k - 3))
+        # Σ d² is the smallest eigenvalue, which rounding can make negative.
+        squares = _smallest_eigenvalue(_covariance(points, near[i], weight))
+        found[i] = np.sqrt(max(squares, 0.0) / max(1, k - 3))
     return found
 
 
