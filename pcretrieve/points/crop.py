@@ -141,7 +141,9 @@ def kept_points(cloud: PointCloud, options: ScanOptions, *, of_view: bool = Fals
     )  # of the sensor, along the axis z
     readings = (ranges, abs(seen[:, 2])) if is_ahead else (ranges,)
     del seen  # as large as the scan
-    remove(_measured(readings), "at one range: readings without an answer")
+    # Of fewer points none stand out, and a crop that leaves them is an error.
+    if len(points) >= FEWEST_POINTS:
+        remove(_measured(readings), "at one range: readings without an answer")
     if not isinstance(options.min_range, str):
         remove(ranges[kept] >= options.min_range, f"nearer than min_range = {options.min_range:g}")
     if not isinstance(options.max_range, str):
@@ -149,17 +151,18 @@ def kept_points(cloud: PointCloud, options: ScanOptions, *, of_view: bool = Fals
     if not isinstance(options.box, str):
         low, high = np.asarray(options.box)
         remove(((left >= low) & (left <= high)).all(axis=1), "outside the box")
-    if not of_view:
+    is_body = not of_view and len(left) >= FEWEST_POINTS
+    if is_body:
         remove(_near(left), f"more than {FAR_AWAY} median distances from the middle")
     ground = None
-    if options.ground == "auto" and not of_view and kept.sum() >= FEWEST_POINTS:
+    if options.ground == "auto" and is_body:
         ground = ground_of(left, None if viewpoints is None else viewpoints[kept])
         if ground is not None:
             remove(~ground.points, "of the ground on which the body stands")
     if options.keep_largest and kept.any():
         gap = options.piece_gap * bounding_diagonal(left)
         remove(_largest_piece(left, gap), "that are not of the largest piece")
-    if not of_view:
+    if is_body:
         before = bounding_diagonal(left)
         remove(_without_strays(left), "as strays outside the box of their quantiles")
         if (after := bounding_diagonal(left)) < before:
@@ -172,8 +175,6 @@ def kept_points(cloud: PointCloud, options: ScanOptions, *, of_view: bool = Fals
 def _measured(readings: tuple[FloatArray, ...]) -> NDArray[np.bool_]:
     """(n,) mask of the points whose range, and depth along the axis z, is a measurement."""
     result = np.ones(len(readings[0]), dtype=np.bool_)
-    if len(result) < FEWEST_POINTS:
-        return result
     at_sensor = readings[0] <= AT_SENSOR * readings[0].max()
     if FEWEST_READINGS <= at_sensor.sum() < len(result):
         result &= ~at_sensor
@@ -189,8 +190,6 @@ def _measured(readings: tuple[FloatArray, ...]) -> NDArray[np.bool_]:
 
 def _near(points: FloatArray) -> NDArray[np.bool_]:
     """(n,) mask of the points that are not far away, if those that are may be errors."""
-    if len(points) < FEWEST_POINTS:
-        return np.ones(len(points), dtype=np.bool_)
     distance = np.linalg.norm(points - np.median(points, axis=0), axis=1)  # (n,)
     near: NDArray[np.bool_] = distance <= FAR_AWAY * np.median(distance)
     return near if (~near).sum() <= MOST_FAR_POINTS * len(near) else np.ones_like(near)
@@ -207,8 +206,6 @@ def _largest_piece(points: FloatArray, gap: float) -> NDArray[np.bool_]:
 
 def _without_strays(points: FloatArray) -> NDArray[np.bool_]:
     """(n,) mask of the points in the box of their quantiles, with its margin."""
-    if len(points) < FEWEST_POINTS:
-        return np.ones(len(points), dtype=np.bool_)
     low, high = np.quantile(points, [STRAY_QUANTILE, 1 - STRAY_QUANTILE], axis=0)
     margin = STRAY_MARGIN * np.linalg.norm(high - low)
     return np.asarray(((points >= low - margin) & (points <= high + margin)).all(axis=1))
