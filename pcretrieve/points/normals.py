@@ -203,7 +203,7 @@ def _tight_flood(
     """
     cell = max(options.flood_cell * cloud.diagonal, FLOOD_CELL * spacing(neighbors.some()))
     gap = options.flood_gap
-    walled = _with_disks(cloud, neighbors, cell / FLOOD_CELL)
+    walled = _with_disks(cloud, neighbors, options, cell / FLOOD_CELL)
     for attempt in range(options.flood_retries + 1):
         gap = options.flood_gap * WIDER**attempt
         outside = flood(walled, cell=cell, gap=gap * cloud.diagonal)
@@ -216,16 +216,16 @@ def _tight_flood(
     return None, None, (f"the flood fill leaked with holes up to {gap:.3f} of the diagonal closed",)
 
 
-def _with_disks(cloud: PointCloud, neighbors: Neighborhoods, step: float) -> FloatArray:
+def _with_disks(
+    cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions, step: float
+) -> FloatArray:
     """The points, and points on disks around those that are sparse, which close the surface between them."""
     spacings = local_spacings(neighbors)
     sparse = sparse_points(neighbors, cell=step, diagonal=cloud.diagonal)
     if not sparse.any():
         return cloud.points
-    around = cloud.points[neighbors.near[sparse, : N_COMPARED + 1]]  # (m, k, 3)
-    around -= around.mean(axis=1, keepdims=True)
-    normals = np.zeros_like(cloud.points)
-    normals[sparse] = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0]
+    unguided = np.zeros_like(cloud.points)
+    normals = _guided_normals(cloud.points, unguided, neighbors, options)
     placed, _ = disks(cloud.points, normals, spacings, sparse, step=step)
     return np.concatenate([cloud.points, placed])
 
