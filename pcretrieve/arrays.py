@@ -66,19 +66,26 @@ def bounding_diagonal(points: FloatArray) -> float:
     return float(np.linalg.norm(np.subtract(*bounds(points)))) if len(points) else 0.0
 
 
-def unit_vectors(vectors: FloatArray) -> FloatArray:
-    """(..., d) vectors, divided by their length; a zero vector is not changed."""
+def power_of_two(length: float) -> float:
+    """The least power of two above a length."""
+    return math.ldexp(1.0, math.frexp(length)[1])
+
+
+def unit_vectors(vectors: NDArray[Any]) -> FloatArray:
+    """Vectors (…, d) divided by their lengths; zero vectors are not changed."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.asarray(vectors / np.where(length > 0, length, 1))
 
 
-def tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(..., 3) two directions at right angles to unit normals and to each other, right-handed with them."""
-    axis = np.eye(3)[np.abs(normals).argmin(axis=-1)]
-    first = unit_vectors(np.cross(normals, axis))
+def tangent_axes(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Two orthogonal unit vectors (…, 3) that are perpendicular to each unit normal (…, 3)."""
+    # The axis that is farthest from the normal, made orthogonal to it.
+    farthest = np.eye(3)[np.abs(normals).argmin(axis=-1)]
+    first = unit_vectors(np.cross(normals, farthest))
     return first, np.cross(normals, first)
 
 
-def power_of_two(length: float) -> float:
-    """The least power of two above a length."""
-    return math.ldexp(1.0, math.frexp(length)[1])
+def area_vectors(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """(m, 3) the normals of faces, by their orientation, with the area as the length."""
+    a, b, c = (vertices[corner] for corner in faces.T)
+    return np.cross(b - a, c - a) / 2

@@ -12,7 +12,14 @@ from scipy.sparse import csc_array, eye_array
 from scipy.sparse.csgraph import dijkstra
 
 from pcretrieve import errors
-from pcretrieve.arrays import DOUBLE_OFFSET, SINGLE_OFFSET, Frame, power_of_two
+from pcretrieve.arrays import (
+    DOUBLE_OFFSET,
+    SINGLE_OFFSET,
+    Frame,
+    power_of_two,
+    tangent_axes,
+    unit_vectors,
+)
 from pcretrieve.errors import InputError, PcretrieveError, Stage
 from pcretrieve.retrieval import fit_whitening
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
@@ -326,3 +333,13 @@ def test_vertices_at_one_place_are_linked() -> None:
     mesh = TriangleMesh(np.array([[0, 0, 0], [0, 0, 0], [1.0, 0, 0]]), np.array([[0, 1, 2]]))
     apart = dijkstra(edge_graph(mesh), directed=False)
     np.testing.assert_allclose(apart, [[0, 0, 1], [0, 0, 1], [1, 1, 0]], atol=1e-12)
+
+
+def test_directions_have_unit_length_and_their_tangent_axes_are_orthogonal() -> None:
+    vectors = np.random.default_rng(0).normal(size=(50, 3))
+    vectors[0] = 0
+    made = unit_vectors(vectors)
+    assert not made[0].any(), "zero has no direction"
+    np.testing.assert_allclose(np.linalg.norm(made[1:], axis=1), 1)
+    frames = np.stack([made[1:], *tangent_axes(made[1:])], axis=1)  # (49, 3, 3)
+    np.testing.assert_allclose(frames @ frames.transpose(0, 2, 1), [np.eye(3)] * 49, atol=1e-12)

@@ -25,7 +25,7 @@ from pcretrieve.points.neighbors import (
 )
 from pcretrieve.surface import components
 from pcretrieve.surface.caps import grid_points
-from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
+from pcretrieve.values import FloatArray, PointCloud, TriangleMesh, unit_vectors
 
 # Number of points of the raw scan by which its density is compared from place to place.
 DENSITY_POINTS = 10_000
@@ -298,8 +298,7 @@ class Fit:
         normals = self.normals[faces]
         origins = self.middles[faces] - self.places.mean(axis=0)
         origins = origins + ABOVE * self.cloud.diagonal * normals
-        rays = np.random.default_rng(0).standard_normal((N_RAYS, 3))
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        rays = unit_vectors(np.random.default_rng(0).standard_normal((N_RAYS, 3)))
         cosines = normals @ rays.T  # (k, r)
         directions = np.sign(cosines)[:, :, np.newaxis] * rays
         reached = self._sky.cast(np.repeat(origins, N_RAYS, axis=0), directions.reshape(-1, 3))[0]
@@ -491,7 +490,7 @@ def rim_of_limb(normals: FloatArray, offsets: FloatArray, axis: FloatArray) -> f
     Of the normals its root counts, because it is small if the limb is not round.
     """
     both = [_across(directions, axis) for directions in (normals, offsets)]
-    both[1] /= np.maximum(np.linalg.norm(both[1], axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    both[1] = unit_vectors(both[1])
     spread = np.linalg.eigvalsh([2 * np.cov(across.T, bias=True) for across in both])[:, 1].clip(0)
     return float(np.sqrt(spread[0]) * spread[1] * (1 - np.abs(normals @ axis).mean()))
 

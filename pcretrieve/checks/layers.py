@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.arrays import tangents
+from pcretrieve.arrays import tangent_axes
 from pcretrieve.points.neighbors import nearest
 from pcretrieve.values import FloatArray, PointCloud
 
@@ -94,7 +94,7 @@ def _bunching(
     offsets: (m, k, 3) float64, of points from the places that have the normals, relative to the diagonal.
     is_same: (m, k) bool, the points that count.
     """
-    z, x, y = np.einsum("ami,mki->amk", [normals, *tangents(normals)], offsets)
+    z, x, y = np.einsum("ami,mki->amk", [normals, *tangent_axes(normals)], offsets)
     # The heights above a quadratic surface that is fitted to the points. Points on a line determine none: a
     # term of the size of rounding errors decides for one.
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=2)  # (m, k, 6)

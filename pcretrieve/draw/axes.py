@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcretrieve.arrays import UPWARD, FloatArray, IntArray, unit_vectors
+from pcretrieve.arrays import UPWARD, FloatArray, IntArray, area_vectors, unit_vectors
 from pcretrieve.errors import OptionError
 
 # (6, 3) the directions of the axes that are called `UPWARD`.
@@ -70,8 +70,7 @@ def person_of(vertices: FloatArray, faces: IntArray) -> Person | None:
         return None  # a single point, or several parts
     pairings = (([0, 1], [2, 3]), ([0, 2], [1, 3]), ([0, 3], [1, 2]))
     pairs = min(pairings, key=lambda both: sum(float(apart[tuple(pair)]) for pair in both))
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    areas = np.linalg.norm(area_vectors(vertices, faces), axis=1)
     near = [ways[pair].min(axis=0)[faces[:, 0]] < END * apart.max() for pair in pairs]
     (arms, hands), (legs, feet) = sorted(
         zip([areas[one].sum() for one in near], pairs, strict=True)
@@ -118,7 +117,7 @@ def body_axes(vertices: FloatArray, faces: IntArray, up: FloatArray | None = Non
     if up is None and person is not None:
         up = person.upwards(vertices)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2  # (m,)
+    areas = np.linalg.norm(area_vectors(vertices, faces), axis=1)  # (m,)
     # The midpoints of the edges, each with a third of the area, integrate quadratics over a triangle exactly.
     points = np.concatenate([(c + a) / 2, (a + b) / 2, (b + c) / 2])  # (3m, 3)
     axes = principal_axes(points, np.tile(areas, 3) / (3 * areas.sum()), up)

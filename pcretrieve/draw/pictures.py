@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image, ImageDraw
 
-from pcretrieve.arrays import FloatArray, IntArray, unit_vectors
+from pcretrieve.arrays import FloatArray, IntArray, area_vectors, unit_vectors
 from pcretrieve.draw.axes import principal_axes
 from pcretrieve.draw.open3d import RayScene
 
@@ -176,8 +176,7 @@ def face_brightness(vertices: FloatArray, faces: IntArray) -> FloatArray:
 
     vertices: (n, 3), coordinates in the frame of the camera: right, up, towards.
     """
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    normals = unit_vectors(np.cross(b - a, c - a))  # (m, 3)
+    normals = unit_vectors(area_vectors(vertices, faces))  # (m, 3)
     normals *= np.where(normals[:, 2:] < 0, -1, 1)
     light = np.full(len(normals), AMBIENT)
     for direction, strength in LIGHTS:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from pcretrieve.arrays import FloatArray, IntArray, bounding_diagonal
+from pcretrieve.arrays import FloatArray, IntArray, area_vectors, bounding_diagonal
 from pcretrieve.draw import pictures
 from pcretrieve.draw.axes import body_axes
 
@@ -56,8 +56,7 @@ def thumbnail(
     up: (3,), optional, the direction upwards, such as `TriangleMesh.up`, of length 1.
     size: side of the square picture; pixels.
     """
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+    area = float(np.linalg.norm(area_vectors(vertices, faces), axis=1).sum())
     # Rays are cast in single precision, and do not hit thinner surfaces.
     if not len(faces) or not area > np.finfo(np.float32).eps * bounding_diagonal(vertices) ** 2:
         return None

@@ -13,7 +13,7 @@ from pcretrieve.draw.axes import body_axes, person_of
 from pcretrieve.draw.open3d import RayScene
 from pcretrieve.draw.pictures import CLAY, Colour
 from pcretrieve.pages.html import encoded
-from pcretrieve.values import FloatArray
+from pcretrieve.values import FloatArray, unit_vectors
 
 #: Half of the side of the cube that the viewer can show, with room for outliers near the body; farther
 #: outliers are left out. Relative to the radius of the bounding ball of the body.
@@ -104,7 +104,7 @@ def _places(mesh: TriangleMesh) -> tuple[FloatArray, FloatArray]:
         mesh.area * (phi**2 @ np.exp(-np.outer(lam, np.geomspace(8 / lam[-1], 4 / lam[0], 8))))
     )
     corners = mesh.vertices[mesh.faces]  # (m, 3, 3)
-    normals = mesh.area_vectors / np.maximum(mesh.face_areas, np.finfo(float).tiny)[:, np.newaxis]
+    normals = unit_vectors(mesh.area_vectors)
     below = corners.mean(axis=1) - 1e-4 * mesh.diagonal * normals
     ways, _, _ = RayScene(mesh.vertices, mesh.faces).cast(below, -normals)
     return heat[mesh.faces].mean(axis=1), np.where(np.isfinite(ways), ways, 0)

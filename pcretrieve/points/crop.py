@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.arrays import tangents, unit_vectors
+from pcretrieve.arrays import tangent_axes, unit_vectors
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
 from pcretrieve.points.clean import FEWEST_POINTS, check_extent
@@ -23,8 +23,10 @@ SAME_RANGE = 1e-5
 MEASURED = 0.5
 FEWEST_READINGS = 2
 
-# Range of a reading at the sensor, relative to the largest: the positions of sensors have rounding errors.
+# Range of a reading at the sensor, relative to the range that nearly all have: the positions of sensors have
+# rounding errors, and one reading may be a million times as far.
 AT_SENSOR = 1e-6
+NEARLY_ALL = 0.99
 
 # Distance from the median point, in median distances, beyond which a point is an error. They are not removed
 # if there are more than this fraction of them, because they may be a second body.
@@ -175,7 +177,7 @@ def kept_points(cloud: PointCloud, options: ScanOptions, *, of_view: bool = Fals
 def _measured(readings: tuple[FloatArray, ...]) -> NDArray[np.bool_]:
     """(n,) mask of the points whose range, and depth along the axis z, is a measurement."""
     result = np.ones(len(readings[0]), dtype=np.bool_)
-    at_sensor = readings[0] <= AT_SENSOR * readings[0].max()
+    at_sensor = readings[0] <= AT_SENSOR * np.quantile(readings[0], NEARLY_ALL)
     if FEWEST_READINGS <= at_sensor.sum() < len(result):
         result &= ~at_sensor
     for values in readings:
@@ -319,7 +321,7 @@ def _is_around(
     points: FloatArray, up: FloatArray, ground: NDArray[np.bool_], body: NDArray[np.bool_]
 ) -> bool:
     """Whether the ground is seen beyond the outline of the body, in most directions."""
-    flat = points @ np.column_stack(tangents(up))  # (s, 2)
+    flat = points @ np.column_stack(tangent_axes(up))  # (s, 2)
     flat = flat - np.median(flat[body], axis=0)
     radius = np.linalg.norm(flat, axis=1)
     sector = (

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.arrays import tangents
+from pcretrieve.arrays import tangent_axes
 from pcretrieve.points.neighbors import (
     SPACING_NEIGHBORS,
     Neighborhoods,
@@ -139,7 +139,7 @@ def disks(
     # A spiral of Vogel, whose points have equal areas.
     number = np.arange(n.sum()) - np.repeat(np.cumsum(n) - n, n)
     out = radius[which] * np.sqrt((number + 0.5) / n[which])
-    first, second = tangents(normals[centres])
+    first, second = tangent_axes(normals[centres])
     turn = GOLDEN * number
     across, up = (out * np.cos(turn))[:, None], (out * np.sin(turn))[:, None]
     placed = points[centres[which]] + across * first[which] + up * second[which]

@@ -23,7 +23,7 @@ from pcretrieve.draw.open3d import RayScene, library
 from pcretrieve.errors import DegenerateMeshError, OptionError, Stage
 from pcretrieve.surface.simplify import decimated, simplified
 from pcretrieve.surface.topology import compact
-from pcretrieve.values import FloatArray, IntArray, Shape, TriangleMesh
+from pcretrieve.values import FloatArray, IntArray, Shape, TriangleMesh, unit_vectors
 
 # Number of faces to which a surface is simplified first.
 N_FACES = 1000
@@ -170,7 +170,7 @@ def directions() -> FloatArray:
     for _ in range(2):
         sphere = sphere.subdivide_midpoint(1)
         vertices = np.asarray(sphere.vertices)  # the memory of the mesh
-        vertices /= np.linalg.norm(vertices, axis=1, keepdims=True)
+        vertices[:] = unit_vectors(vertices)
     return np.array(sphere.vertices)
 
 
@@ -195,8 +195,7 @@ def depth_pictures(mesh: TriangleMesh) -> Iterator[FloatArray]:
     scene = RayScene(mesh.vertices, mesh.faces)
     for towards in directions():
         upright = np.eye(3)[2] if abs(towards[2]) < 1 - 1e-9 else np.eye(3)[1]
-        right = np.cross(upright, towards)
-        right /= np.linalg.norm(right)
+        right = unit_vectors(np.cross(upright, towards))
         camera = np.stack(
             [right, np.cross(towards, right), towards]
         )  # (3, 3): to the right, upwards, nearer

@@ -22,7 +22,7 @@ from pcretrieve.errors import InputError
 from pcretrieve.options.tables import Atoms
 from pcretrieve.shrec.heat import shipped
 from pcretrieve.spectral import unit_eigenpairs
-from pcretrieve.values import Eigenpairs, FloatArray, Signature, TriangleMesh
+from pcretrieve.values import Eigenpairs, FloatArray, Signature, TriangleMesh, unit_vectors
 
 logger = logging.getLogger(__name__)
 
@@ -78,9 +78,7 @@ def surface_points(pairs: Eigenpairs) -> SurfacePoints:
     """The scale-invariant heat kernel signatures of all vertices, scaled to unit length."""
     features = scale_invariant_heat(pairs, N_FREQUENCIES)  # (n, 19)
     areas = np.asarray(pairs.mass.sum(axis=0)).ravel()  # (n,)
-    lengths = np.linalg.norm(features, axis=1, keepdims=True)
-    unit = features / np.maximum(lengths, np.finfo(float).tiny)
-    return SurfacePoints(unit, areas / areas.sum())
+    return SurfacePoints(unit_vectors(features), areas / areas.sum())
 
 
 def atom_shares(points: SurfacePoints, atoms: FloatArray) -> FloatArray:
@@ -193,8 +191,7 @@ def supervised_dictionary(
         mean = DECAY * mean + (1 - DECAY) * gradient
         squares = SQUARED_DECAY * squares + (1 - SQUARED_DECAY) * gradient**2
         size = np.sqrt(squares / (1 - SQUARED_DECAY**step)) + np.finfo(float).tiny
-        atoms = atoms - rate * (1 - step / N_STEPS) * mean / (1 - DECAY**step) / size
-        atoms = atoms / np.linalg.norm(atoms, axis=1, keepdims=True)
+        atoms = unit_vectors(atoms - rate * (1 - step / N_STEPS) * mean / (1 - DECAY**step) / size)
     return atoms
 
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from pcretrieve.descriptors.descriptor import Descriptor, check_modes
 from pcretrieve.shrec.heat import Vocabulary, clustered, shipped
-from pcretrieve.values import Eigenpairs, FloatArray, Signature
+from pcretrieve.values import Eigenpairs, FloatArray, Signature, unit_vectors
 
 # Number of levels of the pyramid: 1, 2, 4 and 8 parts, which have one weight.
 N_LEVELS = 4
@@ -86,9 +86,7 @@ def wavelet_signatures(pairs: Eigenpairs, n_modes: int = 60) -> FloatArray:
     largest, smallest = lam[-1], lam[-1] / EIGENVALUE_RATIO
     scaling = KERNEL_MAXIMUM * np.exp(-((lam / (0.6 * smallest)) ** 4))
     kernels = np.array([scaling, _spline(2 / smallest * lam), _spline(lam / largest)])  # (3, m + 1)
-    features = lowest.eigenvectors**2 @ kernels.T  # (n, 3)
-    features /= np.linalg.norm(features, axis=1, keepdims=True)
-    return np.asarray(features)
+    return unit_vectors(lowest.eigenvectors**2 @ kernels.T)  # (n, 3)
 
 
 def _spline(x: FloatArray) -> FloatArray:

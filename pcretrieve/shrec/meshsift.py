@@ -16,10 +16,10 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.csgraph import dijkstra
 
-from pcretrieve.arrays import tangents, unit_vectors
 from pcretrieve.errors import DegenerateMeshError, Stage
 from pcretrieve.shrec.cm_bof import coarser
-from pcretrieve.values import FloatArray, IntArray, Shape, TriangleMesh
+from pcretrieve.surface.fairing import vertex_normals
+from pcretrieve.values import FloatArray, IntArray, Shape, TriangleMesh, tangent_axes, unit_vectors
 from pcretrieve.values.geometry import adjacency, edge_graph
 
 _log = logging.getLogger(__name__)
@@ -157,7 +157,7 @@ def _described(
     unit = 3 * level.scale
     disc = distances <= DISC * unit
     weights = areas * np.exp(-((distances / (DISC_WEIGHT * unit)) ** 2) / 2)
-    plane = _tangent_axes((weights * disc) @ level.normals[near])
+    plane = np.stack(tangent_axes(unit_vectors((weights * disc) @ level.normals[near])))
     tilts = level.normals[near] @ plane.T  # (v, 2): normals in the tangent plane
     tilt = np.linalg.norm(tilts, axis=1)
     slants = np.arctan2(tilts[:, 1], tilts[:, 0])
@@ -174,11 +174,6 @@ def _described(
         turns = np.array([np.bincount(by_slant, column * tilt, N_BINS) for column in share.T])
         made.append(_joined(shapes, turns))
     return made
-
-
-def _tangent_axes(normal: FloatArray) -> FloatArray:
-    """(2, 3) two orthogonal directions that are perpendicular to a normal of any length."""
-    return np.stack(tangents(unit_vectors(normal)))
 
 
 def _shape_bins(curvatures: FloatArray) -> IntArray:
@@ -285,9 +280,8 @@ def keypoints(scale_space: list[Level], mesh: TriangleMesh, most: int) -> tuple[
 def _curvatures(mesh: TriangleMesh, links: csr_array) -> tuple[FloatArray, FloatArray]:
     """Unit normals (n, 3), and principal curvatures (n, 2) fitted to differences of normals."""
     n = len(mesh.vertices)
-    normals = _unit_normals(mesh)
-    # Two directions in the tangent plane: the axis that is the farthest from the normal, made orthogonal.
-    first, second = tangents(normals)
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    first, second = tangent_axes(normals)
     starts, ends = np.repeat(np.arange(n), np.diff(links.indptr)), links.indices
     along = mesh.vertices[ends] - mesh.vertices[starts]
     length = np.maximum(np.linalg.norm(along, axis=1), np.finfo(np.float64).tiny)
@@ -297,13 +291,6 @@ def _curvatures(mesh: TriangleMesh, links: csr_array) -> tuple[FloatArray, Float
     du, dv = (np.einsum("ij,ij->i", turn, plane[starts]) for plane in (first, second))
     products = (u * u, u * v, v * v, u * du, v * du + u * dv, v * dv)
     return normals, _fitted_curvatures([np.bincount(starts, each, n) for each in products])
-
-
-def _unit_normals(mesh: TriangleMesh) -> FloatArray:
-    """(n, 3) unit normals of the vertices: the directions of the sums of the area vectors of their faces."""
-    corners = np.repeat(mesh.area_vectors, 3, axis=0)  # (3m, 3)
-    sums = [np.bincount(mesh.faces.ravel(), corners[:, k], len(mesh.vertices)) for k in range(3)]
-    return unit_vectors(np.column_stack(sums).astype(np.float64))
 
 
 def _fitted_curvatures(sums: list[NDArray[Any]]) -> FloatArray:

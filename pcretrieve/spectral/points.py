@@ -8,7 +8,7 @@ from scipy.sparse import csc_array
 
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.spectral.elements import LINEAR_REFERENCE, Assembled, Element, assembled
-from pcretrieve.values import FloatArray, IntArray, PointCloud, TriangleMesh
+from pcretrieve.values import FloatArray, IntArray, PointCloud, TriangleMesh, area_vectors
 
 # Number of neighbours among which the triangles of a point are searched, and to which its tangent plane is
 # fitted if the cloud has no normals. With fewer neighbours triangles are missed, with more the neighbourhood
@@ -79,8 +79,8 @@ def star_mesh(cloud: PointCloud) -> TriangleMesh:
     )
     faces = faces[first[times > 1]]
     if cloud.normals is not None:
-        a, b, c = cloud.points[faces].transpose(1, 0, 2)
-        inward = np.einsum("mi,mi->m", np.cross(b - a, c - a), cloud.normals[faces[:, 0]]) < 0
+        vectors = area_vectors(cloud.points, faces)
+        inward = np.einsum("mi,mi->m", vectors, cloud.normals[faces[:, 0]]) < 0
         faces[inward] = faces[inward, ::-1]
     return TriangleMesh(cloud.points, faces, cloud.provenance)
 

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.sparse import coo_array, csc_array, diags_array
 from scipy.sparse.linalg import splu
 
+from pcretrieve.arrays import area_vectors, unit_vectors
 from pcretrieve.points.grid import Mask
 from pcretrieve.values import FloatArray, IntArray
 
@@ -82,8 +83,7 @@ def faired(vertices: FloatArray, faces: IntArray, free: Mask) -> FloatArray:
 
 def _has_collapsed(at: FloatArray, faces: IntArray) -> bool:
     """Whether faces of a patch have hardly any area: each round can draw vertices together."""
-    a, b, c = (at[faces[:, corner]] for corner in range(3))
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    areas = np.linalg.norm(area_vectors(at, faces), axis=1)
     return bool(areas.min() < LEAST_FACE * areas.mean())
 
 
@@ -124,8 +124,6 @@ def _operators(at: FloatArray, faces: IntArray) -> tuple[csc_array, FloatArray, 
 
 def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """(n, 3) unit normals: of the sum of the area vectors of the faces of a vertex; zero where that is."""
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    vectors = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    vectors = np.repeat(area_vectors(vertices, faces), 3, axis=0)
     sums = [np.bincount(faces.ravel(), each, minlength=len(vertices)) for each in vectors.T]
-    length = np.linalg.norm(sums, axis=0)
-    return np.asarray(np.transpose(sums / np.where(length > 0, length, 1)))
+    return unit_vectors(np.transpose(sums))

@@ -8,7 +8,15 @@ check it again. Two values are equal if their arrays are, whatever their provena
 - the Laplace–Beltrami operator is positive semi-definite (−Δ u = λ u), eigenvalues ascend from λ_0 = 0.
 """
 
-from pcretrieve.arrays import UPWARD, FloatArray, IntArray, bounding_diagonal
+from pcretrieve.arrays import (
+    UPWARD,
+    FloatArray,
+    IntArray,
+    area_vectors,
+    bounding_diagonal,
+    tangent_axes,
+    unit_vectors,
+)
 from pcretrieve.values.base import METRES, UNIT, SizeUnit, unit_of
 from pcretrieve.values.geometry import PointCloud, Step, TriangleMesh
 from pcretrieve.values.shapes import Failure, Grade, GradeName, Need, Shape, Surface
@@ -38,6 +46,9 @@ __all__ = [
     "Step",
     "Surface",
     "TriangleMesh",
+    "area_vectors",
     "bounding_diagonal",
+    "tangent_axes",
     "unit_of",
+    "unit_vectors",
 ]

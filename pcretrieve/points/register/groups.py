@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.arrays import DOUBLE_OFFSET, Frame
+from pcretrieve.arrays import DOUBLE_OFFSET, Frame, unit_vectors
 from pcretrieve.draw.open3d import library, open3d_cloud
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import MergeOptions
@@ -161,8 +161,7 @@ def _pairs(view: View, one: NDArray[np.intp], two: NDArray[np.intp]) -> Pairs:
     line /= np.maximum(length, np.finfo(float).tiny)[:, None]
     start, end = (np.einsum("ij,ij->i", view.normals[ends], line) for ends in (one, two))
     between = np.einsum("ij,ij->i", view.normals[one], view.normals[two])
-    up = view.normals[one] + view.normals[two] - (start + end)[:, None] * line
-    up /= np.maximum(np.linalg.norm(up, axis=1), np.finfo(float).tiny)[:, None]
+    up = unit_vectors(view.normals[one] + view.normals[two] - (start + end)[:, None] * line)
     frame = np.stack([line, up, np.cross(line, up)], axis=2)
     cosines = np.stack([start, end, between], axis=1)
     return Pairs(length, cosines, frame, (view.points[one] + view.points[two]) / 2)
