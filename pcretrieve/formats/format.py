@@ -68,6 +68,8 @@ class RawScan(NamedTuple):
         Notes of the reader for the provenance.
     unit : str or None
         The unit of length of the file, a key of `METRES`; None if the file does not say.
+    is_assumed : bool
+        Whether `unit` is only that of most files of the format, for which an option may give another.
     """
 
     points: NDArray[Any]
@@ -76,6 +78,7 @@ class RawScan(NamedTuple):
     viewpoints: NDArray[Any] | None = None
     notes: tuple[str, ...] = ()
     unit: str | None = None
+    is_assumed: bool = False
 
 
 class Damaged(Exception):

@@ -90,15 +90,15 @@ def read_las(path: Path) -> RawScan:
     if n_points != reader.header.point_count:
         raise Cut(f"its header declares {reader.header.point_count} points, it holds {n_points}")
     if not records:
-        return RawScan(np.empty((0, 3)), unit="m")
+        return RawScan(np.empty((0, 3)))
     points = np.concatenate([np.column_stack([part.x, part.y, part.z]) for part in records])
     noise = np.isin(
         np.concatenate([np.asarray(part.classification) for part in records]), NOISE
     )  # (n,)
     if not noise.any():
-        return RawScan(points, unit="m")
+        return RawScan(points, unit="m", is_assumed=True)
     note = f"dropped {int(noise.sum())} of {len(points)} points that the file classifies as noise"
-    return RawScan(points[~noise], notes=(note,), unit="m")
+    return RawScan(points[~noise], notes=(note,), unit="m", is_assumed=True)
 
 
 def _check_records(data: bytes) -> None:

@@ -51,6 +51,8 @@ LAST_LINE = {b"\n": rb"\nend_header[ \t]*\r?\n", b"\r": rb"\rend_header[ \t]*\r"
 STRIPS = "tristrips"
 FACES = ("face", STRIPS)
 FACE_PROPERTIES = ("vertex_indices", "vertex_index")
+# Opacity below which a Gaussian splat is almost transparent: 10 %, which is stored as log(p / (1 − p)).
+FAINT = -2.2
 # Largest value of the types of an index.
 LARGEST_INDEX = 2**32 - 1
 
@@ -258,12 +260,19 @@ def _vertices(element: Element, found: list[Table]) -> RawScan:
     types = {
         one.name: "f4" if one.type == "f4" else "f8" for one in element.properties if not one.length
     }
-    return scan_of_fields(
-        [*types],
-        lambda name: _in_order(
-            [(numbers, rows[name].astype(types[name])) for numbers, rows in found]
-        ),
+
+    def column(name: str) -> NDArray[Any]:
+        return _in_order([(numbers, rows[name].astype(types[name])) for numbers, rows in found])
+
+    scan = scan_of_fields([*types], column)
+    if not {"opacity", "scale_0"} <= types.keys():
+        return scan
+    n_faint = int((column("opacity") < FAINT).sum())
+    note = (
+        f"{n_faint} of {element.n_rows} splats are almost transparent by their column opacity, and may float "
+        "around the body: drop them, if so"
     )
+    return scan._replace(notes=(note,) if n_faint else ())
 
 
 def _faces(element: Element, found: list[Table]) -> NDArray[np.int64]:

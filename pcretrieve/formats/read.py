@@ -16,7 +16,7 @@ from pcretrieve.formats.meshes import welded
 from pcretrieve.formats.registry import read_raw
 from pcretrieve.formats.remote import local_copy
 from pcretrieve.values import METRES, UNIT, FloatArray, PointCloud, Step, TriangleMesh
-from pcretrieve.values.base import check_type
+from pcretrieve.values.base import UNIT_KEPT, check_type
 from pcretrieve.values.conversion import GeometryLike, as_geometry
 
 #: A file, or what can be converted to a point cloud or a surface.
@@ -55,13 +55,18 @@ def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
         suffix, is truncated, or is empty.
     """
     check_type("path", path, str, Path)
-    path = Path(path)
+    return _read(Path(path))
+
+
+def _read(path: Path, given: str = "none") -> PointCloud | TriangleMesh:
+    """Read a scan, in metres if its unit is known: that of the file, or else the given one."""
     started = time.perf_counter()
     try:
         # Invalid numbers may be signalling NaN, or overflow when squared; `_scan` removes non-finite points.
         with np.errstate(all="ignore"), local_copy(path) as file:
             raw = read_raw(file)
-            return _in_metres(_scan(raw, started=started), raw.unit)
+            is_free = given != "none" and (raw.unit is None or raw.is_assumed)
+            return _in_metres(_scan(raw, started=started), given if is_free else raw.unit, given)
     except ScanReadError as error:
         name = url_of(path) or str(path)
         if name in error.message:
@@ -71,18 +76,27 @@ def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
 
 def as_scan(scan: ScanLike, unit: str = "none") -> PointCloud | TriangleMesh:
     """Read a scan from a path, or convert a value to a scan; in metres if the unit is known."""
-    value = read_scan(scan) if isinstance(scan, (str, Path)) else as_geometry(scan)
+    if isinstance(scan, (str, Path)):
+        return _read(Path(scan), unit)
+    value = as_geometry(scan)
     if unit == "none" or any(UNIT in step.sizes for step in value.provenance):
         return value
     return _in_metres(value, unit)
 
 
-def _in_metres(value: PointCloud | TriangleMesh, unit: str | None) -> PointCloud | TriangleMesh:
-    """A scan in metres, and the length of the unit for the provenance, if the unit is known."""
+def _in_metres(
+    value: PointCloud | TriangleMesh, unit: str | None, given: str = "none"
+) -> PointCloud | TriangleMesh:
+    """A scan in metres, and the length of the unit for the provenance, if the unit is known.
+
+    given: the unit that is asked for, of which a note tells if it is not that of the scan.
+    """
     if unit is None:
         return value
     metres = METRES[unit]
     notes = (f"converted the coordinates from {unit} to m",) if metres != 1 else ()
+    if given not in ("none", unit):
+        notes = (*notes, f"scan.unit {given} {UNIT_KEPT}, {unit}")
     first, *others = value.provenance or (Step("read", 0.0),)
     read = replace(first, sizes=first.sizes | {UNIT: 1.0}, notes=(*first.notes, *notes))
     provenance = (read, *others)

@@ -345,11 +345,18 @@ class Seen:
 
 def stages(scan: ScanLike, options: PipelineOptions) -> Iterator[Seen]:
     """Run the stages before the stage ``spectrum``, and log each of them when it has ended."""
-    logged = 0
-    for seen in _stages(scan, options):
-        log_steps(scan_name(scan), seen.steps[logged:])
-        logged = len(seen.steps)
-        yield seen
+    seen = Seen()
+    try:
+        logged = 0
+        for seen in _stages(scan, options):
+            log_steps(scan_name(scan), seen.steps[logged:])
+            logged = len(seen.steps)
+            yield seen
+    except ReconstructionError as error:
+        # What the reader took for granted, or left out, may be why there is no surface.
+        if notes := [note for step in seen.steps for note in step.notes]:
+            error.message = f"{error.message}; {'; '.join(notes)}"
+        raise
 
 
 def _stages(scan: ScanLike, options: PipelineOptions) -> Iterator[Seen]:

@@ -108,7 +108,7 @@ def _as_given(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions)
         return cloud, (OWN,)
     _, flooded, notes = _tight_flood(cloud, neighbors, options)
     if flooded is None:
-        return cloud, (OWN, *notes)
+        return cloud, (f"{OWN} (scan.orientation 'flood' ignores them)", *notes)
     askew = float((np.einsum("ij,ij->i", cloud.normals, flooded) < ASKEW).mean())
     if askew <= MOST_OPPOSED:
         return cloud, (OWN,)

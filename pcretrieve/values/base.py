@@ -15,6 +15,9 @@ from pcretrieve.errors import InputError
 #: for all scans whose unit is known, because they are converted to metres when they are read.
 UNIT = "metres_per_unit"
 
+# The note on a file for which a unit was given, and not used.
+UNIT_KEPT = "is not applied, because the file names its unit"
+
 #: Metres of each unit of length, by its symbol.
 METRES = {
     "um": 1e-6,

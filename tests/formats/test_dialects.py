@@ -283,6 +283,18 @@ def test_names_of_normals(form: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(cloud(tmp_path / "a.ply").normals, normals)  # type: ignore[arg-type]
 
 
+def test_faint_splats_are_named(tmp_path: Path) -> None:
+    table = np.column_stack([BALL.vertices, np.repeat([3.0, -5.0], [30, 12]), np.ones(42)])
+    names = ["x", "y", "z", "opacity", "scale_0"]
+    head = "element vertex 42\n" + "".join(f"property float {name}\n" for name in names)
+    content = ply("binary_little_endian", head, table.astype("<f4").tobytes())
+    (tmp_path / "a.ply").write_bytes(content)
+    (note,) = cloud(tmp_path / "a.ply").provenance[0].notes
+    assert note.startswith("12 of 42 splats are almost transparent by their column opacity")
+    (tmp_path / "a.ply").write_bytes(content.replace(b"opacity", b"density"))
+    assert not cloud(tmp_path / "a.ply").provenance[0].notes
+
+
 # --- glTF -------------------------------------------------------------------------------------------------
 
 

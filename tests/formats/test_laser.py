@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud, read_scan
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats import members_of, parts_of
+from pcretrieve.formats import as_scan, members_of, parts_of, write_mesh
 from pcretrieve.formats.registry import read_raw
 from pcretrieve.ingestion.views import read_views
 
@@ -54,6 +54,23 @@ def test_points_of_las(tmp_path: Path) -> None:
 
 
 @needs(".laz")
+def test_a_unit_that_is_given_is_used_or_a_note_says_why_not(tmp_path: Path) -> None:
+    """LAS has no unit: metres are only usual. The specification of glTF names metres."""
+    write_las(tmp_path / "a.las", 1000 * POINTS)
+    usual, given = as_scan(tmp_path / "a.las"), as_scan(tmp_path / "a.las", "mm")
+    assert isinstance(usual, PointCloud) and isinstance(given, PointCloud)
+    np.testing.assert_allclose(given.points * 1000, usual.points)
+    assert given.provenance[0].notes == ("converted the coordinates from mm to m",)
+    ball = shapes.icosphere(1)
+    write_mesh(ball, tmp_path / "a.glb")
+    found = as_scan(tmp_path / "a.glb", "mm")
+    assert found.provenance[0].notes == (
+        "scan.unit mm is not applied, because the file names its unit, m",
+    )
+    assert as_scan(tmp_path / "a.glb", "m").provenance[0].notes == ()
+    assert found.diagonal == pytest.approx(ball.diagonal)
+
+
 def test_damaged_headers_and_chunks(tmp_path: Path) -> None:
     write_las(tmp_path / "a.las", POINTS)
     write_las(tmp_path / "a.laz", POINTS, point_format=6)
