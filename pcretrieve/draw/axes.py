@@ -92,15 +92,13 @@ def _ends(vertices: FloatArray, faces: IntArray) -> tuple[IntArray, FloatArray]:
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import dijkstra
 
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
     graph = csr_array((lengths, edges.T), shape=(len(vertices),) * 2)
     middle = np.linalg.norm(vertices - vertices.mean(axis=0), axis=1).argmin()
-    far, ends, rows = (
-        dijkstra(graph, directed=False, indices=[middle])[0],
-        list[int](),
-        list[FloatArray](),
-    )
+    far = dijkstra(graph, directed=False, indices=[middle])[0]
+    ends: list[int] = []
+    rows: list[FloatArray] = []
     for _ in range(N_LIMBS):
         ends.append(int(far.argmax()))
         rows.append(dijkstra(graph, directed=False, indices=ends[-1:])[0])

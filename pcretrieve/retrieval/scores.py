@@ -35,7 +35,6 @@ from pcretrieve.retrieval.covariances import LEAST_SHAPES, near_groups, neighbou
 from pcretrieve.retrieval.distances import Positions, coordinates, pairwise
 from pcretrieve.retrieval.whitening import Arrays, Whitening, fit_whitening
 from pcretrieve.values import FloatArray, SignatureTable
-from pcretrieve.values.base import locked
 
 # Largest number of shapes whose pairs are counted, and the seed of the choice of their classes.
 LARGEST = 1000
@@ -86,7 +85,7 @@ class MatchScores(Arrays):
     n_apart: int = 0
 
     def __post_init__(self) -> None:
-        distances = locked("the distances of scores", self.distances, (None,))
+        distances = self._lock("distances", (None,))
         scores = self._lock("scores", (len(distances),))
         for name in ("coefficients", "limits"):
             self._lock(name, (None,))
@@ -94,7 +93,6 @@ class MatchScores(Arrays):
             raise InputError(
                 "scores must not ascend with the distance, and be at least one, got others"
             )
-        object.__setattr__(self, "distances", distances)
 
     def of(self, distances: FloatArray) -> FloatArray:
         """The scores (n,) of distances (n,), which may be infinite."""

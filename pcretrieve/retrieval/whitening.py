@@ -40,7 +40,7 @@ from pcretrieve.retrieval import covariances
 from pcretrieve.retrieval.distances import table_coordinates
 from pcretrieve.retrieval.people import ALIKE, KNOWN, LEAST_SHARE, People, corrected, row_products
 from pcretrieve.values import FloatArray, Metric, SignatureTable
-from pcretrieve.values.base import Value, locked
+from pcretrieve.values.base import Value
 from pcretrieve.values.files import member_array, opened_archive, write_file
 
 #: What stands for a whitening that suits the shapes, with and without their labels.
@@ -112,13 +112,9 @@ class Whitening(Arrays):
             raise OptionError(
                 f"whitening must be one of {', '.join(WHITENINGS)}, got {self.kind!r}"
             )
-        mean = locked("the mean of a whitening", self.mean, (None,))
-        matrix = locked("the matrix of a whitening", self.matrix, (len(mean), len(mean)))
-        object.__setattr__(self, "mean", mean)
-        object.__setattr__(self, "matrix", matrix)
-        object.__setattr__(
-            self, "network", locked("the network of a whitening", self.network, (None, None))
-        )
+        length = len(self._lock("mean", (None,)))
+        self._lock("matrix", (length, length))
+        self._lock("network", (None, None))
 
     def check_made_for(self, digest: str) -> None:
         """InputError if the whitening was fitted on signatures of another digest."""

@@ -138,7 +138,7 @@ def test_what_cannot_be_fitted() -> None:
         ({"kind": np.array("zca")}, "whitening must be one of"),
         (
             {"matrix": np.eye(2)},
-            r"the matrix of a whitening must have shape \(3, 3\), got \(2, 2\)",
+            r"matrix must have shape \(3, 3\), got \(2, 2\)",
         ),
         ({"mean": np.full(3, np.nan)}, "must be finite"),
     ):
