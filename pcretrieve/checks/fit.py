@@ -21,7 +21,6 @@ from pcretrieve.points.neighbors import (
     SPACING_NEIGHBORS,
     Neighborhoods,
     nearest,
-    neighborhoods,
 )
 from pcretrieve.surface import components
 from pcretrieve.surface.caps import grid_points
@@ -195,7 +194,7 @@ class Fit:
     @cached_property
     def middles(self) -> FloatArray:
         """(m, 3) middles of the faces."""
-        return np.asarray(self.mesh.vertices[self.mesh.faces].mean(axis=1))
+        return np.ascontiguousarray(self.mesh.corners.sum(axis=1).T / 3)
 
     @cached_property
     def areas(self) -> FloatArray:
@@ -270,9 +269,10 @@ class Fit:
         """(m,) spacing of some points of the scan beside each face, and (m,) distance to the nearest one."""
         step = max(1, len(self.scan.points) // DENSITY_POINTS)
         points = np.ascontiguousarray(self.scan.points[::step])
-        spacings = local_spacings(neighborhoods(points, SPACING_NEIGHBORS + 1))
         distance, near = nearest(points, self.middles, 1)
-        return spacings[near[:, 0]], distance[:, 0]
+        beside, number = np.unique(near, return_inverse=True)
+        around = nearest(points, points[beside], min(SPACING_NEIGHBORS + 1, len(points)))
+        return local_spacings(Neighborhoods(*around))[number.ravel()], distance[:, 0]
 
     @cached_property
     def apart(self) -> FloatArray:
@@ -374,9 +374,18 @@ class Fit:
         facing = elsewhere & (self.normals @ self.axis(faces) > FACING)
         if self.share(facing) < LEAST_FACING:
             return False
-        (usual,) = _quantiles(self.apart[elsewhere], self.areas[elsewhere], (0.5,))
-        (there,) = _quantiles(self.apart[facing], self.areas[facing], (0.5,))
-        return bool(there > UNSEEN * usual)
+        return self._median_apart(facing) > UNSEEN * self._median_apart(elsewhere)
+
+    @cached_property
+    def _by_apart(self) -> Faces:
+        """All faces in order of ascending `apart`."""
+        return np.argsort(self.apart)
+
+    def _median_apart(self, faces: Mask) -> float:
+        """How far points are apart on some faces, in the median of their area."""
+        order = self._by_apart[faces[self._by_apart]]
+        summed = np.cumsum(self.areas[order])
+        return float(self.apart[order[np.searchsorted(summed, summed[-1] / 2)]])
 
     @cached_property
     def _blind_axis(self) -> FloatArray | None:

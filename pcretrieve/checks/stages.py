@@ -342,32 +342,36 @@ def neck(mesh: TriangleMesh, function: FloatArray) -> Neck:
     """
     corners = function[mesh.faces]  # (m, 3)
     areas, values = mesh.face_areas, corners.mean(axis=1)
-    low, high = corners.min(axis=1), corners.max(axis=1)
     order = np.argsort(values)
     shares = np.cumsum(areas[order]) / areas.sum()
-    lengths, relative, middles = [], [], []
-    for level in values[order[np.searchsorted(shares, LEVELS)]]:
-        crossed = (low <= level) & (level < high)
-        start, end = _level_line(mesh.vertices, mesh.faces[crossed], corners[crossed], level)
-        pieces = np.linalg.norm(end - start, axis=1)
-        length = float(pieces.sum())
-        above = areas[values > level].sum() / areas.sum()
-        smaller = min(above, 1 - above)
-        is_half = smaller > LEAST_HALF and length > 0
-        lengths.append(length)
-        relative.append(length / np.sqrt(smaller * areas.sum()) if is_half else np.inf)
-        middles.append(pieces @ (start + end) / (2 * max(length, np.finfo(np.float64).tiny)))
+    below = np.searchsorted(shares, LEVELS)
+    levels = values[order[below]]
+    # Each face is taken once for each level line that crosses it.
+    first, last = np.searchsorted(levels, [corners.min(axis=1), corners.max(axis=1)])
+    face = np.repeat(np.arange(len(areas)), last - first)
+    line = np.arange(len(face)) - np.repeat(np.cumsum(last - first) - last, last - first)
+    start, end = _pieces(mesh.vertices, mesh.faces[face], corners[face], levels[line])
+    pieces = np.linalg.norm(end - start, axis=1)
+    lengths = np.bincount(line, pieces, len(LEVELS))
+    smaller = np.minimum(shares[below], 1 - shares[below])
+    is_half = (smaller > LEAST_HALF) & (lengths > 0)
+    relative = np.where(is_half, lengths / np.sqrt(smaller * areas.sum()), np.inf)
     at = int(np.argmin(relative))
     before, after = lengths[max(0, at - NEARBY) : at + 1], lengths[at : at + NEARBY + 1]
-    sharpness = min(max(before), max(after)) / max(lengths[at], np.finfo(np.float64).tiny)
-    return Neck(float(relative[at]), float(sharpness), np.asarray(middles[at]))
+    length = max(lengths[at], np.finfo(np.float64).tiny)
+    sharpness = min(before.max(), after.max()) / length
+    middle = pieces[line == at] @ (start + end)[line == at] / (2 * length)
+    return Neck(float(relative[at]), float(sharpness), np.asarray(middle))
 
 
-def _level_line(
-    vertices: FloatArray, faces: IntArray, values: FloatArray, level: float
+def _pieces(
+    vertices: FloatArray, faces: IntArray, values: FloatArray, levels: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(k, 3) beginnings and ends of the pieces of a level line, one in each of the faces that it crosses."""
-    is_above = values > level
+    """(k, 3) beginnings and ends of the pieces of level lines, one in each of the faces that they cross.
+
+    levels: (k,) float64, of the line that crosses each face.
+    """
+    is_above = values > levels[:, np.newaxis]
     # One corner is on a side of its own; the line crosses both edges that meet there.
     alone = np.where(is_above.sum(axis=1) == 1, is_above.argmax(axis=1), is_above.argmin(axis=1))
     row = np.arange(len(faces))
@@ -375,7 +379,7 @@ def _level_line(
     ends = []
     for step in (1, 2):
         other = (alone + step) % 3
-        share = (level - at_start) / (values[row, other] - at_start)
+        share = (levels - at_start) / (values[row, other] - at_start)
         ends.append(start + share[:, np.newaxis] * (vertices[faces[row, other]] - start))
     return ends[0], ends[1]
 

@@ -293,6 +293,8 @@ def _surface(
 
 def _fair(mesh: TriangleMesh, in_hole: Mask, cloud: PointCloud) -> TriangleMesh:
     """The surface, after patches in holes of the scan have been faired, but for those on the ground."""
+    if np.count_nonzero(in_hole) < LEAST_FAIRED:
+        return mesh
     vertices, faces = mesh.vertices, mesh.faces
     links = edges_of(faces_at(in_hole, faces)).ends
     links = links[in_hole[links].all(axis=1)]
