@@ -44,17 +44,18 @@ ERROR_OF_WELDS = 0.3
 WELDS_OF_PARTS = 5
 
 # Length of the shortest level line of the first eigenfunction round one body, relative to the root of the
-# area on its smaller side. People have .65 and more, but a femur .38.
-LEAST_NECK = 0.65
+# area on its smaller side. People have .75 and more, but a femur .38.
+LEAST_NECK = 0.7
 
 # Level lines nearby, on both sides, are longer than the shortest one by this factor where two bodies touch.
-# Along the shaft of a bone they are not.
-LEAST_SHARPNESS = 1.4
+# Along the shaft of a bone they are not, 1.35 at most.
+LEAST_SHARPNESS = 1.5
 NECK_ERROR = 0.45
 
-# Shares of the area on one side of the level lines that are drawn, and the number of those nearby.
-LEVELS = np.linspace(0.05, 0.95, 25)
-NEARBY = 3
+# Shares of the area on one side of the level lines that are drawn, and the number of those nearby. Wider
+# steps miss the line round a contact.
+LEVELS = np.linspace(0.05, 0.95, 91)
+NEARBY = 5
 
 # Least share of the area on the smaller side of a level line that may part two bodies.
 LEAST_HALF = 0.2

@@ -239,8 +239,10 @@ PUSH, ASIDE, N_WAYS = (0.01, 0.03), 35.0, 6
 
 
 def pressed(one: Body, other: Body, rng: np.random.Generator) -> Body:
-    """Two bodies as one, the other pushed into the first from its front."""
+    """Two bodies of one size as one, the other pushed into the first from its front."""
     a, b = one.mesh, other.mesh
+    # Sets have several units: beside a horse of TOSCA, a simulated animal would be a speck.
+    b = TriangleMesh(b.vertices * (a.diagonal / b.diagonal), b.faces)
     placed = min((_touching(a, b, rng) for _ in range(N_WAYS)), key=lambda way: way[0])[1]
     faces = np.concatenate([a.faces, b.faces + len(a.vertices)])
     both = TriangleMesh(np.concatenate([a.vertices, placed]), faces)
