@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import shapes
 from benchmarks.__main__ import BENCHMARKS
+from benchmarks.bodies import Body
 from benchmarks.paper.shapes import drifts, noisy, perturbed, planar_mesh
 from benchmarks.paper.spectra import (
     FIGURE_6,
@@ -24,8 +25,10 @@ from benchmarks.paper.spectra import (
     truncation_errors,
     unit_area_spectrum,
 )
+from benchmarks.sensors import SENSORS, left_by
 
 from pcretrieve import ModalSpectrum, write_mesh
+from pcretrieve.points.neighbors import nearest
 from pcretrieve.surface import defects
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
@@ -176,3 +179,14 @@ def test_every_script_prints_its_figures(tmp_path: Path) -> None:
     small = ("--shapes", "100", "--clients", "2", "--seconds", "1", "--meshes", "400")
     served = printed("serve", *small)
     assert len(re.findall(r"^/.* ms +0$", served, re.MULTILINE)) == 9
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_hole_that_is_a_damage_is_larger_than_those_of_the_sensor(seed: int) -> None:
+    # The diagonal of a ball is longer beside its length than that of any other body.
+    ball = Body("ball", "ball", shapes.icosphere(4))
+    rng = np.random.default_rng(seed)
+    points = SENSORS["uniform"](ball, rng)
+    pierced = points[left_by("hole", points, ball, rng)]
+    whole, damaged = (nearest(each, ball.mesh.vertices, 1)[0].max() for each in (points, pierced))
+    assert whole < damaged

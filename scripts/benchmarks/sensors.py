@@ -1,7 +1,7 @@
 """Scans of bodies by several sensors, and what damages them.
 
-Lengths are relative to the diagonal of a body, or to its height, so that one sensor can scan hands and
-horses. The y axis points up.
+Lengths are relative to the diagonal of a body, to its height, or to its length, so that one sensor can scan
+hands and horses. The y axis points up.
 """
 
 from __future__ import annotations
@@ -29,9 +29,13 @@ from pcretrieve.values.geometry import edge_graph
 # Noise, relative to the diagonal; strays, relative to the points; rays that look for the outside.
 NOISE, STRAYS, N_RAYS = 0.001, 0.003, 48
 
-# Number of points, of holes, and their least and largest radius, of the scans that the benchmark calls
-# typical (benchmarks.fidelity).
-N_TYPICAL, N_HOLES, HOLES = 30_000, 6, (0.01, 0.03)
+# Number of points and of holes of the scans that the benchmark calls typical (benchmarks.fidelity).
+N_TYPICAL, N_HOLES = 30_000, 6
+
+# Least and largest radius of these holes, relative to the length of the body: 1 to 3 % of the diagonal of a
+# person. The diagonal of a machine part is half as long again beside its length, so that holes of 3 % of it
+# would be wider than the hole that is a damage.
+HOLES = (0.0115, 0.0345)
 
 
 def outer_points(
@@ -56,9 +60,9 @@ def _uniform(mesh: TriangleMesh, n: int, n_holes: int, rng: np.random.Generator)
     """Uniform points with noise, holes of several radii, and strays."""
     points, _ = outer_points(mesh, n, rng)
     centres, _ = uniform_points(mesh, n_holes, rng)
-    kept = np.ones(n, dtype=bool)
+    kept, length = np.ones(n, dtype=bool), _length(mesh)
     for centre in centres:
-        radius = float(rng.uniform(*HOLES)) * mesh.diagonal
+        radius = float(rng.uniform(*HOLES)) * length
         kept &= outside_holes(points, centre[np.newaxis], radius)
     return np.concatenate([noisy(mesh, points[kept], rng), strays(mesh, round(STRAYS * n), rng)])
 
@@ -148,6 +152,14 @@ def _height(mesh: TriangleMesh) -> float:
     return float(np.ptp(mesh.vertices, axis=0).max())
 
 
+def _length(mesh: TriangleMesh) -> float:
+    """The distance of two vertices that are about as far apart as any: the height of a person who stands."""
+    apart = np.linalg.norm(mesh.vertices - mesh.vertices.mean(axis=0), axis=1)
+    for _ in range(3):  # to the farthest vertex and on
+        apart = np.linalg.norm(mesh.vertices - mesh.vertices[apart.argmax()], axis=1)
+    return float(apart.max())
+
+
 SENSORS: dict[str, Callable[[Body, np.random.Generator], FloatArray]] = {
     "nine": lambda body, rng: scan(body.mesh, RigOptions(), rng).points,
     "uniform": lambda body, rng: _uniform(body.mesh, N_TYPICAL, N_HOLES, rng),
@@ -163,7 +175,8 @@ SENSORS: dict[str, Callable[[Body, np.random.Generator], FloatArray]] = {
 WHOLE, PAIR = "whole", "pair"
 DAMAGES = ("limb", "hole", "side")
 
-# The lengths of the limb that is missing, and of the hole, relative to the largest extent of the body.
+# The limb that is missing, relative to the largest extent of the body, and the width of the hole, relative to
+# the length of the body.
 LIMB, HOLE = 0.22, 0.08
 
 # Share of the points that are left on the sparse side.
@@ -175,7 +188,7 @@ def left_by(damage: str, points: FloatArray, body: Body, rng: np.random.Generato
     height = _height(body.mesh)
     if damage == "hole":
         centre = points[rng.integers(len(points))]
-        return np.asarray(np.linalg.norm(points - centre, axis=1) >= HOLE * height / 2)
+        return np.asarray(np.linalg.norm(points - centre, axis=1) >= HOLE * _length(body.mesh) / 2)
     if damage == "limb":
         near = cKDTree(body.mesh.vertices).query(points)[1]
         return np.asarray((_from_an_end(body.mesh, rng) >= LIMB * height)[near])
