@@ -21,7 +21,7 @@ import numpy as np
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.points.density import interpolated, local_spacings
+from pcretrieve.points.density import interpolated
 from pcretrieve.points.grid import Grid, Mask, Voxels, joined_by
 from pcretrieve.points.neighbors import (
     PLANE_NEIGHBORS,
@@ -31,7 +31,7 @@ from pcretrieve.points.neighbors import (
     spacing,
 )
 from pcretrieve.points.outside import Outside, flood
-from pcretrieve.surface.caps import NO_CAP, Capped, base_of, faces_ground, points_on
+from pcretrieve.surface.caps import NO_CAP, Capped, faces_ground, points_on
 from pcretrieve.surface.coarse import coarse_surface, crossings, filled
 from pcretrieve.surface.fairing import faces_at, faired, with_ring
 from pcretrieve.surface.field import distance_field, folded, hidden_below, normals_of
@@ -127,14 +127,18 @@ def body_surfaces(
     cloud = interpolated(cloud, some, cell=max(size, least))
     if len(cloud.points) > n_measured:
         neighbors = neighborhoods(cloud.points, PLANE_NEIGHBORS + 1)
-    coarse = coarse_surface(cloud, options, local_spacings(neighbors), spacing=least)
+    n_between = len(cloud.points) - n_measured
+    coarse, cloud = coarse_surface(cloud, options, neighbors, spacing=least)
+    n_continued = len(cloud.points) - n_measured - n_between
     del neighbors
     for number in range(options.reconstructions):
         cell = max(CELLS[number % len(CELLS)] * size, least)
         mesh, marks, step = _body_surface(cloud, coarse, cell, number * SHIFT % 1, options)
         step = replace(step, seconds=time.perf_counter() - started)
-        if len(cloud.points) > n_measured:
-            n_between = len(cloud.points) - n_measured
+        if n_continued:
+            note = f"continued a limb across a gap by {n_continued} points"
+            step = replace(step, notes=(note, *step.notes))
+        if n_between:
             note = f"interpolated {n_between} points where the {n_measured} points are sparse"
             step = replace(step, notes=(note, *step.notes))
         yield TriangleMesh(mesh.vertices, mesh.faces, (*cloud.provenance, step)), marks
@@ -207,7 +211,7 @@ def _body_surface(
         },
         tuple(notes),
     )
-    base = points_on(coarse.surface, base_of(coarse, cloud), cell)
+    base = points_on(coarse.surface, coarse.base, cell)
     return final, SurfaceMarks(grid.centres(cuts), grid.centres(bridges), base), step
 
 

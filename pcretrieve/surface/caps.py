@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, diags_array
-from scipy.sparse.linalg import splu
 
 from pcretrieve.points.grid import Mask, joined_by
-from pcretrieve.surface.fairing import faces_at, faired
+from pcretrieve.points.neighbors import nearest, neighborhoods
+from pcretrieve.surface.fairing import domed, faces_at, faired, membrane, with_ring
 from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.topology import edges_of
-from pcretrieve.values import FloatArray, IntArray, PointCloud, TriangleMesh
+from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 # Distance to the nearest point beyond which a vertex is in a hole: relative to the diagonal, and in spacings
 # of the points, whichever is larger. A vertex of a large hole exceeds the last distance, relative to the
@@ -36,6 +37,15 @@ ABOVE_RIM = 0.3
 LEAST_TILT = 0.25
 LEAST_STEEPNESS = 0.25
 
+# A hole is deep if the normals at its rim have less than this tilt. It becomes a part of a sphere, which
+# covers at most this angle; fairing closes others.
+DEEP = 0.2
+DEEPEST = np.radians(110)
+
+# Largest area of a hole that becomes a part of a sphere, relative to the square of the diagonal: that of a
+# head. A single hole that is smaller is no base: a body stands on two soles.
+LARGEST_DOME = 0.02
+
 # A cap is flat if the norm of the sum of its area vectors, relative to its area, is at least this large. Two
 # caps are parallel if the cosine of the angle between their normals is.
 FLAT = 0.7
@@ -48,27 +58,90 @@ MOST_BENEATH = 0.3
 NEAR_PLANE = 0.02
 
 
+# A point is at a rim if the middle of so many neighbours is beside it, by this part of the distance of the
+# farthest of them. So many such points, this close to each other (in spacings), are a rim.
+AROUND = 33
+ASIDE = 0.3
+FEWEST_OF_RIM = 12
+ALONG_RIM = 3.0
+
+# A rim is that of a limb if the directions beside its points have at least this mean, which is 0 beside a
+# hole in a flat surface, and if the second eigenvalue of its normals is at least this large.
+ONE_WAY = 0.5
+ALL_ROUND = 0.2
+
+# Smallest radius of a limb, relative to the diagonal: round fingers there are too few points.
+THINNEST = 0.012
+
+# Two ends are of one limb if they face each other, by these cosines, if their radii differ at most by a
+# factor, and if they are not farther apart than so many radii.
+FACING = 0.75
+ALIKE = 2.0
+FARTHEST_GAP = 8.0
+
+# Distance from a rim, in radii of the limb, within which normals are made to point away from its axis.
+BESIDE_END = 0.5
+
+
 class Capped(NamedTuple):
     """A surface that is closed in the holes of the points.
 
     cap: (m,) the number of the hole that a face closes, −1 if there are points.
-    is_end: (m,) bool, whether it closes the end of a limb that was cut off, or a base.
+    base: (m,) bool, whether the body stands on a face: see `base_of`.
     """
 
     surface: TriangleMesh
     cap: NDArray[np.intp]
-    is_end: Mask
+    base: Mask
 
 
 def capped(surface: TriangleMesh, cloud: PointCloud, *, spacing: float) -> Capped:
-    """Close the large holes of the points, round, or flat on the ground.
+    """Close the large holes of the points: flat where the body stands, elsewhere round.
 
-    A level set recedes in a hole, and a Poisson surface bulges out of a large one. Each hole gets a fair
-    patch instead. What stands on a ground that the stage `crop` has removed is flat there, so that it gets a
-    membrane: each vertex is at the mean of its neighbours. The rim is moved to the points.
+    A level set recedes in a hole, and a Poisson surface bulges out of a large one. The rim of each hole is
+    moved to the points. A base gets a membrane: each vertex is at the mean of its neighbours. A deep hole,
+    such as that of half a head, gets a part of a sphere, and another one a fair patch.
 
     spacing: of the points.
     """
+    hole, near = _large_holes(surface, cloud, spacing)
+    free = hole != NO_CAP
+    cap = hole[surface.faces].max(axis=1)
+    is_end = np.zeros(len(cap), dtype=np.bool_)
+    if not free.any():
+        return Capped(surface, cap, is_end)
+    is_rim = with_ring(free, surface.faces) & ~free
+    vertices = surface.vertices.copy()
+    vertices[is_rim] = cloud.points[near[is_rim]]
+    flat = TriangleMesh(membrane(vertices, surface.faces, free), surface.faces)
+    vertices = flat.vertices
+    for number in np.unique(hole[free]):
+        own, here = hole == number, cap == number
+        axis = flat.area_vectors[here].sum(axis=0)
+        area = float(np.linalg.norm(axis))
+        axis /= area
+        if faces_ground(axis, cloud):
+            is_end |= here
+            continue
+        rim = flat.vertices[with_ring(own, surface.faces) & ~own]
+        tilt, steepness = slope_of(rim, axis, cloud.points, normals_of(cloud))
+        if tilt < DEEP and area < LARGEST_DOME * cloud.diagonal**2:
+            angle = min(float(np.arccos(tilt)), DEEPEST)
+            vertices = domed(vertices, surface.faces, own, axis, angle)
+        else:
+            vertices = faired(vertices, surface.faces, own)
+        if ends_a_part(tilt, steepness):
+            is_end |= here
+    base = base_of(flat, cap, is_end, cloud)
+    is_flat = np.isin(hole, cap[base])
+    closed = np.where(is_flat[:, np.newaxis], flat.vertices, vertices)
+    return Capped(TriangleMesh(closed, surface.faces), cap, base)
+
+
+def _large_holes(
+    surface: TriangleMesh, cloud: PointCloud, spacing: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """(n,) the large hole of each vertex, `NO_CAP` if there are points; and (n,) the nearest point."""
     from scipy.spatial import cKDTree
 
     # A surface may bulge far from the points, where a search by cells takes long.
@@ -88,27 +161,7 @@ def capped(surface: TriangleMesh, cloud: PointCloud, *, spacing: float) -> Cappe
     rims = ends[free[ends].sum(axis=1) == 1]  # (r, 2), edges between a hole and its rim
     # A component that is far from all points has no rim.
     free &= np.isin(hole, hole[rims[free[rims]]])
-    cap = np.where(free[surface.faces], hole[surface.faces], NO_CAP).max(axis=1)
-    is_end = np.zeros(len(cap), dtype=np.bool_)
-    if not free.any():
-        return Capped(surface, cap, is_end)
-    vertices = surface.vertices.copy()
-    rim = np.setdiff1d(surface.faces[cap != NO_CAP], np.flatnonzero(free))
-    vertices[rim] = cloud.points[near[rim]]
-    for number in np.unique(hole[free]):
-        own, here = free & (hole == number), cap == number
-        flat = _membrane(vertices, surface.faces, own)
-        axis = TriangleMesh(flat, surface.faces[here]).area_vectors.sum(axis=0)
-        axis /= np.linalg.norm(axis)
-        own_rim = vertices[np.setdiff1d(surface.faces[here], np.flatnonzero(own))]
-        if faces_ground(axis, cloud):
-            vertices = flat
-            is_end |= here
-        else:
-            vertices = faired(vertices, surface.faces, own)
-            if ends_a_part(own_rim, axis, cloud.points, normals_of(cloud)):
-                is_end |= here
-    return Capped(TriangleMesh(vertices, surface.faces), cap, is_end)
+    return np.where(free, hole, NO_CAP), near
 
 
 def faces_ground(axis: FloatArray, cloud: PointCloud) -> bool:
@@ -116,19 +169,10 @@ def faces_ground(axis: FloatArray, cloud: PointCloud) -> bool:
     return cloud.up is not None and bool(axis @ cloud.up < -PARALLEL)
 
 
-def _membrane(vertices: FloatArray, faces: IntArray, free: Mask) -> FloatArray:
-    """(n, 3) vertices, of which those in a mask are at the mean of their neighbours."""
-    n, ends = len(vertices), edges_of(faces_at(free, faces)).ends
-    joined = csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n))
-    joined = joined + joined.T
-    laplacian = (diags_array(joined.sum(axis=1)) - joined).tocsr()[free]  # (k, n)
-    moved: FloatArray = vertices.copy()
-    moved[free] = splu(laplacian[:, free].tocsc()).solve(-(laplacian[:, ~free] @ vertices[~free]))
-    return moved
-
-
-def ends_a_part(rim: FloatArray, axis: FloatArray, points: FloatArray, normals: FloatArray) -> bool:
-    """Whether a hole is the end of a limb that was cut off, or a base: the body round it is like a tube.
+def slope_of(
+    rim: FloatArray, axis: FloatArray, points: FloatArray, normals: FloatArray
+) -> tuple[float, float]:
+    """The mean cosine between the axis of a hole and the normals at its rim; its growth over one radius.
 
     In a hole of a face or a chest the normals at the rim are tilted towards the axis of the hole. Round the
     hole of a crown they are perpendicular to it, but tilt more and more towards the rim, as on a sphere.
@@ -145,16 +189,22 @@ def ends_a_part(rim: FloatArray, axis: FloatArray, points: FloatArray, normals: 
     beside = (offsets**2).sum(axis=1) / radius**2 - along**2
     near = (along < ABOVE_RIM) & (along > -1) & (beside < BESIDE_RIM**2)
     if near.sum() < 3:
-        return False
-    tilt = normals[near] @ axis
-    at_rim = along[near] > -ABOVE_RIM
+        return 1.0, 0.0
+    # The flood fill may have come in by the hole, and have turned normals at its rim inwards.
+    outwards = np.sign(np.einsum("ij,ij->i", normals[near], offsets[near] + radius * axis))
+    tilt, along = outwards * (normals[near] @ axis), along[near]
     # The slope of the regression line; np.polyfit warns where all points have one height.
-    centred = along[near] - along[near].mean()
+    centred = along - along.mean()
     steepness = centred @ tilt / max(centred @ centred, np.finfo(np.float64).tiny)
-    return bool(tilt[at_rim].mean() < LEAST_TILT and steepness < LEAST_STEEPNESS)
+    return float(tilt[along > -ABOVE_RIM].mean()), float(steepness)
 
 
-def base_of(capped: Capped, cloud: PointCloud) -> Mask:
+def ends_a_part(tilt: float, steepness: float) -> bool:
+    """Whether a hole is the end of a limb that was cut off, or a base: the body round it is like a tube."""
+    return tilt < LEAST_TILT and steepness < LEAST_STEEPNESS
+
+
+def base_of(surface: TriangleMesh, cap: NDArray[np.intp], is_end: Mask, cloud: PointCloud) -> Mask:
     """(m,) mask of the faces of a base: caps of ends of the body that face down, and are nearly flat.
 
     Down is away from the ground, if the stage `crop` has removed it. Otherwise it is the normal of the
@@ -163,8 +213,10 @@ def base_of(capped: Capped, cloud: PointCloud) -> Mask:
 
     The caps of a seat and of hands that rest on something belong to it, if they face down. It has no faces if
     the body cannot stand.
+
+    cap: (m,) the number of the hole that a face closes.
+    is_end: (m,) bool, whether it closes an end, by a flat cap.
     """
-    surface, cap, is_end = capped
     numbers = np.unique(cap[is_end])
     sums = np.array(
         [surface.area_vectors[cap == number].sum(axis=0) for number in numbers]
@@ -179,7 +231,8 @@ def base_of(capped: Capped, cloud: PointCloud) -> Mask:
         facing = numbers[flat & (normals @ down >= PARALLEL)]
         faces = np.asarray(np.isin(cap, facing))
         own = surface.vertices[surface.faces[faces]].reshape(-1, 3)
-        if len(own) and (up is not None or _stands(own, down, cloud)):
+        is_wide = len(facing) > 1 or areas.max() > LARGEST_DOME * cloud.diagonal**2
+        if len(own) and (up is not None or (is_wide and _stands(own, down, cloud))):
             return faces
     return np.zeros(len(cap), dtype=np.bool_)
 
@@ -199,6 +252,101 @@ def _stands(base: FloatArray, down: FloatArray, cloud: PointCloud) -> bool:
     except QhullError:  # fewer than three points, or all on a line
         return False
     return bool((outline[:, :2] @ (axes @ cloud.points.mean(axis=0)) + outline[:, 2] <= 0).all())
+
+
+class End(NamedTuple):
+    """Where a limb ends in a gap: (r, 3) the points of its rim, and its axis, a unit vector outwards."""
+
+    rim: FloatArray
+    axis: FloatArray
+
+    @property
+    def middle(self) -> FloatArray:
+        """(3,) the middle of the rim."""
+        return np.asarray(self.rim.mean(axis=0))
+
+    @property
+    def radius(self) -> float:
+        """The mean radius of the rim."""
+        return float(np.linalg.norm(self.rim - self.middle, axis=1).mean())
+
+    def gap(self, other: End) -> float:
+        """The distance to another end in mean radii; infinity if they do not face each other."""
+        across = other.middle - self.middle
+        distance = float(np.linalg.norm(across))
+        least = FACING * distance
+        is_facing = across @ self.axis > least and across @ other.axis < -least
+        alike = max(self.radius, other.radius) < ALIKE * min(self.radius, other.radius)
+        return 2 * distance / (self.radius + other.radius) if is_facing and alike else np.inf
+
+
+def limbs_continued(cloud: PointCloud, spacing: float) -> PointCloud:
+    """The points, with further ones between two ends of a limb that face each other across a gap.
+
+    spacing: of the points.
+    """
+    found = _ends(cloud, spacing)
+    while len(found) > 1:
+        one, other = min(combinations(found, 2), key=lambda two: two[0].gap(two[1]))
+        if one.gap(other) > FARTHEST_GAP:
+            break
+        cloud = _bridged(cloud, one, other, spacing)
+        found = [each for each in found if each is not one and each is not other]
+    return cloud
+
+
+def _ends(cloud: PointCloud, spacing: float) -> list[End]:
+    """The ends of limbs in gaps: rims beside all of which the surface goes the same way, round an axis."""
+    from scipy.spatial import cKDTree
+
+    around = neighborhoods(cloud.points, AROUND)
+    offsets = cloud.points - cloud.points[around.near].mean(axis=1)  # (n, 3)
+    distance = np.linalg.norm(offsets, axis=1)
+    at_rim = distance > ASIDE * around.distance[:, -1]
+    directions = offsets[at_rim] / distance[at_rim, np.newaxis]
+    places, normals = cloud.points[at_rim], normals_of(cloud)[at_rim]
+    pairs = cKDTree(places).query_pairs(ALONG_RIM * spacing, output_type="ndarray")
+    label = joined_by(pairs[:, 0], pairs[:, 1], len(places))
+    found = []
+    for number in np.flatnonzero(np.bincount(label, minlength=1) >= FEWEST_OF_RIM):
+        own = label == number
+        axis = directions[own].mean(axis=0)
+        # Normals round a tube have the eigenvalues 1/2, 1/2 and 0, whatever their signs.
+        spread = np.linalg.eigvalsh(normals[own].T @ normals[own] / own.sum())[1]
+        if np.linalg.norm(axis) > ONE_WAY and spread > ALL_ROUND:
+            found.append(End(places[own], axis / np.linalg.norm(axis)))
+    return [end for end in found if end.radius > THINNEST * cloud.diagonal]
+
+
+def _bridged(cloud: PointCloud, one: End, other: End, spacing: float) -> PointCloud:
+    """The points, with those on straight lines between the rims of two ends."""
+    along = other.middle - one.middle
+    along /= np.linalg.norm(along)
+
+    def across(places: FloatArray, middle: FloatArray) -> FloatArray:
+        offsets = places - middle
+        return np.asarray(offsets - np.outer(offsets @ along, along))
+
+    rims = [across(each.rim, each.middle) / each.radius for each in (one, other)]
+    opposite = nearest(rims[1], rims[0], 1)[1][:, 0], nearest(rims[0], rims[1], 1)[1][:, 0]
+    starts = np.concatenate([one.rim, one.rim[opposite[1]]])
+    ends = np.concatenate([other.rim[opposite[0]], other.rim])
+    longest = np.linalg.norm(ends - starts, axis=1).max()
+    shares = np.linspace(0, 1, int(longest / spacing) + 2)[1:-1, np.newaxis, np.newaxis]
+    made = (starts + shares * (ends - starts)).reshape(-1, 3)
+    normals = across(made, one.middle)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    known = normals_of(cloud).copy()
+    # The flood fill may have come in by the gap, and have turned normals at the rims inwards.
+    for each in (one, other):
+        near = nearest(each.rim, cloud.points, 1)[0][:, 0] < BESIDE_END * each.radius
+        inwards = np.einsum("ij,ij->i", known[near], across(cloud.points[near], each.middle)) < 0
+        known[np.flatnonzero(near)[inwards]] *= -1
+    return replace(
+        cloud,
+        points=np.concatenate([cloud.points, made]),
+        normals=np.concatenate([known, normals]),
+    )
 
 
 def points_on(surface: TriangleMesh, faces: Mask, spacing: float) -> FloatArray:

@@ -8,14 +8,16 @@ from numpy.typing import NDArray
 from pcretrieve.arrays import bounds
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
+from pcretrieve.points.density import local_spacings
 from pcretrieve.points.grid import Grid, Mask, Voxels
+from pcretrieve.points.neighbors import PLANE_NEIGHBORS, Neighborhoods, neighborhoods
 from pcretrieve.points.outside import sampled
-from pcretrieve.surface.caps import Capped, capped
+from pcretrieve.surface.caps import Capped, capped, limbs_continued
 from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.marching import level_set
 from pcretrieve.surface.poisson import poisson
 from pcretrieve.surface.repair import largest_component
-from pcretrieve.surface.topology import defects
+from pcretrieve.surface.topology import components, defects
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 from pcretrieve.values.compiled import compiled
 
@@ -214,25 +216,34 @@ LEVEL = 0.65
 FILL_SCALE = 1.5
 BASE_SCALE = 2.0
 
+# Least share of the faces in pieces beside the largest one, for ends of limbs to be looked for.
+LEAST_PIECE = 0.005
+
 
 def coarse_surface(
-    cloud: PointCloud, options: SurfaceOptions, spacings: FloatArray, *, spacing: float
-) -> Capped:
+    cloud: PointCloud, options: SurfaceOptions, neighbors: Neighborhoods, *, spacing: float
+) -> tuple[Capped, PointCloud]:
     """Reconstruct a coarse surface, which decides far from the points.
 
     It is a level set of the indicator function of the body. If that is open, or there are sensors from which
     parts of the body were hidden, it is a screened Poisson surface instead. Either is closed anew in large
     holes: see `capped`. Its largest component is closed.
 
-    spacings, spacing: (n,) `local_spacings` of the points, and `spacing` of all.
+    neighbors, spacing: those of all points.
+    Returns Capped, PointCloud: the surface, and the points with those of `limbs_continued`.
     """
     # See docs/decisions.md, LEVEL, for scans with sensor positions.
-    surface = (
-        _level_set(cloud, spacings, 2**options.fill_depth) if cloud.viewpoints is None else None
-    )
+    n = 2**options.fill_depth
+    surface = _level_set(cloud, local_spacings(neighbors), n) if cloud.viewpoints is None else None
     if surface is None:
         surface = _poisson_surface(cloud, options.fill_depth)
-    return capped(surface, cloud, spacing=spacing)
+    elif (components(surface) > 0).mean() > LEAST_PIECE:
+        known = limbs_continued(cloud, spacing)
+        around = neighborhoods(known.points, PLANE_NEIGHBORS + 1)
+        again = _level_set(known, local_spacings(around), n)
+        if again is not None:
+            surface, cloud = again, known
+    return capped(surface, cloud, spacing=spacing), cloud
 
 
 def _level_set(cloud: PointCloud, spacings: FloatArray, n: int) -> TriangleMesh | None:

@@ -8,11 +8,12 @@ round the body is. The mean curvature of the rim does: if it is that of a sphere
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array, csc_array, diags_array
+from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
 from pcretrieve.arrays import area_vectors, unit_vectors
 from pcretrieve.points.grid import Mask
+from pcretrieve.surface.topology import edges_of
 from pcretrieve.values import FloatArray, IntArray
 
 # Linear problems that are solved in turn, each with the operator and the normals of the patch before it: a
@@ -78,6 +79,43 @@ def faired(vertices: FloatArray, faces: IntArray, free: Mask) -> FloatArray:
         stiffness, areas, normals = _operators(at, patch)
     moved: FloatArray = vertices.copy()
     moved[numbers] = at
+    return moved
+
+
+def domed(
+    vertices: FloatArray, faces: IntArray, free: Mask, axis: FloatArray, angle: float
+) -> FloatArray:
+    """(n, 3) vertices, of which a flat patch, in a mask, becomes a part of a sphere that meets its rim.
+
+    Fairing cannot raise a flat patch to more than half of a sphere. The flat patch is the stereographic
+    projection of the sphere, which keeps the form of faces. The rim is moved back to where it was, and
+    what it moves spreads over the patch as a membrane.
+
+    axis: (3,) float64, the unit vector from the middle of the rim to that of the patch.
+    angle: between the axis and the rim, at the centre of the sphere.
+    """
+    is_rim = with_ring(free, faces) & ~free
+    offsets = vertices - vertices[is_rim].mean(axis=0)
+    across = offsets - np.outer(offsets @ axis, axis)
+    distance = np.linalg.norm(across, axis=1)  # (n,) from the axis
+    radius = distance[is_rim].mean()
+    angles = 2 * np.arctan(distance / radius * np.tan(angle / 2))
+    rises = np.outer(np.cos(angles) - np.cos(angle), axis)
+    outwards = (np.sin(angles) / np.maximum(distance, TINY))[:, np.newaxis] * across
+    sphere = (rises + outwards) * radius / np.sin(angle)
+    moved: FloatArray = vertices.copy()
+    moved[free] = (sphere + membrane(vertices - sphere, faces, free))[free]
+    return moved
+
+
+def membrane(vertices: FloatArray, faces: IntArray, free: Mask) -> FloatArray:
+    """(n, 3) vertices, of which those in a mask are at the mean of their neighbours."""
+    n, ends = len(vertices), edges_of(faces_at(free, faces)).ends
+    joined = csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n))
+    joined = joined + joined.T
+    laplacian = (diags_array(joined.sum(axis=1)) - joined).tocsr()[free]  # (k, n)
+    moved: FloatArray = vertices.copy()
+    moved[free] = splu(laplacian[:, free].tocsc()).solve(-(laplacian[:, ~free] @ vertices[~free]))
     return moved
 
 

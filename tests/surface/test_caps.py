@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcretrieve.surface.caps import NO_CAP, Capped, base_of, capped, ends_a_part
+from pcretrieve.surface.caps import (
+    NO_CAP,
+    base_of,
+    capped,
+    ends_a_part,
+    limbs_continued,
+    slope_of,
+)
+from pcretrieve.surface.field import normals_of
 from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
 
 N = 11  # vertices of a side of the sheet
@@ -69,7 +77,7 @@ def seat(
     surface = TriangleMesh(vertices, np.array(faces, dtype=np.int32))
     assert (surface.area_vectors @ DOWN > 0).all()
     caps = np.array([0, 0, 0, 0, 1])
-    found = base_of(Capped(surface, caps, np.ones(5, dtype=np.bool_)), body(**cloud, up=up))
+    found = base_of(surface, caps, np.ones(5, dtype=np.bool_), body(**cloud, up=up))
     return sorted({int(number) for number in caps[found]})
 
 
@@ -128,7 +136,18 @@ def is_end(tilt: float, steepness: float) -> bool:
     )
     points = np.concatenate([around, along[..., np.newaxis]], axis=-1).reshape(-1, 3)
     rim = points[np.isclose(points[:, 2], 0)]
-    return ends_a_part(rim, np.array([0.0, 0.0, 1.0]), points, normals.reshape(-1, 3))
+    return ends_a_part(*slope_of(rim, np.array([0.0, 0.0, 1.0]), points, normals.reshape(-1, 3)))
+
+
+def test_normals_that_the_flood_fill_turned_count_as_the_others() -> None:
+    angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, 60), np.linspace(-0.9, 0.0, 30))
+    width = np.sqrt(1 - height**2)
+    points = np.stack([width * np.cos(angle), width * np.sin(angle), height], axis=-1).reshape(
+        -1, 3
+    )
+    rim, up = points[points[:, 2] == 0], np.array([0.0, 0.0, 1.0])
+    turned = np.where(points[:, 2:] > -0.3, -points, points)
+    assert slope_of(rim, up, points, turned) == slope_of(rim, up, points, points)
 
 
 def test_a_tube_ends_in_its_hole_and_a_ball_does_not() -> None:
@@ -142,3 +161,41 @@ def test_a_limb_ends_up_to_a_quarter_of_tilt_and_of_steepness() -> None:
     # Points in a band below the rim are at it, where the tilt is .15 steepnesses less in the mean.
     assert [is_end(tilt=tilt, steepness=0) for tilt in (0.24, 0.26)] == [True, False]
     assert [is_end(tilt=0, steepness=growth) for growth in (0.24, 0.26)] == [True, False]
+
+
+# --- limbs with a gap -------------------------------------------------------------------------------------
+
+
+def limb(*, gap: float, turned: bool = False) -> PointCloud:
+    """Points of a tube along z, of the radius .1 and the length 2, with a gap in its middle.
+
+    turned: whether normals at the gap point inwards.
+    """
+    n = 20_000
+    angle = np.pi * (3 - np.sqrt(5)) * np.arange(n)
+    along = (2 * np.arange(n) + 1) / n - 1
+    around = np.stack([np.cos(angle), np.sin(angle), np.zeros(n)], axis=1)
+    points = 0.1 * around + np.outer(along, [0, 0, 1])
+    sign = np.where(turned & (np.abs(along) < gap / 2 + 0.04), -1, 1)
+    kept = np.abs(along) >= gap / 2
+    return PointCloud(points[kept], normals=(sign[:, np.newaxis] * around)[kept])
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_limb_goes_on_across_a_gap(turned: bool) -> None:
+    cloud = limb(gap=0.4, turned=turned)
+    whole = limbs_continued(cloud, 0.008)
+    made = whole.points[len(cloud.points) :]
+    assert np.ptp(made[:, 2]) == pytest.approx(0.4, abs=0.05)
+    np.testing.assert_allclose(np.linalg.norm(made[:, :2], axis=1), 0.1, atol=0.01)
+    assert (normals_of(whole) * whole.points)[:, :2].sum(axis=1).min() > 0
+
+
+def test_ends_that_face_away_from_each_other_are_not_joined() -> None:
+    cloud = limb(gap=0.0)
+    assert limbs_continued(cloud, 0.008) is cloud
+
+
+def test_a_gap_that_is_longer_than_eight_radii_stays() -> None:
+    cloud = limb(gap=0.9)
+    assert limbs_continued(cloud, 0.008) is cloud

@@ -7,7 +7,7 @@ import pytest
 import shapes
 from numpy.typing import NDArray
 
-from pcretrieve.surface.fairing import faired, vertex_normals, with_ring
+from pcretrieve.surface.fairing import domed, faired, membrane, vertex_normals, with_ring
 from pcretrieve.values import TriangleMesh
 
 BALL = shapes.ellipsoid((1, 1, 1), subdivisions=4)
@@ -27,6 +27,17 @@ def test_the_flat_cap_of_a_sphere_becomes_the_sphere(angle: float, error: float)
     vertices, cap = flattened(BALL, angle)
     closed = faired(vertices, BALL.faces, cap)
     np.testing.assert_array_equal(closed[~cap], vertices[~cap])
+    assert np.abs(np.linalg.norm(closed[cap], axis=1) - 1).max() < error
+
+
+@pytest.mark.parametrize(("angle", "error"), [(60, 0.03), (90, 0.02), (110, 0.06)])
+def test_a_deep_hole_of_a_sphere_becomes_the_sphere(angle: float, error: float) -> None:
+    """Fairing makes no more than half of a sphere of a flat patch."""
+    cap = BALL.vertices[:, 2] > np.cos(np.radians(angle))
+    flat = membrane(BALL.vertices, BALL.faces, cap)
+    assert np.ptp(flat[cap, 2]) < 0.05
+    closed = domed(flat, BALL.faces, cap, np.array([0.0, 0.0, 1.0]), np.radians(angle))
+    np.testing.assert_array_equal(closed[~cap], BALL.vertices[~cap])
     assert np.abs(np.linalg.norm(closed[cap], axis=1) - 1).max() < error
 
 
