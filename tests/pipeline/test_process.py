@@ -292,3 +292,14 @@ def test_bodies_of_one_size_have_one_size_in_the_signature_whatever_unit_their_f
         records = [store.record(shape_id) for shape_id in ("metres", "millimetres")]
     assert [record.metres_per_unit for record in records] == [1, 1]
     assert records[0].area == pytest.approx(records[1].area, rel=1e-4)
+
+
+def test_a_failure_tells_what_the_reader_left_out(tmp_path: Path) -> None:
+    """One side of a body, whose file has a reading that is none."""
+    cap = shapes.points_on(shapes.icosphere(3), 3000)
+    rows = [*(cap[cap[:, 2] > 0.2]).tolist(), ["nan"] * 3]
+    (tmp_path / "a.xyz").write_text("\n".join(" ".join(map(str, row)) for row in rows))
+    with pytest.raises(ReconstructionError) as raised:
+        pr.reconstruct(tmp_path / "a.xyz")
+    assert "scan the sides that are missing" in raised.value.message
+    assert "; dropped 1 of " in raised.value.message
