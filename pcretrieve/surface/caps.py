@@ -148,8 +148,7 @@ def _large_holes(
     tree = cKDTree(cloud.points, balanced_tree=False, compact_nodes=False)
     distance, near = map(np.asarray, tree.query(surface.vertices))  # (n,), (n,)
     if distance.max() <= LARGE_HOLE * cloud.diagonal:
-        n_faces = len(surface.faces)
-        return Capped(surface, np.full(n_faces, NO_CAP), np.zeros(n_faces, dtype=np.bool_))
+        return np.full(len(near), NO_CAP), near
     far = distance > max(IN_HOLE * cloud.diagonal, IN_SPACINGS * spacing)  # (n,)
     n = len(far)
     ends = edges_of(faces_at(far, surface.faces)).ends  # (e, 2)
