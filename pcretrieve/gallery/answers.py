@@ -148,7 +148,9 @@ class Answer(Value):
         return " or ".join(filter(None, meant.get(self.verdict, (self.label,))))
 
     def __str__(self) -> str:
-        """The verdict in one line."""
+        """The verdict in one line, the class first if that is sure."""
+        if self.verdict == "sure":
+            return f"{self.named}, sure"
         return f"{self.verdict}: {self.named}" if self.named else self.verdict
 
     def _repr_html_(self) -> str:

@@ -169,7 +169,7 @@ def test_the_next_class_is_as_far_as_the_last_neighbour_if_none_of_them_is_of_it
 @pytest.mark.parametrize(
     ("verdict", "other", "line"),
     [
-        ("sure", "bob", "sure: ann"),
+        ("sure", "bob", "ann, sure"),
         ("between", "bob", "between: ann or bob"),
         ("between", None, "between: ann"),
         ("stranger", "bob", "stranger"),
