@@ -77,7 +77,7 @@ class ScanOptions(Options):
 
     unit: Literal["none", "um", "mm", "cm", "dm", "m", "km", "in", "ft"] = "none"
     """Unit of the files whose format does not have one; they are converted to metres, as all others are.
-    none: unknown, the coordinates are not converted."""
+    none: unknown, the coordinates are not converted; of LAS files, metres."""
     min_range: Annotated[float, Field(gt=0)] | Literal["none"] = "none"
     """Distance from the sensor below which points are removed; unit of the file. From the origin, if the file
     has no sensor positions."""
