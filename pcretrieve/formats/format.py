@@ -268,7 +268,7 @@ def checked(scan: object) -> RawScan:
     """The scan with arrays of the types and shapes of `RawScan`; TypeError or ValueError if it has others."""
     if not isinstance(scan, RawScan):
         raise TypeError(f"a reader must return a RawScan, got {type(scan).__name__}")
-    arrays: dict[str, NDArray[np.float64]] = {}
+    arrays: dict[str, Any] = {}
     for name in ("points", "faces", "normals", "viewpoints"):
         if (given := getattr(scan, name)) is None:
             continue

@@ -90,7 +90,8 @@ def read_ply(path: Path) -> RawScan:
     if not order:
         # A row is a line: those of old Macs end with a return, and blank ones are no rows.
         data, at = re.sub(rb"[\r\n]\s*", b"\n", data[at:].lstrip()), 0
-    scan, faces = None, []
+    scan = None
+    faces: list[NDArray[np.int64]] = []
     for element in elements:
         if order:
             found, used = _tables(np.frombuffer(data, np.uint8, offset=at), element, order)

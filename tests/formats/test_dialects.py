@@ -280,7 +280,9 @@ def test_names_of_normals(form: str, tmp_path: Path) -> None:
     axes = "".join(f"property double {axis}\n" for axis in "XYZ")
     head = f"element vertex {len(table)}\n{axes}"
     (tmp_path / "a.ply").write_bytes(ply("binary_little_endian", head + names, table.tobytes()))
-    np.testing.assert_allclose(cloud(tmp_path / "a.ply").normals, normals)  # type: ignore[arg-type]
+    found = cloud(tmp_path / "a.ply").normals
+    assert found is not None
+    np.testing.assert_allclose(found, normals)
 
 
 def test_faint_splats_are_named(tmp_path: Path) -> None:
