@@ -234,9 +234,9 @@ def _may_fetch(hosts: Sequence[str]) -> bool:
 
 def _write_check(catalogue: str, result: pr.Check) -> None:
     out.write_table(
-        {"SHAPE": "text", "DEFECT": "words", "REPAIR": "words"},
+        {"SHAPE": "text", "REPAIR": "text", "DEFECT": "words"},
         (
-            (one.shape_id or "-", one.message, one.repair or "not repaired")
+            (one.shape_id or "-", one.repair or "not repaired", one.message)
             for one in result.defects
         ),
     )

@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from itertools import islice, zip_longest
+from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 from unicodedata import combining, east_asian_width
 
@@ -76,7 +76,7 @@ def write_csv(text: str) -> None:
     )  # otherwise click removes what looks like codes of a terminal
 
 
-# The headings of a table, each with the kind of its cells: text, number, path or words.
+# The headings of a table, each with the kind of its cells: text, number, path, or in the last column words.
 Columns = Mapping[str, str]
 
 
@@ -86,7 +86,7 @@ def write_table(columns: Columns, rows: Iterable[Sequence[str]]) -> int:
     A narrow terminal gets no files, and broken sentences; ids are never cut, because people copy them.
     """
     limit = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-    widths = [0] * len(columns)
+    kinds, widths = [*columns.values()], [0] * len(columns)
     remaining, n_rows = iter(rows), 0
     while block := list(islice(remaining, BLOCK)):
         cells = [[escaped(cell) for cell in row] for row in block]
@@ -95,14 +95,31 @@ def write_table(columns: Columns, rows: Iterable[Sequence[str]]) -> int:
             max(widest, *map(_width, column))
             for widest, column in zip(widths, zip(columns, *cells, strict=True), strict=True)
         ]
-        shown = widths if limit is None else _fitted(columns, widths, limit)
-        has_heading = not n_rows and any(heading.strip() for heading in columns)
-        lines = list(_lines(columns, [*columns], shown, is_heading=True)) if has_heading else []
-        for row in cells:
-            lines += _lines(columns, row, shown)
-        print_text("\n".join(lines))
+        least = sum(widths) + len(GAP) * (len(widths) - 1)
+        if kinds[-1] == "words":
+            least -= max(0, widths[-1] - LEAST_WORDS)
+        left_out = "path" if limit is not None and least > limit else None
+        if not n_rows and any(heading.strip() for heading in columns):
+            cells.insert(0, [*columns])
+        for number, row in enumerate(cells, n_rows):
+            parts = [part for part in zip(kinds, widths, row, strict=True) if part[0] != left_out]
+            print_text(_line(parts, limit, is_heading=not number and row == [*columns]))
         n_rows += len(block)
     return n_rows
+
+
+def _line(parts: Sequence[tuple[str, int, str]], limit: int | None, *, is_heading: bool) -> str:
+    """The line of a row, of kinds, widths and cells; or several lines, if words are broken."""
+    padded, start = [], 0
+    for kind, width, text in parts:
+        blanks, lines = " " * (width - _width(text)), [text]
+        if kind == "words" and limit is not None:
+            room = max(LEAST_WORDS, limit - start)
+            lines = textwrap.wrap(text, room, break_on_hyphens=False)
+        cell = f"\n{' ' * start}".join(_styled(line, is_heading) for line in lines)
+        padded.append(blanks + cell if kind == "number" else cell + blanks)
+        start += width + len(GAP)
+    return GAP.join(padded).rstrip()
 
 
 def write_steps(steps: Iterable[pr.Step]) -> None:
@@ -118,52 +135,12 @@ def write_steps(steps: Iterable[pr.Step]) -> None:
     write_table({"STAGE": "text", "SECONDS": "number", "SIZES AND NOTES": "words"}, rows)
 
 
-def _lines(
-    columns: Columns, cells: Sequence[str], widths: Sequence[int], *, is_heading: bool = False
-) -> Iterator[str]:
-    """The line of a row, or several lines, if words are broken."""
-    parts = [
-        textwrap.wrap(cell, width, break_on_hyphens=False)
-        if kind == "words" and _width(cell) > width
-        else [cell]
-        for kind, cell, width in zip(columns.values(), cells, widths, strict=True)
-    ]
-    for line in zip_longest(*parts, fillvalue=""):
-        padded = []
-        for kind, text, width in zip(columns.values(), line, widths, strict=True):
-            blanks, cell = " " * (width - _width(text)), _styled(text, is_heading)
-            if width:
-                padded.append(blanks + cell if kind == "number" else cell + blanks)
-        yield GAP.join(padded).rstrip()
-
-
 def _styled(text: str, is_heading: bool) -> str:
     """A cell with codes of a terminal, which click does not print elsewhere."""
     colour = COLOURS.get(text)
     if not text or not (colour or is_heading) or os.environ.get("NO_COLOR"):
         return text
     return click.style(text, fg=colour, bold=is_heading or None)
-
-
-def _fitted(columns: Columns, widths: Sequence[int], limit: int) -> list[int]:
-    """Widths whose row has at most `limit` characters, if possible; 0 for a column that is left out."""
-    fitted = [*widths]
-    kinds = [*columns.values()]
-    least = [
-        min(width, LEAST_WORDS) if kind == "words" else width
-        for kind, width in zip(kinds, widths, strict=True)
-    ]
-    if _total(least) > limit and "path" in kinds:
-        fitted[kinds.index("path")] = 0
-    for number, kind in enumerate(kinds):
-        if kind == "words" and (excess := _total(fitted) - limit) > 0:
-            fitted[number] = max(least[number], fitted[number] - excess)
-    return fitted
-
-
-def _total(widths: Sequence[int]) -> int:
-    """The number of characters in a row."""
-    return sum(width + len(GAP) for width in widths if width) - len(GAP)
 
 
 def _width(text: str) -> int:

@@ -245,7 +245,7 @@ def read_table(
     """The values of some columns of a CSV file, each of which has one of several names."""
     # Spreadsheets separate columns by semicolons where the comma is the decimal point, or by tabs, and may
     # name the separator in a first line.
-    said = re.match("sep=(.)[\r\n]+", text)
+    said = re.match(r'(?i)"?sep=(.)"?[\r\n]+', text)
     text = text[said.end() :] if said else text
     separator = said[1] if said else max(",;\t", key=text.partition("\n")[0].count)
     try:
