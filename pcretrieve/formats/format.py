@@ -281,8 +281,9 @@ def checked(scan: object) -> RawScan:
         raise ValueError("faces must be whole numbers")
     if scan.unit not in (None, *METRES):
         raise ValueError(f"the unit must be one of {', '.join(METRES)}, got {scan.unit!r}")
-    faces = arrays["faces"].astype(np.int64) if "faces" in arrays else None
-    return scan._replace(**arrays | {"faces": faces, "notes": tuple(scan.notes)})
+    if "faces" in arrays:
+        arrays["faces"] = arrays["faces"].astype(np.int64)
+    return scan._replace(notes=tuple(scan.notes), **arrays)
 
 
 def without_zeros(scan: RawScan) -> RawScan:

@@ -237,11 +237,11 @@ def _pieces(
     from scipy.sparse.csgraph import connected_components
 
     bodies = read(path)
-    scans = [body() for body in bodies.values()] if len(bodies) > 1 else []
-    counts = [0 if scan.faces is None else len(scan.faces) for scan in scans]
-    if not any(counts):
+    scans = [body() for body in bodies.values()]
+    whole = joined(scans) if len(scans) > 1 else None
+    if whole is None or whole.faces is None:
         return [[name] for name in bodies]
-    whole = joined(scans)
+    counts = [0 if scan.faces is None else len(scan.faces) for scan in scans]
     _, faces = welded(whole.points, whole.faces)
     mesh = np.repeat(np.arange(len(scans)), counts)  # (m,), of each face
     pairs = np.repeat(mesh, 3), len(scans) + faces.ravel()

@@ -85,11 +85,11 @@ def _column(
     n_bytes = len(body)
     if encoding == "ascii":
         names = record.names or ()
-        *starts, width = np.cumsum([0, *(math.prod(record[name].shape) for name in names)])
+        *places, width = np.cumsum([0, *(math.prod(record[name].shape) for name in names)])
         numbers = numbers_in(bytes(body).decode("latin-1"), "lines of points")
         if len(numbers) % width:
             raise Cut("its last line lacks values")
-        first = dict(zip(names, starts, strict=True))
+        first = dict(zip(names, places, strict=True))
         return lambda name: numbers[first[name] :: width]
     if encoding not in ("binary", "binary_compressed", "binaryscompressed"):
         raise Damaged(f"its data are {encoding}")
