@@ -260,7 +260,7 @@ def _check_labels(
     if is_lost and how.label_file is not None:
         meant = did_you_mean(Path(unknown[0]).name, (Path(name).name for name in names))
         raise BenchmarkError(
-            f"{how.label_file} must name scans, and none of its {len(unknown)} names is among them, such as "
+            f"{how.label_file} must name scans, but its {len(unknown)} names are not among them, such as "
             f"{unknown[0]!r}{meant}"
         )
     classes = {*matched.values(), *(record.label for record in records if record.label)}

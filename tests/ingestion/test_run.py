@@ -47,7 +47,7 @@ def test_a_label_file_that_names_no_scan_is_an_error_before_the_work(
     (tmp_path / "labels.csv").write_text("file,class\nA.OFF,large\nother.off,small\n")
     with pytest.raises(
         pr.BenchmarkError,
-        match=r"none of its 2 names is among them, such as 'A\.OFF'; did you mean 'a\.off'",
+        match=r"its 2 names are not among them, such as 'A\.OFF'; did you mean 'a\.off'",
     ):
         ingest(folder, tmp_path / "c.sqlite", labels=tmp_path / "labels.csv")
     with pr.Catalogue(tmp_path / "c.sqlite") as catalogue:
