@@ -233,59 +233,47 @@ def interior(mesh: TriangleMesh, grid: Grid) -> Mask:
     """
     at = grid.coordinates(mesh.vertices) + DISPLACEMENT
     votes = np.zeros(grid.shape, dtype=np.int8)
-    for axis in range(3):
-        _vote(votes, at, mesh.faces, axis)
+    for order in ((1, 2, 0), (0, 2, 1), (0, 1, 2)):
+        turned = votes.transpose(order)
+        turned += _wound(np.ascontiguousarray(at[:, order]), mesh.faces, turned.shape)
     return votes >= 2
 
 
 @compiled()
-def _vote(votes: NDArray[np.int8], at: FloatArray, faces: IntArray, axis: int) -> None:
-    """Add one for each voxel round which the winding number of a surface, along an axis, is not zero."""
+def _wound(at: FloatArray, faces: IntArray, shape: tuple[int, int, int]) -> Mask:
+    """The voxels round which the winding number of a surface, along the last axis, is not zero."""
     # By the crossings between a voxel and the one before.
-    turns = np.zeros(votes.shape, dtype=np.int32)
-    place = np.zeros(3, dtype=np.int64)
-    i, j = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
+    turns = np.zeros(shape, dtype=np.int32)
     for f in range(len(faces)):
         a, b, c = at[faces[f, 0]], at[faces[f, 1]], at[faces[f, 2]]
-        first, last = int(np.ceil(min(a[i], b[i], c[i]))), int(np.floor(max(a[i], b[i], c[i])))
-        low, high = int(np.ceil(min(a[j], b[j], c[j]))), int(np.floor(max(a[j], b[j], c[j])))
-        for u in range(first, last + 1):
-            for v in range(low, high + 1):
-                turn, height = _crossing(a, b, c, (i, j, axis), u, v)
+        first, last = int(np.ceil(min(a[0], b[0], c[0]))), int(np.floor(max(a[0], b[0], c[0])))
+        low, high = int(np.ceil(min(a[1], b[1], c[1]))), int(np.floor(max(a[1], b[1], c[1])))
+        for x in range(first, last + 1):
+            for y in range(low, high + 1):
+                turn, z = _crossing(a, b, c, x, y)
                 if turn:
-                    place[i], place[j], place[axis] = u, v, int(np.ceil(height))
-                    turns[place[0], place[1], place[2]] += turn
-    _count(votes, turns, axis)
+                    turns[x, y, int(np.ceil(z))] += turn
+    is_wound = np.zeros(shape, dtype=np.bool_)
+    for x in range(shape[0]):
+        for y in range(shape[1]):
+            number = 0
+            for z in range(shape[2]):
+                number += turns[x, y, z]
+                is_wound[x, y, z] = number != 0
+    return is_wound
 
 
 @compiled()
-def _crossing(
-    a: FloatArray, b: FloatArray, c: FloatArray, axes: tuple[int, int, int], u: int, v: int
-) -> tuple[int, float]:
-    """How a grid line turns round a triangle that it crosses, 1 or −1, and where; 0 if it does not.
-
-    (u, v): the place of the line along the first two axes; it runs along the third.
-    """
-    i, j, axis = axes
+def _crossing(a: FloatArray, b: FloatArray, c: FloatArray, x: int, y: int) -> tuple[int, float]:
+    """How the grid line at (x, y) turns round a triangle that it crosses, 1 or −1, and where; else 0."""
     # Twice the signed areas of the triangles of the line and one edge, opposite each corner.
-    p = (b[i] - u) * (c[j] - v) - (b[j] - v) * (c[i] - u)
-    q = (c[i] - u) * (a[j] - v) - (c[j] - v) * (a[i] - u)
-    r = (a[i] - u) * (b[j] - v) - (a[j] - v) * (b[i] - u)
+    p = (b[0] - x) * (c[1] - y) - (b[1] - y) * (c[0] - x)
+    q = (c[0] - x) * (a[1] - y) - (c[1] - y) * (a[0] - x)
+    r = (a[0] - x) * (b[1] - y) - (a[1] - y) * (b[0] - x)
     if not ((p > 0 and q > 0 and r > 0) or (p < 0 and q < 0 and r < 0)):
         return 0, 0.0
-    height = (p * a[axis] + q * b[axis] + r * c[axis]) / (p + q + r)
+    height = (p * a[2] + q * b[2] + r * c[2]) / (p + q + r)
     return (1 if p > 0 else -1), height
-
-
-@compiled()
-def _count(votes: NDArray[np.int8], turns: NDArray[np.int32], axis: int) -> None:
-    """Add the turns along an axis, and one vote where their sum is not zero."""
-    before = (axis == 0, axis == 1, axis == 2)
-    for x in range(before[0], votes.shape[0]):
-        for y in range(before[1], votes.shape[1]):
-            for z in range(before[2], votes.shape[2]):
-                turns[x, y, z] += turns[x - before[0], y - before[1], z - before[2]]
-                votes[x, y, z] += turns[x, y, z] != 0
 
 
 HAPT = Descriptor(
