@@ -27,8 +27,7 @@ def bihdm(
         modes.
     """
     matrix = full_matrix(pairs, n_modes)
-    values = leading(matrix, n_values, n_modes, scale, pairs.area)
-    return Signature(values, kind="bihdm", digest=f"L={n_values} m={n_modes} {scale}")
+    return leading("bihdm", matrix, n_values, n_modes, scale, pairs.area)
 
 
 BIHDM = Descriptor(
@@ -54,7 +53,7 @@ def full_matrix(pairs: Eigenpairs | ModalSpectrum, n_modes: int = 60) -> FloatAr
 
     Returns (m + 2, m + 2) float64: symmetric, unit length⁴.
     """
-    spectrum = pairs if isinstance(pairs, ModalSpectrum) else ModalSpectrum.of(pairs)
+    spectrum = ModalSpectrum.of(pairs)
     matrix = np.pad(reduced_matrix(spectrum, n_modes), (0, 1))  # (m + 2, m + 2)
     inner = slice(1, n_modes + 1)
     weights = spectrum.eigenvalues[inner] ** -2  # (m,): 1/λ_i²

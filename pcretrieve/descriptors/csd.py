@@ -101,7 +101,7 @@ def wks(pairs: Eigenpairs | ModalSpectrum, n_values: int = 23, n_modes: int = 60
     .. [1] M. Aubry, U. Schlickewei and D. Cremers, "The wave kernel signature: a quantum mechanical approach
        to shape analysis", ICCV Workshops 2011.
     """
-    spectrum = pairs if isinstance(pairs, ModalSpectrum) else ModalSpectrum.of(pairs)
+    spectrum = ModalSpectrum.of(pairs)
     weights = wave_kernel_weights(spectrum.eigenvalues, n_values, n_modes)  # (L, m)
     overlaps = spectrum.known_overlaps()[1 : n_modes + 1, 1 : n_modes + 1]  # (m, m)
     values = spectrum.area * np.einsum("ei,ij,ej->e", weights, overlaps, weights)  # (L,)

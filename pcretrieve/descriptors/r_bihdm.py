@@ -74,8 +74,7 @@ def r_bihdm(
         If the matrix does not have exactly one positive and m negative eigenvalues.
     """
     matrix = reduced_matrix(pairs, n_modes)
-    values = leading(matrix, n_values, n_modes, scale, pairs.area)
-    return Signature(values, kind="r-bihdm", digest=f"L={n_values} m={n_modes} {scale}")
+    return leading("r-bihdm", matrix, n_values, n_modes, scale, pairs.area)
 
 
 R_BIHDM = Descriptor(
@@ -92,7 +91,7 @@ def reduced_matrix(pairs: Eigenpairs | ModalSpectrum, n_modes: int = 60) -> Floa
     Returns (m + 1, m + 1) float64: k, symmetric, unit length⁴. Non-zero in its first row, its first column
         and its diagonal only.
     """
-    spectrum = pairs if isinstance(pairs, ModalSpectrum) else ModalSpectrum.of(pairs)
+    spectrum = ModalSpectrum.of(pairs)
     m = n_modes
     check_modes(m, len(spectrum.eigenvalues))
     lam = spectrum.eigenvalues[1 : m + 1]  # (m,): λ_1 … λ_m
@@ -107,15 +106,15 @@ def reduced_matrix(pairs: Eigenpairs | ModalSpectrum, n_modes: int = 60) -> Floa
 
 
 def leading(
-    matrix: FloatArray, n_values: int, n_modes: int, scale: Scale, area: float
-) -> FloatArray:
-    """The signature values of a biharmonic distance matrix, equation (10).
+    kind: str, matrix: FloatArray, n_values: int, n_modes: int, scale: Scale, area: float
+) -> Signature:
+    """The signature of a biharmonic distance matrix, equation (10).
 
     matrix: (n, n) float64, the matrix of R-BiHDM (n = m + 1) or of BiHDM (n = m + 2), symmetric, unit
         length⁴.
     area: a, unit length².
-    Returns (L,) float64: the L largest magnitudes of the negative eigenvalues, largest first, in the unit
-        named by `scale`.
+    Returns Signature: values : (L,) float64, the largest magnitudes of the negative eigenvalues, largest
+        first, in the unit named by `scale`.
     """
     if not 1 <= n_values <= n_modes:
         raise OptionError(f"n_values must be between 1 and n_modes = {n_modes}, got {n_values}")
@@ -127,4 +126,5 @@ def leading(
             "the eigenpairs are not those of a connected surface"
         )
     unit = {"relative": mu[-1], "area": area**2, "absolute": 1.0}[scale]
-    return np.asarray(np.abs(mu[:n_values]) / unit)
+    values = np.abs(mu[:n_values]) / unit
+    return Signature(values, kind=kind, digest=f"L={n_values} m={n_modes} {scale}")

@@ -31,8 +31,7 @@ def bihdm_sampled(
     Returns Signature: values : (L,) float64, in the units of `r_bihdm`.
     """
     matrix = sampled_matrix(pairs, n_modes)
-    values = leading(matrix, n_values, n_modes, scale, pairs.area)
-    return Signature(values, kind="bihdm-sampled", digest=f"L={n_values} m={n_modes} {scale}")
+    return leading("bihdm-sampled", matrix, n_values, n_modes, scale, pairs.area)
 
 
 def _bihdm_sampled(shape: Shape, o: SignatureOptions) -> Signature:

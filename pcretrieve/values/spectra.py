@@ -142,14 +142,16 @@ class ModalSpectrum(Value):
             self._lock("overlaps", (k, k))
 
     @classmethod
-    def of(cls, pairs: Eigenpairs) -> ModalSpectrum:
-        """The modal spectrum of eigenpairs.
+    def of(cls, pairs: Eigenpairs | ModalSpectrum) -> ModalSpectrum:
+        """The modal spectrum of eigenpairs; a modal spectrum itself.
 
         The integral ∫ f²g is discretised as Σ f_i² M_ij g_j with the mass matrix M (Ye and Yu, "A fast modal
         space transform for robust nonrigid shape retrieval", 2016, section 3), and ∫ f²g² as Σ f_i² M_ij
         g_j². The constant eigenfunction is first; the unit is that of the eigenpairs.
         """
         check_type("pairs", pairs, Eigenpairs, ModalSpectrum)
+        if isinstance(pairs, ModalSpectrum):
+            return pairs
         phi = pairs.eigenvectors  # (n, k)
         squares = phi**2
         moments, overlaps = (squares.T @ (pairs.mass @ other) for other in (phi, squares))  # (k, k)
