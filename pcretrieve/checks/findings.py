@@ -13,7 +13,7 @@ from pcretrieve.checks.grading import Check
 from pcretrieve.checks.layers import double_layers
 from pcretrieve.draw.axes import Person, person_of
 from pcretrieve.points.grid import joined_by
-from pcretrieve.points.neighbors import nearest, neighborhoods
+from pcretrieve.points.neighbors import Neighborhoods, nearest, neighborhoods
 from pcretrieve.surface import SurfaceMarks
 from pcretrieve.values import FloatArray, PointCloud, Shape, TriangleMesh
 
@@ -60,10 +60,12 @@ def findings_of(
     shape: Shape | None,
     *,
     scan: PointCloud | None = None,
+    around: Neighborhoods | None = None,
 ) -> Findings:
     """Check the results of the stages of a scan, up to some stage.
 
     scan: the points before they were thinned; without them, densities are those of the thinned points.
+    around: neighbours of some points of the cloud, if they are known.
     Returns Findings: lengths are in the unit of the file.
     """
     checks: list[Check] = []
@@ -71,11 +73,12 @@ def findings_of(
     filled = np.zeros(0 if mesh is None else len(mesh.faces), dtype=np.bool_)
     cuts = bridges = np.zeros((0, 3))
     if cloud is not None:
-        around = neighborhoods(cloud.points, N_NEIGHBORS + 1, of_some=True)
+        if around is None:
+            around = neighborhoods(cloud.points, N_NEIGHBORS + 1, of_some=True)
         spacing = between(around)
         checks += stages.point_checks(cloud, spacing=spacing)
         if cloud.normals is not None:
-            checks += stages.normal_checks(cloud.normals, around)
+            checks += stages.normal_checks(cloud.normals, around.near[:, : N_NEIGHBORS + 1])
             checks.append(stages.layers_check(double_layers(cloud), cloud.diagonal))
         if mesh is not None:
             base = np.zeros((0, 3)) if marks is None else marks.base

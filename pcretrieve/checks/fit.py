@@ -487,8 +487,10 @@ def _split(values: FloatArray, parts: Sequence[NDArray[Any]]) -> list[FloatArray
 
 def parts(mesh: TriangleMesh, faces: Faces) -> list[Faces]:
     """The connected components of some faces, in order of descending area."""
+    if not len(faces):
+        return []
     label = components(TriangleMesh(mesh.vertices, mesh.faces[faces]))
-    return [faces[label == number] for number in range(label.max(initial=-1) + 1)]
+    return [faces[label == number] for number in range(label.max() + 1)]
 
 
 def rim_of_limb(normals: FloatArray, offsets: FloatArray, axis: FloatArray) -> float:

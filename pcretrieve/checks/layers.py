@@ -72,12 +72,13 @@ def double_layers(cloud: PointCloud) -> Layers:
     """
     step = max(1, round(len(cloud.points) / COMPARED))
     points = np.ascontiguousarray(cloud.points[::step])
-    normals = np.asarray(cloud.normals)[::step]
+    normals = np.ascontiguousarray(np.asarray(cloud.normals)[::step])
     step = max(1, len(points) // PLACES)
     places, facing = np.ascontiguousarray(points[::step]), normals[::step]
     _, near = nearest(points, places, min(AROUND, len(points)))
-    is_same = np.einsum("mi,mki->mk", facing, normals[near]) > 0
-    offsets = (points[near] - places[:, np.newaxis]) / cloud.diagonal
+    # Rows are taken four times as fast as by an index in brackets.
+    is_same = np.einsum("mi,mki->mk", facing, normals.take(near, axis=0)) > 0
+    offsets = (points.take(near, axis=0) - places[:, np.newaxis]) / cloud.diagonal
     lacking, width = _bunching(offsets, facing, is_same)
     lacking[is_same.mean(axis=1) < LEAST_AROUND] = 0
     _, pooled = nearest(places, places, min(POOLED, len(places)))
@@ -94,7 +95,8 @@ def _bunching(
     offsets: (m, k, 3) float64, of points from the places that have the normals, relative to the diagonal.
     is_same: (m, k) bool, the points that count.
     """
-    z, x, y = np.einsum("ami,mki->amk", [normals, *tangent_axes(normals)], offsets)
+    frames = np.stack([normals, *tangent_axes(normals)], axis=1)  # (m, 3, 3)
+    z, x, y = (frames @ offsets.swapaxes(1, 2)).swapaxes(0, 1)  # (m, k) each
     # The heights above a quadratic surface that is fitted to the points. Points on a line determine none: a
     # term of the size of rounding errors decides for one.
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=2)  # (m, k, 6)

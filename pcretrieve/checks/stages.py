@@ -8,6 +8,7 @@ from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcretrieve.checks.fit import FILLED, Fit
 from pcretrieve.checks.grading import (
@@ -19,7 +20,6 @@ from pcretrieve.checks.grading import (
     percent,
 )
 from pcretrieve.checks.layers import Layers
-from pcretrieve.points.neighbors import Neighborhoods
 from pcretrieve.surface import defects
 from pcretrieve.values import FloatArray, IntArray, PointCloud, Shape, Step, TriangleMesh
 
@@ -53,8 +53,8 @@ LEAST_SHARPNESS = 1.5
 NECK_ERROR = 0.45
 
 # Shares of the area on one side of the level lines that are drawn, and the number of those nearby. Wider
-# steps miss the line round a contact.
-LEVELS = np.linspace(0.05, 0.95, 91)
+# steps miss the line round a contact. Those beyond are not near a half of the body.
+LEVELS = np.linspace(0.15, 0.85, 71)
 NEARBY = 5
 
 # Least share of the area on the smaller side of a level line that may part two bodies.
@@ -113,16 +113,16 @@ def point_checks(cloud: PointCloud, *, spacing: float) -> list[Check]:
     return [*checks, _sensor_check(cloud)]
 
 
-def normal_checks(normals: FloatArray, around: Neighborhoods) -> list[Check]:
+def normal_checks(normals: FloatArray, near: NDArray[np.intp]) -> list[Check]:
     """Check the consistency of normals, and whether they point to all sides.
 
     normals: (n, 3) float64, of all points.
-    around: the neighbours of the points whose normals are compared with theirs.
+    near: (m, k + 1), some points, and the k nearest of each, whose normals are compared with its own.
     Returns list of Check: "Normals": fraction of pairs of neighbours whose normals are more than 90 degrees
         apart. "Sides seen": length of the mean normal.
     """
-    own, others = around.near[:, 0], around.near[:, 1:]
-    cosines = np.einsum("ij,ikj->ik", normals[own], normals[others])  # (m, k)
+    own, others = near[:, 0], near[:, 1:]
+    cosines = np.einsum("ij,ikj->ik", normals[own], normals.take(others, axis=0))  # (m, k)
     disagreeing = float((cosines <= 0).mean())
     # The mean normal of a closed surface is 0; the mean normal of half a sphere has the length 1/2.
     unbalanced = float(np.linalg.norm(normals.mean(axis=0)))
@@ -171,8 +171,9 @@ def surface_checks(mesh: TriangleMesh) -> list[Check]:
     closed = graded("Closed surface", n_edges, shown, is_good=not found, error=error)
     if found:
         return [closed]
-    handles = 1 - mesh.euler_characteristic // 2
-    shown = f"{_counted(handles, 'handle')}, Euler characteristic {mesh.euler_characteristic}"
+    euler = mesh.euler_characteristic
+    handles = 1 - euler // 2
+    shown = f"{_counted(handles, 'handle')}, Euler characteristic {euler}"
     return [closed, graded("Handles", float(handles), shown, is_good=not handles)]
 
 

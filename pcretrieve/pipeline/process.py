@@ -262,7 +262,9 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
         *_, last = stages(scan, options)
         shape = shape_of(last, options)
         started = time.perf_counter()
-        found = findings_of(last.cloud, last.mesh, last.marks, shape, scan=last.cropped)
+        found = findings_of(
+            last.cloud, last.mesh, last.marks, shape, scan=last.cropped, around=last.around
+        )
         grade = grade_of(found.checks)
         notes = () if grade.is_good else (str(grade),)
         step = Step("checks", time.perf_counter() - started, {"error": grade.error}, notes)
@@ -321,6 +323,7 @@ class Seen:
     cropped: PointCloud | None = None
     cleaned: PointCloud | None = None
     cloud: PointCloud | None = None  # as the last stage left it
+    around: Neighborhoods | None = None  # of some of its points
     mesh: TriangleMesh | None = None
     marks: SurfaceMarks | None = None
     others: tuple[TriangleMesh, ...] = ()
@@ -408,7 +411,7 @@ def _of_scan(value: PointCloud, options: PipelineOptions) -> Iterator[Seen]:
     with in_stage(Stage.ORIENT):
         origin = cloud.points.mean(axis=0)
         cloud = points.oriented_normals(moved(cloud, -origin), options.scan, neighbors)
-    yield (seen := replace(seen, cloud=moved(cloud, origin)))
+    yield (seen := replace(seen, cloud=moved(cloud, origin), around=neighbors.some()))
     if not options.spectral.of_points:
         yield from _of_surfaces(seen, cloud, neighbors, origin, options)
 

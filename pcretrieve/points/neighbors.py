@@ -409,9 +409,9 @@ class Neighborhoods:
     near: NDArray[np.intp]
 
     def some(self) -> Neighborhoods:
-        """The neighbourhoods of about `MEASURED` of the points, at regular steps."""
+        """The neighbourhoods of about `MEASURED` of the points, at regular steps; a copy."""
         step = max(1, len(self.near) // MEASURED)
-        return Neighborhoods(self.distance[::step], self.near[::step])
+        return Neighborhoods(self.distance[::step].copy(), self.near[::step].copy())
 
 
 def neighborhoods(points: FloatArray, k: int, *, of_some: bool = False) -> Neighborhoods:
