@@ -212,11 +212,13 @@ def distances(sources: Mask, limit: float) -> Voxels:
 @compiled()
 def _roots(squares: NDArray[Any], most: int, limit: float) -> Voxels:
     """The roots, at most `limit`; it is the root of most² too."""
-    roots = np.full(squares.shape, limit, dtype=np.float32)
-    flat = roots.ravel()
-    for i, square in enumerate(squares.ravel()):
-        if square < most * most:
-            flat[i] = min(np.sqrt(np.float32(square)), flat[i])
+    roots = np.empty(squares.shape, dtype=np.float32)
+    # All of one type and without a branch, so that several are computed at once.
+    flat, numbers = roots.ravel(), squares.ravel()
+    nothing, largest = numbers.dtype.type(most * most), np.float32(limit)
+    for i in range(len(flat)):
+        root = min(np.sqrt(np.float32(numbers[i])), largest)
+        flat[i] = root if numbers[i] < nothing else largest
     return roots
 
 
