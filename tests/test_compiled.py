@@ -1,5 +1,7 @@
 """Loops that numba compiles: what `compiled` adds to `numba.njit`."""
 
+from typing import Any
+
 import numba
 
 from pcretrieve.values.compiled import compiled
@@ -20,7 +22,8 @@ def _outer(n: int) -> int:
 
 def test_a_function_that_is_inlined_is_part_of_its_caller() -> None:
     # Not kept for later processes: numba does not show what it has read from a file.
-    caller = numba.njit(_outer.py_func)
+    njit: Any = numba.njit
+    caller = njit(_outer.py_func)
     assert caller(4) == 12
     (llvm,) = caller.inspect_llvm().values()
     assert "_inner" not in llvm
