@@ -16,7 +16,7 @@ from pcretrieve.formats.meshes import welded
 from pcretrieve.formats.registry import read_raw
 from pcretrieve.formats.remote import local_copy
 from pcretrieve.values import METRES, UNIT, FloatArray, PointCloud, Step, TriangleMesh
-from pcretrieve.values.base import UNIT_KEPT, check_type
+from pcretrieve.values.base import UNIT_KEPT, UNIT_TAKEN, check_type
 from pcretrieve.values.conversion import GeometryLike, as_geometry
 
 #: A file, or what can be converted to a point cloud or a surface.
@@ -66,6 +66,9 @@ def _read(path: Path, given: str = "none") -> PointCloud | TriangleMesh:
         with np.errstate(all="ignore"), local_copy(path) as file:
             raw = read_raw(file)
             is_free = given != "none" and (raw.unit is None or raw.is_assumed)
+            if is_free and raw.unit not in (None, given):
+                note = f"scan.unit {given} {UNIT_TAKEN} {raw.unit}"
+                raw = raw._replace(notes=(*raw.notes, note))
             return _in_metres(_scan(raw, started=started), given if is_free else raw.unit, given)
     except ScanReadError as error:
         name = url_of(path) or str(path)
@@ -132,7 +135,7 @@ def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:
     if raw.faces is not None:
         points, faces = _valid_faces(points, kept, raw.faces)
         if len(faces):
-            sizes = {"vertices": n, "faces": len(raw.faces)}
+            sizes: dict[str, float] = {"vertices": n, "faces": len(raw.faces)}
             step = Step("read", time.perf_counter() - started, sizes, tuple(notes))
             return TriangleMesh(points, faces, (step,))
         notes.append("took the vertices as points: no face has three of them")

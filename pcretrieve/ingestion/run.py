@@ -25,7 +25,7 @@ from pcretrieve.ingestion.pool import Executor, Worker, in_processes, remove_aba
 from pcretrieve.ingestion.progress import Progress
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pipeline import log_steps
-from pcretrieve.values.base import UNIT_KEPT, unit_note
+from pcretrieve.values.base import UNIT_KEPT, UNIT_TAKEN, unit_note
 
 logger = logging.getLogger(__name__)
 
@@ -320,8 +320,8 @@ def _compare_sizes(done: Sequence[Record], catalogue: Catalogue) -> None:
     found: dict[str, list[Record]] = {}
     notes = {note: record for record in done for step in record.steps for note in step.notes}
     for note, record in notes.items():
-        if UNIT_KEPT in note:
-            logger.warning("%s: %s, as perhaps of further scans", record.path, note)
+        if UNIT_KEPT in note or UNIT_TAKEN in note:
+            logger.warning("%s: %s; perhaps further scans too", record.path, note)
     for record in done if areas else ():
         ratio = math.sqrt((record.area or 0) / statistics.median_low(areas))
         if said := ratio and unit_note(ratio, catalogue.options.scan.unit):

@@ -15,8 +15,9 @@ from pcretrieve.errors import InputError
 #: for all scans whose unit is known, because they are converted to metres when they are read.
 UNIT = "metres_per_unit"
 
-# The note on a file for which a unit was given, and not used.
+# The notes on a file for which another unit was given than it has, or than files of its format usually have.
 UNIT_KEPT = "is not applied, because the file names its unit"
+UNIT_TAKEN = "is applied, though such files usually have"
 
 #: Metres of each unit of length, by its symbol.
 METRES = {

@@ -45,7 +45,7 @@ MISSING = ("-nan(ind)", "nan(snan)", "1.#QNAN", "-1.#IND", "1.#INF00", "NaN", "-
 def test_numbers_of_microsoft_that_are_none(word: str, tmp_path: Path) -> None:
     """One of them as the last value must not become the number before its sign of a comment."""
     rows = [*POINTS, f"0.5 0.5 {word}"]
-    texts = {
+    texts: dict[str, str | bytes] = {
         "a.xyz": "\n".join(rows),
         "a.txt": "\n".join(rows[::-1]),
         "a.csv": "x,y,z\n" + "\n".join(rows).replace(" ", ","),

@@ -143,6 +143,7 @@ def test_the_folder_of_the_tum_benchmark(tmp_path: Path) -> None:
 
 def test_the_default_is_the_camera_of_a_kinect_for_images_of_its_size(tmp_path: Path) -> None:
     for size, camera in KINECTS.items():
+        assert size is not None
         image = readings((*camera.focal, *camera.center), size)[..., 2]
         write(tmp_path / "a.png", np.round(1000 * image).astype(np.uint16))
         found = cloud(tmp_path / "a.png")
