@@ -65,7 +65,7 @@ REFERENCES = {
     "descriptors.hapt._vertex_normals": (
         "descriptors/test_hapt.py::normals_at_vertices_do_not_depend_on_how_sides_are_divided"
     ),
-    "descriptors.hapt._wound": (
+    "descriptors.hapt._windings": (
         "descriptors/test_hapt.py::lines_through_vertices_and_edges_are_counted_once"
     ),
     "points.grid.components": (

@@ -235,14 +235,14 @@ def interior(mesh: TriangleMesh, grid: Grid) -> Mask:
     votes = np.zeros(grid.shape, dtype=np.int8)
     for order in ((1, 2, 0), (0, 2, 1), (0, 1, 2)):
         turned = votes.transpose(order)
-        turned += _wound(np.ascontiguousarray(at[:, order]), mesh.faces, turned.shape)
+        turned += _windings(np.ascontiguousarray(at[:, order]), mesh.faces, turned.shape) != 0
     return votes >= 2
 
 
 @compiled()
-def _wound(at: FloatArray, faces: IntArray, shape: tuple[int, int, int]) -> Mask:
-    """The voxels round which the winding number of a surface, along the last axis, is not zero."""
-    # By the crossings between a voxel and the one before.
+def _windings(at: FloatArray, faces: IntArray, shape: tuple[int, int, int]) -> IntArray:
+    """The winding number of a surface round each voxel, along the last axis."""
+    # First that of the triangles between a voxel and the one before.
     turns = np.zeros(shape, dtype=np.int32)
     for f in range(len(faces)):
         a, b, c = at[faces[f, 0]], at[faces[f, 1]], at[faces[f, 2]]
@@ -253,14 +253,11 @@ def _wound(at: FloatArray, faces: IntArray, shape: tuple[int, int, int]) -> Mask
                 turn, z = _crossing(a, b, c, x, y)
                 if turn:
                     turns[x, y, int(np.ceil(z))] += turn
-    is_wound = np.zeros(shape, dtype=np.bool_)
     for x in range(shape[0]):
         for y in range(shape[1]):
-            number = 0
-            for z in range(shape[2]):
-                number += turns[x, y, z]
-                is_wound[x, y, z] = number != 0
-    return is_wound
+            for z in range(1, shape[2]):
+                turns[x, y, z] += turns[x, y, z - 1]
+    return turns
 
 
 @compiled()
