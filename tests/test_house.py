@@ -46,12 +46,10 @@ ROOMS = (
 )
 
 # Names, operators and numbers of the package, as `tokenize` counts them.
-# Docstrings, comments and air are free. The kernels and the checks have just been taken apart into functions
-# that can be read, and Python got the doors that it lacked: for that, this limit was raised twice, from
-# 228,000. It comes down to 205,000.
-MOST_TOKENS = 233_000
-MOST_MODULES = 180
-MOST_ARROWS = 111
+# Docstrings, comments and air are free. These limits only fall, and that of tokens is to be 205,000.
+MOST_TOKENS = 228_000
+MOST_MODULES = 174
+MOST_ARROWS = 106
 MOST_OPTIONS = 45
 
 # Rooms that faces use beside the front door, and no more than these.
