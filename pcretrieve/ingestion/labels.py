@@ -175,7 +175,7 @@ def match_labels(
     unknown = []
     passed_over: dict[str, str] = {}  # name by the id of a shape that it could stand for too
     for name, label in labels.items():
-        plain = _plain(name, by_path)
+        plain = name if name in paths else _plain(name, by_path)
         named = by_path.get(plain) or by_number.get(plain) or set()
         shapes = {plain} & paths.keys() or named
         if plain.isdecimal():

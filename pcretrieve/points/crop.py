@@ -23,10 +23,10 @@ SAME_RANGE = 1e-5
 MEASURED = 0.5
 FEWEST_READINGS = 2
 
-# Range of a reading at the sensor, relative to the range that nearly all have: the positions of sensors have
-# rounding errors, and one reading may be a million times as far.
+# Largest range of a reading at the sensor, relative to this quantile of the ranges: the positions of sensors
+# have rounding errors, many readings may be there, and a few a million times as far as the others.
 AT_SENSOR = 1e-6
-NEARLY_ALL = 0.99
+USUAL_RANGE = 0.75
 
 # Distance from the median point, in median distances, beyond which a point is an error. They are not removed
 # if there are more than this fraction of them, because they may be a second body.
@@ -177,7 +177,7 @@ def kept_points(cloud: PointCloud, options: ScanOptions, *, of_view: bool = Fals
 def _measured(readings: tuple[FloatArray, ...]) -> NDArray[np.bool_]:
     """(n,) mask of the points whose range, and depth along the axis z, is a measurement."""
     result = np.ones(len(readings[0]), dtype=np.bool_)
-    at_sensor = readings[0] <= AT_SENSOR * np.quantile(readings[0], NEARLY_ALL)
+    at_sensor = readings[0] <= AT_SENSOR * np.quantile(readings[0], USUAL_RANGE)
     if FEWEST_READINGS <= at_sensor.sum() < len(result):
         result &= ~at_sensor
     for values in readings:
