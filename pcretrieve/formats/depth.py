@@ -121,7 +121,9 @@ def _camera(tree: Any) -> Camera:
         raise ValueError("focal lengths and the depth scale must be positive")
     note = str(tree.get("note", ""))
     if scale is not None and scale < 1:
-        note = f"read depth_scale {scale:g} as metres per value, because it is below 1"
+        note = (
+            f"read depth_scale {scale:g} as metres per value, not values per metre: it is below 1"
+        )
         scale = 1 / scale
     size = (int(tree["width"]), int(tree["height"])) if {"width", "height"} <= tree.keys() else None
     return Camera((fx, fy), (cx, cy), scale, size, note)

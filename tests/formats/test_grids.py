@@ -123,7 +123,7 @@ def test_a_scale_below_1_is_metres_per_value(tmp_path: Path) -> None:
         (tmp_path / "camera.json").write_text(json.dumps(OPEN3D | {"depth_scale": scale}))
         found = cloud(tmp_path / "a.png")
         assert is_ball(found, tolerance=1e-3)
-        said = "read depth_scale 0.00025 as metres per value, because it is below 1"
+        said = "read depth_scale 0.00025 as metres per value, not values per metre: it is below 1"
         assert (said in found.provenance[0].notes) == (scale < 1)
 
 
