@@ -30,7 +30,9 @@ def image(node: nodes.Element, *, block: bool) -> str:
             "savefig.facecolor": "none",
         }
     ):
-        depth = math_to_image(f"${source}$", drawing, prop=FontProperties(size=size), format="svg")
+        depth = math_to_image(
+            f"${source}$", drawing, prop=FontProperties(size=size), format="svg"
+        )
     data = base64.b64encode(drawing.getvalue()).decode()
     alternative = (
         nodes.Text(source)

@@ -73,7 +73,12 @@ from .ingestion.cluster import DaskExecutor as DaskExecutor
 from .ingestion.problems import report_problem as report_problem
 from .ingestion.progress import BatchStatus as BatchStatus, status as status
 from .ingestion.recomputing import Check as Check, check as check
-from .ingestion.run import Summary as Summary, ingest as ingest, retry as retry, watch as watch
+from .ingestion.run import (
+    Summary as Summary,
+    ingest as ingest,
+    retry as retry,
+    watch as watch,
+)
 from .ingestion.scans import map_scans as map_scans
 from .ingestion.views import merge_views as merge_views
 from .options import MergeOptions as MergeOptions, PipelineOptions as PipelineOptions

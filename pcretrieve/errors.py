@@ -174,15 +174,23 @@ def shape_error(error: BaseException, stage: str | None = None) -> PcretrieveErr
         base = next(base for base in type(error).__mro__ if base.__module__ == __name__)
         return error if base is type(error) else base(error.message, stage=stage)
     # Without memory for the stack of a thread, C++ says that a resource is "temporarily unavailable".
-    if isinstance(error, MemoryError) or "Resource temporarily unavailable" in _words(error):
+    if isinstance(error, MemoryError) or "Resource temporarily unavailable" in _words(
+        error
+    ):
         return MemoryExceeded(
             "the scan needs more memory than there is, or than --memory allows: raise that, or thin the scan",
             stage=stage,
         )
     frames = [
-        frame for frame in traceback.extract_tb(error.__traceback__) if PACKAGE in frame.filename
+        frame
+        for frame in traceback.extract_tb(error.__traceback__)
+        if PACKAGE in frame.filename
     ]
-    place = f" (at {Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    place = (
+        f" (at {Path(frames[-1].filename).name}, line {frames[-1].lineno})"
+        if frames
+        else ""
+    )
     return UnexpectedError(
         f"{type(error).__name__}: {_words(error)}{place}; this is a fault of pcretrieve, or of a package "
         "that it uses: please report it with the file that `pcretrieve lab report-problem` writes",

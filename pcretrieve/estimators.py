@@ -29,7 +29,14 @@ from pcretrieve.errors import InputError, OptionError
 from pcretrieve.formats import ScanLike
 from pcretrieve.options import OptionsLike, PipelineOptions, Shrinkage, SignatureOptions
 from pcretrieve.pipeline.process import remembered, signature_of
-from pcretrieve.retrieval import Positions, Whitening, coordinates, fit_whitening, pairwise, people
+from pcretrieve.retrieval import (
+    Positions,
+    Whitening,
+    coordinates,
+    fit_whitening,
+    pairwise,
+    people,
+)
 from pcretrieve.retrieval.distances import BLOCK_DISTANCES, known_distance
 from pcretrieve.values import FloatArray
 
@@ -48,14 +55,18 @@ class _Whitener(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):  # type:
 
     def fit(self, X: ArrayLike, y: object = None) -> Self:
         """Fit the whitening to signatures X."""
-        logs = validate_data(self, X, dtype=np.float64, ensure_min_samples=self._least_samples)
+        logs = validate_data(
+            self, X, dtype=np.float64, ensure_min_samples=self._least_samples
+        )
         self.whitening_ = fit_whitening(self._kind, logs, **self.get_params())
         return self
 
     def transform(self, X: ArrayLike) -> FloatArray:
         """Whitened signatures (n, L) float64: W (x − mean) for each row x of X."""
         check_is_fitted(self)
-        return self.whitening_.apply(validate_data(self, X, dtype=np.float64, reset=False))
+        return self.whitening_.apply(
+            validate_data(self, X, dtype=np.float64, reset=False)
+        )
 
 
 class NeighbourWhitening(_Whitener):
@@ -109,7 +120,9 @@ class WithinClassWhitening(_Whitener):
         check_classification_targets(
             classes[np.array([label is not None for label in labels], dtype=bool)]
         )
-        self.whitening_ = fit_whitening("within-class", logs, labels, shrinkage=self.shrinkage)
+        self.whitening_ = fit_whitening(
+            "within-class", logs, labels, shrinkage=self.shrinkage
+        )
         return self
 
     def __sklearn_tags__(self) -> Any:
@@ -132,7 +145,9 @@ class PeopleWhitening(_Whitener):
         As for `NeighbourWhitening`.
     """
 
-    def __init__(self, method: str = "hapt+r-bihdm", shrinkage: Shrinkage = "auto") -> None:
+    def __init__(
+        self, method: str = "hapt+r-bihdm", shrinkage: Shrinkage = "auto"
+    ) -> None:
         self.method = method
         self.shrinkage = shrinkage
 
@@ -140,13 +155,17 @@ class PeopleWhitening(_Whitener):
         """Weigh the metric of simulated people against what near signatures X differ by."""
         logs = validate_data(self, X, dtype=np.float64)
         n_others = signature_length(SignatureOptions(method=self.method, n_values=1)) - 1
-        options = SignatureOptions(method=self.method, n_values=max(1, logs.shape[1] - n_others))
+        options = SignatureOptions(
+            method=self.method, n_values=max(1, logs.shape[1] - n_others)
+        )
         known = people(options)
         if known is None or len(known.mean) != logs.shape[1]:
             raise InputError(
                 f"X must be signatures by area of {self.method}, with at most 59 values of r-bihdm"
             )
-        self.whitening_ = fit_whitening("people", logs, shrinkage=self.shrinkage, people=known)
+        self.whitening_ = fit_whitening(
+            "people", logs, shrinkage=self.shrinkage, people=known
+        )
         return self
 
 
@@ -194,7 +213,11 @@ class SignatureNeighbors(BaseEstimator):  # type: ignore[misc]
         k = self.n_neighbors if n_neighbors is None else n_neighbors
         check_is_fitted(self)
         most = self.n_samples_fit_ - (X is None)
-        if isinstance(k, bool) or not isinstance(k, (int, np.integer)) or not 1 <= k <= most:
+        if (
+            isinstance(k, bool)
+            or not isinstance(k, (int, np.integer))
+            or not 1 <= k <= most
+        ):
             raise OptionError(
                 f"Expected n_neighbors to be a whole number from 1 to {most}, got {k!r}"
             )
@@ -211,7 +234,9 @@ class SignatureNeighbors(BaseEstimator):  # type: ignore[misc]
         """
         check_is_fitted(self)
         if self._classes is None:
-            raise InputError("a score needs the classes of the fitted signatures: give y to fit")
+            raise InputError(
+                "a score needs the classes of the fitted signatures: give y to fit"
+            )
         total, n_queries = 0.0, 0
         for label, (_, order) in zip(column_or_1d(y), self._sorted(X), strict=True):
             ranks = np.flatnonzero(self._classes[order] == label) + 1
@@ -226,7 +251,9 @@ class SignatureNeighbors(BaseEstimator):  # type: ignore[misc]
     def _sorted(self, X: ArrayLike | None) -> Iterator[tuple[FloatArray, Positions]]:
         """For each query the distances, ascending, and the rows of the fitted signatures."""
         queries = (
-            self._fit_X if X is None else validate_data(self, X, dtype=np.float64, reset=False)
+            self._fit_X
+            if X is None
+            else validate_data(self, X, dtype=np.float64, reset=False)
         )
         rows = max(1, BLOCK_DISTANCES // self.n_samples_fit_)
         for start in range(0, len(queries), rows):
@@ -235,12 +262,16 @@ class SignatureNeighbors(BaseEstimator):  # type: ignore[misc]
             )  # (rows, N)
             # A stable sort: equal distances in the order of the rows.
             orders = np.argsort(distances, axis=1, kind="stable")
-            for number, (order, own) in enumerate(zip(orders, distances, strict=True), start):
+            for number, (order, own) in enumerate(
+                zip(orders, distances, strict=True), start
+            ):
                 kept = order[order != number] if X is None else order
                 yield own[kept], kept
 
 
-class SignatureTransformer(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):  # type: ignore[misc]
+class SignatureTransformer(
+    ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator
+):  # type: ignore[misc]
     """Scans → the logarithms of their signatures, one row a scan.
 
     Of descriptors that are not compared by logarithms, the rows are the values themselves, or the square
@@ -290,7 +321,9 @@ class SignatureTransformer(ClassNamePrefixFeaturesOutMixin, TransformerMixin, Ba
         content, so that a grid search makes each once.
         """
         if isinstance(X, (str, Path)):
-            raise InputError(f"X must be a sequence of scans, got the path {X}: put it into a list")
+            raise InputError(
+                f"X must be a sequence of scans, got the path {X}: put it into a list"
+            )
         options = self._chosen()
         made = [signature_of(remembered(scan, options), options, scan) for scan in X]
         rows = [coordinates(one.values, one.metric) for one in made]

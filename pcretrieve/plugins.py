@@ -145,7 +145,11 @@ class Registry(Generic[Record]):
         if name in self.names.own:
             return ""
         point = self._point(name)
-        return f" {point.dist.name} {point.dist.version}" if point.dist else f" {point.module}"
+        return (
+            f" {point.dist.name} {point.dist.version}"
+            if point.dist
+            else f" {point.module}"
+        )
 
     @contextmanager
     def blamed(self, name: str, stage: str | None = None) -> Iterator[None]:

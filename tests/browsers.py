@@ -75,7 +75,9 @@ def opened(
         page.set_default_timeout(60_000)
         page.on(
             "console",
-            lambda message: errors.append(message.text) if message.type == "error" else None,
+            lambda message: (
+                errors.append(message.text) if message.type == "error" else None
+            ),
         )
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.on("request", lambda request: requests.append(request.url))
@@ -85,7 +87,9 @@ def opened(
         context.close()
     if refused:  # a browser logs the status of an answer, sooner or later
         errors = [
-            error for error in errors if "the server responded with a status of 4" not in error
+            error
+            for error in errors
+            if "the server responded with a status of 4" not in error
         ]
     assert not errors, errors
     own = ("data:", "blob:", "file:", origin(address))
@@ -100,7 +104,8 @@ def origin(address: str) -> str:
 def violations(page: Page) -> list[str]:
     """What axe-core finds against the accessibility of a page: rule, element, and what to do."""
     axe = pytest.importorskip(
-        "axe_playwright_python.sync_playwright", reason="axe is not installed (the extra dev)"
+        "axe_playwright_python.sync_playwright",
+        reason="axe is not installed (the extra dev)",
     )
     found = axe.Axe().run(page).response["violations"]
     return [
@@ -112,5 +117,7 @@ def violations(page: Page) -> list[str]:
 
 def overflow(page: Page) -> int:
     """By how many pixels a page is wider than its window."""
-    pixels: int = page.evaluate("document.scrollingElement.scrollWidth - window.innerWidth")
+    pixels: int = page.evaluate(
+        "document.scrollingElement.scrollWidth - window.innerWidth"
+    )
     return pixels

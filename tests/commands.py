@@ -51,7 +51,13 @@ def program(
         os.environ | environment,
     )
     done = subprocess.run(
-        command, cwd=cwd, env=known, capture_output=True, text=True, timeout=300, check=False
+        command,
+        cwd=cwd,
+        env=known,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
     )
     assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr

@@ -46,7 +46,9 @@ def postgresql() -> Iterator[str]:
 @pytest.fixture(scope="session")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> "Iterator[DaskCluster]":
     """A Dask cluster of two workers that runs until the tests have ended."""
-    pytest.importorskip("distributed", reason="distributed is not installed (the extra cluster)")
+    pytest.importorskip(
+        "distributed", reason="distributed is not installed (the extra cluster)"
+    )
     from dask_cluster import dask_cluster
 
     with dask_cluster(tmp_path_factory.mktemp("dask") / "cluster") as started:

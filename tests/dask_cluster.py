@@ -21,7 +21,14 @@ class DaskCluster:
         self._folder = folder
         self.scheduler = self._start("dask_scheduler", "--port", "0")
         assert wait_for(self.file.is_file), "the scheduler has not started"
-        limits = ("--nthreads", "1", "--memory-limit", "0", "--local-directory", str(folder))
+        limits = (
+            "--nthreads",
+            "1",
+            "--memory-limit",
+            "0",
+            "--local-directory",
+            str(folder),
+        )
         self.workers = [self._start("dask_worker", *limits) for _ in range(2)]
 
     def kill(self, process: subprocess.Popen[bytes]) -> None:

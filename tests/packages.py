@@ -19,7 +19,9 @@ def install(
     """Install a package into a folder, and put the folder on the path until the test ends."""
     metadata = site / f"{name}-1.0.dist-info"
     metadata.mkdir(parents=True)
-    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (metadata / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n"
+    )
     (metadata / "entry_points.txt").write_text(entry_points)
     for module, text in modules.items():
         (site / f"{module}.py").write_text(text, encoding="utf-8")

@@ -45,14 +45,28 @@ class Server:
         self._as_user: dict[str, Any] = {}
         if os.geteuid() == 0:  # PostgreSQL refuses to run as root
             nobody = pwd.getpwnam("nobody")
-            self._as_user = {"user": nobody.pw_uid, "group": nobody.pw_gid, "extra_groups": []}
+            self._as_user = {
+                "user": nobody.pw_uid,
+                "group": nobody.pw_gid,
+                "extra_groups": [],
+            }
             os.chown(folder, nobody.pw_uid, nobody.pw_gid)
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.port = free.getsockname()[1]
         self.url = f"postgresql://tester@127.0.0.1:{self.port}/postgres"
         self.socket_url = f"postgresql://tester@/postgres?host={folder}&port={self.port}"
-        words = ("-D", self._data, "-U", "tester", "-A", "trust", "-E", "UTF8", "--no-sync")
+        words = (
+            "-D",
+            self._data,
+            "-U",
+            "tester",
+            "-A",
+            "trust",
+            "-E",
+            "UTF8",
+            "--no-sync",
+        )
         self._run("initdb", *words)
 
     def start(self) -> None:
@@ -105,7 +119,9 @@ class Server:
 @contextmanager
 def server_of_its_own() -> Iterator[Server]:
     """A server that runs until the context ends."""
-    pytest.importorskip("psycopg", reason="psycopg is not installed (the extra postgresql)")
+    pytest.importorskip(
+        "psycopg", reason="psycopg is not installed (the extra postgresql)"
+    )
     # Not below the folder of pytest, in which root lets no other user look.
     folder = Path(mkdtemp(prefix="pcretrieve-postgresql-"))
     try:

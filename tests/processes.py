@@ -64,7 +64,9 @@ def living(session: int) -> list[int]:
     found = []
     for process in Path("/proc").glob("[0-9]*"):
         try:
-            state, _, _, its_session = (process / "stat").read_text().rsplit(")", 1)[1].split()[:4]
+            state, _, _, its_session = (
+                (process / "stat").read_text().rsplit(")", 1)[1].split()[:4]
+            )
         except OSError:
             continue  # it has ended
         if int(its_session) == session and state not in "ZX":

@@ -20,7 +20,14 @@ from pcretrieve.formats import missing_extra
 
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 # Corners of each side, counter-clockwise from outside.
-SIDES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+SIDES = [
+    (0, 1, 3, 2),
+    (4, 6, 7, 5),
+    (0, 4, 5, 1),
+    (2, 3, 7, 6),
+    (0, 2, 6, 4),
+    (1, 5, 7, 3),
+]
 SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
 HALVES = [0, 1, 2, 0, 2, 3]
 
@@ -39,7 +46,9 @@ def mesh(path: Path) -> TriangleMesh:
 
 def needs(suffix: str) -> pytest.MarkDecorator:
     can = CAN_WRITE.get(suffix, True) and missing_extra(suffix) is None
-    return pytest.mark.skipif(not can, reason=f"needs what reads and writes {suffix} files")
+    return pytest.mark.skipif(
+        not can, reason=f"needs what reads and writes {suffix} files"
+    )
 
 
 # --- points ------------------------------------------------------------------------------------------------
@@ -53,10 +62,14 @@ PCD = (
 )
 
 
-def pcd_header(*fields: str, n: int, data: str = "ascii", viewpoint: str = "0 0 0 1 0 0 0") -> str:
+def pcd_header(
+    *fields: str, n: int, data: str = "ascii", viewpoint: str = "0 0 0 1 0 0 0"
+) -> str:
     repeat = {"sizes": "4", "types": "F", "counts": "1"}
     columns = {key: " ".join([value] * len(fields)) for key, value in repeat.items()}
-    return PCD.format(fields=" ".join(fields), n=n, data=data, viewpoint=viewpoint, **columns)
+    return PCD.format(
+        fields=" ".join(fields), n=n, data=data, viewpoint=viewpoint, **columns
+    )
 
 
 def ply(form: str, elements: str, *rows: bytes) -> bytes:
@@ -90,8 +103,18 @@ def gltf(
         "nodes": list(nodes),
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
         "accessors": [
-            {"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": len(points)},
-            {"bufferView": 1, "componentType": 5123, "type": "SCALAR", "count": len(corners)},
+            {
+                "bufferView": 0,
+                "componentType": 5126,
+                "type": "VEC3",
+                "count": len(points),
+            },
+            {
+                "bufferView": 1,
+                "componentType": 5123,
+                "type": "SCALAR",
+                "count": len(corners),
+            },
         ],
         "bufferViews": [
             {"buffer": 0, "byteLength": points.nbytes},
@@ -110,9 +133,12 @@ def three_mf(
 ) -> bytes:
     """An archive with one object, which the items of the build place."""
     vertices = "".join(
-        '<vertex x="{:.9g}" y="{:.9g}" z="{:.9g}"/>'.format(*point) for point in body.vertices
+        '<vertex x="{:.9g}" y="{:.9g}" z="{:.9g}"/>'.format(*point)
+        for point in body.vertices
     )
-    triangles = "".join('<triangle v1="{}" v2="{}" v3="{}"/>'.format(*face) for face in body.faces)
+    triangles = "".join(
+        '<triangle v1="{}" v2="{}" v3="{}"/>'.format(*face) for face in body.faces
+    )
     model = (
         f'<model unit="{unit}" xmlns="{THREE_MF}"><resources><object id="1" name="ball" type="model"><mesh>'
         f"<vertices>{vertices}</vertices><triangles>{triangles}</triangles></mesh></object></resources>"
@@ -124,7 +150,9 @@ def three_mf(
     return file.getvalue()
 
 
-def collada(mesh: TriangleMesh, *, metres: float = 1.0, shift: Sequence[float] = (0, 0, 0)) -> str:
+def collada(
+    mesh: TriangleMesh, *, metres: float = 1.0, shift: Sequence[float] = (0, 0, 0)
+) -> str:
     """One mesh and the node that shows it, by pycollada."""
     import collada  # type: ignore[import-not-found,import-untyped,unused-ignore]
 
@@ -134,7 +162,9 @@ def collada(mesh: TriangleMesh, *, metres: float = 1.0, shift: Sequence[float] =
     geometry = collada.geometry.Geometry(document, "body", "body", [source])
     inputs = collada.source.InputList()
     inputs.addInput(0, "VERTEX", "#points")
-    geometry.primitives.append(geometry.createTriangleSet(mesh.faces.ravel(), inputs, "paint"))
+    geometry.primitives.append(
+        geometry.createTriangleSet(mesh.faces.ravel(), inputs, "paint")
+    )
     document.geometries.append(geometry)
     place = [collada.scene.TranslateTransform(*shift)]
     node = collada.scene.Node("node", [collada.scene.GeometryNode(geometry, [])], place)
@@ -152,7 +182,9 @@ def write_gltf(
     tree, binary = gltf(
         mesh.vertices.tolist(), mesh.faces.ravel().tolist(), nodes, range(len(nodes))
     )
-    tree["buffers"][0]["uri"] = buffer or "data:;base64," + base64.b64encode(binary).decode()
+    tree["buffers"][0]["uri"] = (
+        buffer or "data:;base64," + base64.b64encode(binary).decode()
+    )
     path.write_text(json.dumps(tree))
     if buffer:
         (path.parent / buffer).write_bytes(binary)
@@ -193,9 +225,13 @@ def write_e57(path: Path, scans: Sequence[dict[str, Any]]) -> None:
         for scan in scans:
             points = np.asarray(scan["points"], dtype=np.float64)
             columns = {f"cartesian{axis}": points[:, k] for k, axis in enumerate("XYZ")}
-            columns |= {name: scan[name] for name in ("rowIndex", "columnIndex") if name in scan}
+            columns |= {
+                name: scan[name] for name in ("rowIndex", "columnIndex") if name in scan
+            }
             pose = {
-                name: scan[name] for name in ("name", "rotation", "translation") if name in scan
+                name: scan[name]
+                for name in ("name", "rotation", "translation")
+                if name in scan
             }
             file.write_scan_raw(columns, **pose)
 
@@ -245,7 +281,9 @@ def laser_scan(folder: Path, suffix: str) -> bytes:
     if suffix == ".e57":
         write_e57(path, [{"points": points}])
         count = b'recordCount="%d"'
-        return with_other_xml(path.read_bytes(), lambda xml: xml.replace(count % 100, count % HUGE))
+        return with_other_xml(
+            path.read_bytes(), lambda xml: xml.replace(count % 100, count % HUGE)
+        )
     write_las(path, points, point_format=6)
     data = bytearray(path.read_bytes())
     struct.pack_into("<Q", data, 247, HUGE)
@@ -269,7 +307,11 @@ REFERENCES = (
 def npy(declared: str, body: bytes = b"") -> bytes:
     """An array whose header says what it likes."""
     return (
-        b"\x93NUMPY\x01\x00" + struct.pack("<H", 118) + declared.encode().ljust(117) + b"\n" + body
+        b"\x93NUMPY\x01\x00"
+        + struct.pack("<H", 118)
+        + declared.encode().ljust(117)
+        + b"\n"
+        + body
     )
 
 
@@ -283,16 +325,28 @@ def pcd_bomb(n_bytes: int, n: int = 3 * 10**8, packed: int = 99) -> bytes:
 # code, other formats, references, text that never ends or says nothing.
 HOSTILE: list[tuple[str, bytes, str]] = [
     ("a.ply", ply("ascii", f"element vertex {HUGE}\n{XYZ}", b"0 0 0\n"), "declares"),
-    ("a.pcd", pcd_header("x", "y", "z", n=HUGE, data="binary").encode() + bytes(12), "declares"),
+    (
+        "a.pcd",
+        pcd_header("x", "y", "z", n=HUGE, data="binary").encode() + bytes(12),
+        "declares",
+    ),
     ("a.pcd", pcd_bomb(36 * 10**8), "declares 3600000000 bytes in 99"),
-    ("a.pcd", pcd_bomb(36 * 10**6, 3 * 10**6, 10**6), "declares 36000000 bytes in 1000000"),
+    (
+        "a.pcd",
+        pcd_bomb(36 * 10**6, 3 * 10**6, 10**6),
+        "declares 36000000 bytes in 1000000",
+    ),
     (
         "a.stl",
         bytes(80) + struct.pack("<I", 2**32 - 1) + bytes(50),
         "4294967295 triangles in 134 bytes",
     ),
     ("a.off", f"OFF\n{HUGE} {HUGE} 0\n0 0 0\n".encode(), "declares"),
-    ("a.ptx", f"{10**9}\n{10**9}\n{POSE}0 0 0 0.5\n".encode(), f"declares {10**18} rows in"),
+    (
+        "a.ptx",
+        f"{10**9}\n{10**9}\n{POSE}0 0 0 0.5\n".encode(),
+        f"declares {10**18} rows in",
+    ),
     (
         "a.npy",
         npy(f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({HUGE}, 3), }}"),
@@ -313,5 +367,9 @@ HOSTILE: list[tuple[str, bytes, str]] = [
         "first line is not 'ply'",
     ),
     ("a.xyz", b"9" * 900_000 + b" 1 2\n", "each line must hold 3 numbers"),
-    ("a.xyz", b"1e308 -1e308 1e308\n" * 200, "coordinates must be 1e-50 to 1e+50 in size"),
+    (
+        "a.xyz",
+        b"1e308 -1e308 1e308\n" * 200,
+        "coordinates must be 1e-50 to 1e+50 in size",
+    ),
 ]

@@ -40,7 +40,9 @@ def write_eggs(path: Path) -> None:
     with Catalogue(path, OPTIONS, create=True) as store:
         for kind in range(3):
             for number, width in enumerate((1, 1.04, 1.08, 1.12)):
-                shape = process(shapes.ellipsoid((width, 1, 1.3 + 0.5 * kind), 3), OPTIONS)
+                shape = process(
+                    shapes.ellipsoid((width, 1, 1.3 + 0.5 * kind), 3), OPTIONS
+                )
                 grade = judged.get((kind, number), Grade("good", 0.01))
                 name = NASTY if (kind, number) == (2, 2) else f"Egg{kind}{number}"
                 values = describe(shape, OPTIONS.signature).values
@@ -52,7 +54,11 @@ def write_eggs(path: Path) -> None:
             "broken", "/secret/own folder/broken.off", "", status="failed", stage="read"
         )
         store.put(
-            replace(failed, error="ScanReadError", message="/secret/own folder/broken.off is empty")
+            replace(
+                failed,
+                error="ScanReadError",
+                message="/secret/own folder/broken.off is empty",
+            )
         )
 
 
@@ -104,7 +110,9 @@ class Server:
             connection.request(method, path, body, sent | (headers or {}))
             answer: HTTPResponse = connection.getresponse()
             found = Answer(
-                answer.status, {k.lower(): v for k, v in answer.getheaders()}, answer.read()
+                answer.status,
+                {k.lower(): v for k, v in answer.getheaders()},
+                answer.read(),
             )
         finally:
             connection.close()
@@ -114,7 +122,9 @@ class Server:
 
     def send(self, name: str, body: bytes | Iterator[bytes], **request: Any) -> Answer:
         """The answer to an upload."""
-        return self.ask(f"/scans?name={quote(name, safe='')}", method="POST", body=body, **request)
+        return self.ask(
+            f"/scans?name={quote(name, safe='')}", method="POST", body=body, **request
+        )
 
     def outcome(self, name: str, body: bytes, **request: Any) -> Any:
         """The document of an uploaded scan, which was processed and inspected."""
@@ -140,7 +150,16 @@ def running(
         if first
         else ["-m", "pcretrieve"]
     )
-    command = [sys.executable, *program, "serve", "-c", str(catalogue), "--port", "0", *options]
+    command = [
+        sys.executable,
+        *program,
+        "serve",
+        "-c",
+        str(catalogue),
+        "--port",
+        "0",
+        *options,
+    ]
     place = os.environ | ({} if temporary is None else {"TMPDIR": str(temporary)})
     folders = [catalogue.parent] if temporary is None else [catalogue.parent, temporary]
     with subprocess.Popen(

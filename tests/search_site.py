@@ -22,7 +22,9 @@ OWN_ORIGIN = {"origin": "http://127.0.0.1:8765"}
 
 
 @contextmanager
-def opened(catalogue: Path, *, most_bytes: int = 1000, keep: Path | None = None) -> Iterator[Site]:
+def opened(
+    catalogue: Path, *, most_bytes: int = 1000, keep: Path | None = None
+) -> Iterator[Site]:
     with opened_site(
         catalogue,
         read_only=False,
@@ -47,13 +49,16 @@ def ask(
     path, _, query = path.partition("?")
     scope = {
         "type": "http",
-        "asgi": {"spec_version": "2.4"},  # answers do not wait for the end of the connection
+        "asgi": {
+            "spec_version": "2.4"
+        },  # answers do not wait for the end of the connection
         "method": method,
         "path": path,
         "raw_path": path.encode(),
         "query_string": query.encode(),
         "headers": [
-            (name.encode(), value.encode()) for name, value in (KNOWN | (headers or {})).items()
+            (name.encode(), value.encode())
+            for name, value in (KNOWN | (headers or {})).items()
         ],
     }
     left = iter(chunks)
@@ -70,4 +75,6 @@ def ask(
     asyncio.run(Guard(application(site), TOKEN)(scope, receive, send))
     start, *bodies = sent
     found = {name.decode(): value.decode() for name, value in start["headers"]}
-    return Answer(start["status"], found, b"".join(each.get("body", b"") for each in bodies))
+    return Answer(
+        start["status"], found, b"".join(each.get("body", b"") for each in bodies)
+    )

@@ -8,7 +8,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcretrieve.values import FloatArray, IntArray, PointCloud, Shape, Surface, TriangleMesh
+from pcretrieve.values import (
+    FloatArray,
+    IntArray,
+    PointCloud,
+    Shape,
+    Surface,
+    TriangleMesh,
+)
 
 # Faces of a tetrahedron whose corners 1, 2, 3 run anticlockwise seen from outside its corner 0.
 TETRAHEDRON_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
@@ -31,7 +38,9 @@ def tetrahedron() -> TriangleMesh:
 def two_tetrahedra(shared: Literal["edge", "vertex"]) -> TriangleMesh:
     """A `tetrahedron` and its mirror image in the z axis (they share an edge) or in the origin (a vertex)."""
     one = tetrahedron()
-    mirrored = one.vertices * ([-1, -1, 1] if shared == "edge" else [-1, -1, -1])  # (4, 3)
+    mirrored = one.vertices * (
+        [-1, -1, 1] if shared == "edge" else [-1, -1, -1]
+    )  # (4, 3)
     # The first corners of both coincide; so do the last, on the z axis. A point reflection turns faces over.
     numbers = np.array([0, 4, 5, 3] if shared == "edge" else [0, 4, 5, 6])
     faces = numbers[TETRAHEDRON_FACES if shared == "edge" else TETRAHEDRON_FACES[:, ::-1]]
@@ -44,13 +53,19 @@ def two_tetrahedra(shared: Literal["edge", "vertex"]) -> TriangleMesh:
 def icosphere(subdivisions: int, radius: float = 1.0) -> TriangleMesh:
     """A sphere of 20 · 4^subdivisions faces: each face of an icosahedron cut in four, again and again."""
     golden = (1 + np.sqrt(5)) / 2
-    rectangle = np.array([[-1, golden, 0], [1, golden, 0], [-1, -golden, 0], [1, -golden, 0]])
+    rectangle = np.array(
+        [[-1, golden, 0], [1, golden, 0], [-1, -golden, 0], [1, -golden, 0]]
+    )
     directions: FloatArray = np.concatenate(
         [np.roll(rectangle, k, axis=1) for k in range(3)]
     )  # (12, 3)
     near = np.isclose(np.linalg.norm(directions[:, None] - directions, axis=2), 2.0)
     faces = np.array(
-        [three for three in combinations(range(12), 3) if near[np.ix_(three, three)].sum() == 6]
+        [
+            three
+            for three in combinations(range(12), 3)
+            if near[np.ix_(three, three)].sum() == 6
+        ]
     )
     inward = np.linalg.det(directions[faces]) < 0  # (20,)
     faces[inward] = faces[inward, ::-1]
@@ -73,7 +88,9 @@ def icosphere(subdivisions: int, radius: float = 1.0) -> TriangleMesh:
     return TriangleMesh(radius * directions, faces)
 
 
-def ellipsoid(semi_axes: ArrayLike = (1.0, 0.7, 0.5), subdivisions: int = 4) -> TriangleMesh:
+def ellipsoid(
+    semi_axes: ArrayLike = (1.0, 0.7, 0.5), subdivisions: int = 4
+) -> TriangleMesh:
     """An `icosphere`, stretched: volume near 4/3 π abc."""
     sphere = icosphere(subdivisions)
     return TriangleMesh(sphere.vertices * np.asarray(semi_axes), sphere.faces)
@@ -99,10 +116,12 @@ def torus(
     i, j = np.indices((n_around, n_tube))
     u, v = 2 * np.pi * i / n_around, 2 * np.pi * j / n_tube
     reach = major + minor * np.cos(v)
-    vertices = np.stack([reach * np.cos(u), reach * np.sin(u), minor * np.sin(v)], axis=-1).reshape(
-        -1, 3
+    vertices = np.stack(
+        [reach * np.cos(u), reach * np.sin(u), minor * np.sin(v)], axis=-1
+    ).reshape(-1, 3)
+    return TriangleMesh(
+        vertices, _quads(i, j, (i + 1) % n_around, (j + 1) % n_tube, n_tube)
     )
-    return TriangleMesh(vertices, _quads(i, j, (i + 1) % n_around, (j + 1) % n_tube, n_tube))
 
 
 def square(n: int) -> TriangleMesh:
@@ -118,9 +137,9 @@ def mobius_strip(n_around: int = 30, n_across: int = 4) -> TriangleMesh:
     i, j = np.indices((n_around, n_across + 1))
     u, v = 2 * np.pi * i / n_around, np.linspace(-0.4, 0.4, n_across + 1)[j]
     reach = 1 + v * np.cos(u / 2)
-    vertices = np.stack([reach * np.cos(u), reach * np.sin(u), v * np.sin(u / 2)], axis=-1).reshape(
-        -1, 3
-    )
+    vertices = np.stack(
+        [reach * np.cos(u), reach * np.sin(u), v * np.sin(u / 2)], axis=-1
+    ).reshape(-1, 3)
     i, j = i[:, :-1], j[:, :-1]
     faces = _quads(i, j, i + 1, j + 1, n_across + 1)
     # Once around, the strip meets its start upside down.
@@ -146,7 +165,9 @@ def moved(mesh: TriangleMesh, seed: int, *, scale: float = 1.0) -> TriangleMesh:
     rng = np.random.default_rng(seed)
     turn, _ = np.linalg.qr(rng.standard_normal((3, 3)))
     turn *= np.sign(np.linalg.det(turn))
-    return TriangleMesh(scale * (mesh.vertices @ turn.T + 10 * rng.standard_normal(3)), mesh.faces)
+    return TriangleMesh(
+        scale * (mesh.vertices @ turn.T + 10 * rng.standard_normal(3)), mesh.faces
+    )
 
 
 def shape(mesh: TriangleMesh) -> Shape:
@@ -159,11 +180,15 @@ def joined(*meshes: TriangleMesh) -> TriangleMesh:
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     return TriangleMesh(
         np.concatenate([mesh.vertices for mesh in meshes]),
-        np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]),
+        np.concatenate(
+            [mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]
+        ),
     )
 
 
-def points_on(mesh: TriangleMesh, n: int, *, noise: float = 0.0, seed: int = 0) -> FloatArray:
+def points_on(
+    mesh: TriangleMesh, n: int, *, noise: float = 0.0, seed: int = 0
+) -> FloatArray:
     """(n, 3) points, uniform by area, with Gaussian noise (relative to the diagonal)."""
     points: FloatArray = oriented_points_on(mesh, n, noise=noise, seed=seed).points.copy()
     return points
@@ -186,10 +211,14 @@ def oriented_points_on(
     )
 
 
-def _quads(i: ArrayLike, j: ArrayLike, i1: ArrayLike, j1: ArrayLike, width: int) -> IntArray:
+def _quads(
+    i: ArrayLike, j: ArrayLike, i1: ArrayLike, j1: ArrayLike, width: int
+) -> IntArray:
     """Two faces for each cell of a grid whose vertex (i, j) has number i · `width` + j."""
     a, b, c, d = (
         np.ravel(np.asarray(p) * width + np.asarray(q))
         for p, q in ((i, j), (i1, j), (i1, j1), (i, j1))
     )
-    return np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])]).astype(np.int32)
+    return np.concatenate(
+        [np.column_stack([a, b, c]), np.column_stack([a, c, d])]
+    ).astype(np.int32)

@@ -14,7 +14,9 @@ from pcretrieve.catalogue.rows import Rows
 Everything = dict[str, tuple[Any, ...]]
 
 
-def content(location: str | Path) -> list[tuple[Record, dict[str, bytes], dict[Any, bytes]]]:
+def content(
+    location: str | Path,
+) -> list[tuple[Record, dict[str, bytes], dict[Any, bytes]]]:
     """The record, the signatures and the payloads of each shape, in ascending order of id."""
     with Catalogue(location) as store:
         entries = store.rows.entries([origin.id for origin in store.rows.origins()])

@@ -33,7 +33,9 @@ def names(folder: Path) -> list[str]:
 
 # The second is as long as the system allows.
 @pytest.mark.parametrize("name", ["a", "x" * 255])
-def test_a_file_is_replaced_and_has_the_permissions_of_a_new_one(name: str, tmp_path: Path) -> None:
+def test_a_file_is_replaced_and_has_the_permissions_of_a_new_one(
+    name: str, tmp_path: Path
+) -> None:
     (tmp_path / "other").touch()
     (tmp_path / name).write_text("old")
     write_file(tmp_path / name, b"new")
@@ -55,14 +57,19 @@ def test_a_link_stays_and_what_it_leads_to_is_replaced(tmp_path: Path) -> None:
 def test_a_device_is_written_to_and_not_replaced(tmp_path: Path) -> None:
     write_file(Path(os.devnull), b"into nowhere")
     assert stat.S_ISCHR(Path(os.devnull).stat().st_mode)
-    assert python(f"{IMPORTS}write_file(Path('/dev/stdout'), b'a page')", tmp_path) == "a page"
+    assert (
+        python(f"{IMPORTS}write_file(Path('/dev/stdout'), b'a page')", tmp_path)
+        == "a page"
+    )
 
 
 @pytest.mark.parametrize("name", ["nowhere/a", "file/a", "folder", "x" * 256])
 def test_what_cannot_be_written_leaves_nothing(name: str, tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_text("old")
-    with pytest.raises(InputError, match=f"cannot write .*{name}: .*; name a file in a folder"):
+    with pytest.raises(
+        InputError, match=f"cannot write .*{name}: .*; name a file in a folder"
+    ):
         write_file(tmp_path / name, b"content")
     assert names(tmp_path) == ["file", "folder"]
 
@@ -125,20 +132,30 @@ def synced(monkeypatch: pytest.MonkeyPatch) -> Synced:
     return Synced(monkeypatch)
 
 
-def test_a_file_reaches_the_disk_before_it_has_its_name(synced: Synced, tmp_path: Path) -> None:
+def test_a_file_reaches_the_disk_before_it_has_its_name(
+    synced: Synced, tmp_path: Path
+) -> None:
     for data in (b"a", b"x" * 5_000_000):
         write_file(tmp_path / "page.html", data)
     assert (synced.renamed, synced.lost) == (2 * ["page.html"], [])
 
 
-def test_a_backup_reaches_the_disk_before_it_has_its_name(synced: Synced, tmp_path: Path) -> None:
+def test_a_backup_reaches_the_disk_before_it_has_its_name(
+    synced: Synced, tmp_path: Path
+) -> None:
     with Catalogue(tmp_path / "c.sqlite", create=True) as store:
-        store.put(Record("a", "/a.ply", "", status="failed", stage="read", error="Bad", message=""))
+        store.put(
+            Record(
+                "a", "/a.ply", "", status="failed", stage="read", error="Bad", message=""
+            )
+        )
         backup(store, tmp_path / "copy.sqlite")
     assert (synced.renamed, synced.lost) == (["copy.sqlite"], [])
 
 
-def test_an_index_reaches_the_disk_before_it_has_its_name(synced: Synced, tmp_path: Path) -> None:
+def test_an_index_reaches_the_disk_before_it_has_its_name(
+    synced: Synced, tmp_path: Path
+) -> None:
     cache._write(tmp_path, "index", {"large": np.zeros(100_000), "small": np.zeros(1)})
     # An index whose checksums are incomplete is computed again.
     assert (synced.renamed, synced.lost) == (["index"], [cache.CHECKSUMS])

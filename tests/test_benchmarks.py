@@ -46,14 +46,21 @@ def test_every_benchmark_that_a_document_names_is_there() -> None:
     text = " ".join(path.read_text("utf-8") for path in documents)
     shown = re.findall(r"`scripts/benchmark\s([a-z_]+)([^`]*)`", text)
     assert {name for name, _ in shown} >= BENCHMARKS.keys() - {
-        *("house", "make_people", "make_scans", "sample")  # which have scripts of their own
+        *(
+            "house",
+            "make_people",
+            "make_scans",
+            "sample",
+        )  # which have scripts of their own
     }
     for name, words in shown:
         found = find_spec(f"benchmarks.{BENCHMARKS[name][0]}")
         assert found is not None and found.origin is not None, name
         source = Path(found.origin).read_text("utf-8")
         source += (SCRIPTS / "benchmarks" / "measuring.py").read_text("utf-8")
-        assert [flag for flag in re.findall(r"--[a-z-]+", words) if f'"{flag}"' not in source] == []
+        assert [
+            flag for flag in re.findall(r"--[a-z-]+", words) if f'"{flag}"' not in source
+        ] == []
 
 
 def test_a_benchmark_finds_its_environment(tmp_path: Path) -> None:
@@ -71,7 +78,11 @@ def test_a_benchmark_finds_its_environment(tmp_path: Path) -> None:
     ):
         command = [str(tmp_path / "scripts" / words[0]), *words[1:]]
         ended = subprocess.run(
-            command, cwd="/", env={"PATH": "/usr/bin:/bin"}, capture_output=True, text=True
+            command,
+            cwd="/",
+            env={"PATH": "/usr/bin:/bin"},
+            capture_output=True,
+            text=True,
         )
         assert ended.returncode == 0, ended.stderr
         assert ended.stdout.startswith(printed_line)
@@ -98,7 +109,9 @@ def test_the_mesh_of_a_disk_has_the_spectrum_of_a_disk() -> None:
     assert mesh.area == pytest.approx(np.pi * 100**2, rel=0.01)
     # The squares of the zeros of the derivatives of the Bessel functions J₁ (twice), J₂ (twice) and J₀.
     expected = np.pi * np.array([1.841184, 1.841184, 3.054237, 3.054237, 3.831706]) ** 2
-    np.testing.assert_allclose(unit_area_spectrum(mesh, 5).eigenvalues[1:], expected, rtol=0.01)
+    np.testing.assert_allclose(
+        unit_area_spectrum(mesh, 5).eigenvalues[1:], expected, rtol=0.01
+    )
 
 
 def test_on_the_sphere_the_error_is_that_of_the_tail_of_one_sum() -> None:
@@ -110,7 +123,9 @@ def test_on_the_sphere_the_error_is_that_of_the_tail_of_one_sum() -> None:
     errors = truncation_errors(spectrum, modes)
     terms = 2 / eigenvalues[1:] ** 2
     tails = np.array([terms[m:].sum() for m in modes])
-    np.testing.assert_allclose(errors, tails**2 / ((terms.sum() - tails) * terms.sum()), rtol=1e-9)
+    np.testing.assert_allclose(
+        errors, tails**2 / ((terms.sum() - tails) * terms.sum()), rtol=1e-9
+    )
     assert convergence_rate(modes, errors, len(terms)) == pytest.approx(2, abs=0.1)
 
 
@@ -153,14 +168,18 @@ def test_every_script_prints_its_figures(tmp_path: Path) -> None:
                 rows.append(f"{file}{label}.off,long{label}")
         (tmp_path / name / "labels.csv").write_text("\n".join(rows))
     parts = [
-        word for part in ("figure1", "figure6", "table4", "figure7") for word in ("--only", part)
+        word
+        for part in ("figure1", "figure6", "table4", "figure7")
+        for word in ("--only", part)
     ]
     paper = printed("paper", "--data", tmp_path, "--output", tmp_path / "out", *parts)
     assert "Figure 6, drums of 969 and 969 vertices" in paper
     page = (tmp_path / "out" / "paper.html").read_text("utf-8")
     assert "Figure 1: 15 meshes of shrec11, of 5 classes" in page
     systems = [
-        line for line in page.splitlines() if re.search(r" (linear|cubic) +(d1|d2|log) ", line)
+        line
+        for line in page.splitlines()
+        if re.search(r" (linear|cubic) +(d1|d2|log) ", line)
     ]
     assert len(systems) == 16
     # Values by area tell lengths of 1.5 and 3 apart without an error; girths, which are alike, do not help.
@@ -168,10 +187,12 @@ def test_every_script_prints_its_figures(tmp_path: Path) -> None:
     assert re.search(r"median \d+\.\d{3} s", printed("spectral", "--part", "signature"))
     squares = printed("spectral", "--part", "square")
     assert len(re.findall(r" order (5\.9|6\.0)\d\n", squares)) == 6
-    assert [float(error) < 1e-5 for error in re.findall(r" 36 vertices  error (\S+)", squares)] == [
-        True
-    ] * 2
-    searched = printed("catalogue", "--shapes", "10000", "--meshes", "2", "--merged", "1000")
+    assert [
+        float(error) < 1e-5 for error in re.findall(r" 36 vertices  error (\S+)", squares)
+    ] == [True] * 2
+    searched = printed(
+        "catalogue", "--shapes", "10000", "--meshes", "2", "--merged", "1000"
+    )
     assert searched.count("5 of 5 as by brute force") >= 6
     assert "shrec11" in printed("retrieval", "--data", tmp_path, "--only", "shrec11")
     assert "cold command" in printed("speed", "--part", "command")
@@ -188,5 +209,7 @@ def test_a_hole_that_is_a_damage_is_larger_than_those_of_the_sensor(seed: int) -
     rng = np.random.default_rng(seed)
     points = SENSORS["uniform"](ball, rng)
     pierced = points[left_by("hole", points, ball, rng)]
-    whole, damaged = (nearest(each, ball.mesh.vertices, 1)[0].max() for each in (points, pierced))
+    whole, damaged = (
+        nearest(each, ball.mesh.vertices, 1)[0].max() for each in (points, pierced)
+    )
     assert whole < damaged

@@ -19,9 +19,15 @@ from pcretrieve.values.conversion import as_cloud, as_geometry, as_mesh
 
 MESH = shapes.body(3)
 VERTICES, FACES = MESH.vertices, MESH.faces
-CLOUD = pr.PointCloud(VERTICES, VERTICES / np.linalg.norm(VERTICES, axis=1, keepdims=True))
-SIGNATURE = Signature(np.array([3.0, 2, 1, 0.5]), "r-bihdm", errors=np.array([0.1, 0.2, 0.1, 0.1]))
-TABLE = SignatureTable(("a", "b"), np.array([[1.0, 2], [3, 4]]), "r-bihdm", labels=("cat", None))
+CLOUD = pr.PointCloud(
+    VERTICES, VERTICES / np.linalg.norm(VERTICES, axis=1, keepdims=True)
+)
+SIGNATURE = Signature(
+    np.array([3.0, 2, 1, 0.5]), "r-bihdm", errors=np.array([0.1, 0.2, 0.1, 0.1])
+)
+TABLE = SignatureTable(
+    ("a", "b"), np.array([[1.0, 2], [3, 4]]), "r-bihdm", labels=("cat", None)
+)
 NEIGHBORS = Neighbors(("a", "b"), np.array([0.0, 0.5]))
 PAIRS = pr.eigenpairs(pr.laplace_beltrami(MESH), 5)
 
@@ -38,8 +44,12 @@ MESHES: dict[str, Callable[[], Any]] = {
     "open3d": MESH.to_open3d,
     "open3d tensor": lambda: MESH.to_open3d(tensor=True),
     "trimesh": MESH.to_trimesh,
-    "pyvista": lambda: pyvista.PolyData(np.array(VERTICES), np.insert(FACES, 0, 3, axis=1).ravel()),
-    "vertices and faces": lambda: SimpleNamespace(vertices=VERTICES.tolist(), faces=FACES.tolist()),
+    "pyvista": lambda: pyvista.PolyData(
+        np.array(VERTICES), np.insert(FACES, 0, 3, axis=1).ravel()
+    ),
+    "vertices and faces": lambda: SimpleNamespace(
+        vertices=VERTICES.tolist(), faces=FACES.tolist()
+    ),
     "pair": lambda: (VERTICES, FACES),
     "pair of lists": lambda: [VERTICES.tolist(), FACES.tolist()],
 }
@@ -60,7 +70,9 @@ CLOUDS: dict[str, Callable[[], Any]] = {
 def test_meshes_keep_their_vertices_and_faces(kind: str) -> None:
     found = as_geometry(MESHES[kind]())
     assert isinstance(found, pr.TriangleMesh)
-    np.testing.assert_allclose(found.vertices, VERTICES, atol=1e-7 if "tensor" in kind else 0)
+    np.testing.assert_allclose(
+        found.vertices, VERTICES, atol=1e-7 if "tensor" in kind else 0
+    )
     np.testing.assert_array_equal(found.faces, FACES)
 
 
@@ -68,7 +80,9 @@ def test_meshes_keep_their_vertices_and_faces(kind: str) -> None:
 def test_clouds_keep_their_points_and_get_unit_normals(kind: str) -> None:
     found = as_geometry(CLOUDS[kind]())
     assert isinstance(found, pr.PointCloud)
-    np.testing.assert_allclose(found.points, VERTICES, atol=1e-7 if "tensor" in kind else 0)
+    np.testing.assert_allclose(
+        found.points, VERTICES, atol=1e-7 if "tensor" in kind else 0
+    )
     assert (found.normals is not None) == (
         kind in ("open3d", "open3d tensor", "points and normals")
     )
@@ -90,13 +104,19 @@ def test_arrays_of_exported_geometry_are_copies() -> None:
 
 def test_public_functions_take_meshes_of_other_packages() -> None:
     wanted = pr.signature(MESH)
-    np.testing.assert_allclose(pr.signature(MESH.to_trimesh()).values, wanted.values, rtol=1e-6)
-    assert pr.laplace_beltrami(MESH.to_open3d()).area == pytest.approx(MESH.area, rel=1e-6)
+    np.testing.assert_allclose(
+        pr.signature(MESH.to_trimesh()).values, wanted.values, rtol=1e-6
+    )
+    assert pr.laplace_beltrami(MESH.to_open3d()).area == pytest.approx(
+        MESH.area, rel=1e-6
+    )
     assert pr.reconstruct((VERTICES, FACES)).area == pytest.approx(MESH.area, rel=1e-6)
 
 
 def test_what_is_no_surface_or_no_scan_is_said() -> None:
-    with pytest.raises(InputError, match="a surface must have faces, got a cloud of 642 points"):
+    with pytest.raises(
+        InputError, match="a surface must have faces, got a cloud of 642 points"
+    ):
         as_mesh(CLOUD)
     assert len(as_cloud(MESH).points) == len(MESH.vertices)
     lines, grid = o3d.geometry.LineSet(), pyvista.ImageData(dimensions=(2, 2, 2))
@@ -117,7 +137,9 @@ def test_a_signature_is_an_array() -> None:
     assert np.asarray(TABLE).shape == (2, 2)
 
 
-@pytest.mark.parametrize("value", [CLOUD, MESH, Shape((Surface(MESH.area, mesh=MESH),))], ids=type)
+@pytest.mark.parametrize(
+    "value", [CLOUD, MESH, Shape((Surface(MESH.area, mesh=MESH),))], ids=type
+)
 def test_notebooks_show_a_picture(value: Any) -> None:
     html = value._repr_html_()
     assert 'src="data:image/png;base64,' in html

@@ -59,11 +59,17 @@ N_SCAN_SEEDS, N_SEEDS = (
 BALL = shapes.icosphere(1)
 NORMALS = BALL.vertices / np.linalg.norm(BALL.vertices, axis=1, keepdims=True)
 CLOUD = PointCloud(BALL.vertices, NORMALS, 3 * NORMALS)
-ELEMENTS = f"element vertex 42\n{XYZ}element face 3\nproperty list uchar int vertex_indices\n"
+ELEMENTS = (
+    f"element vertex 42\n{XYZ}element face 3\nproperty list uchar int vertex_indices\n"
+)
 POLYGONS = [[3, 0, 1, 2], [4, 2, 3, 4, 5], [3, 6, 7, 8]]
-BIG_ENDIAN = [bytes([n]) + np.array(polygon, dtype=">i4").tobytes() for n, *polygon in POLYGONS]
+BIG_ENDIAN = [
+    bytes([n]) + np.array(polygon, dtype=">i4").tobytes() for n, *polygon in POLYGONS
+]
 GRID = np.array([[x, y, 9 - (x * x + y * y) / 20, x] for x in range(6) for y in range(7)])
-DEPTH = Image.fromarray(np.fromfunction(lambda v, u: 1500 + u * u + v, (30, 40)).astype(np.uint16))
+DEPTH = Image.fromarray(
+    np.fromfunction(lambda v, u: 1500 + u * u + v, (30, 40)).astype(np.uint16)
+)
 
 
 def lines(rows: Any) -> str:
@@ -73,9 +79,12 @@ def lines(rows: Any) -> str:
 # A whole file of each format in each of its encodings: its content, or what writes it.
 SCANS: dict[str, str | bytes | Callable[[Path], object]] = {
     **dict.fromkeys(
-        ("mesh.ply", "mesh.obj", "mesh.off", "mesh.stl", "mesh.glb"), partial(write_mesh, BALL)
+        ("mesh.ply", "mesh.obj", "mesh.off", "mesh.stl", "mesh.glb"),
+        partial(write_mesh, BALL),
     ),
-    **dict.fromkeys(("cloud.ply", "cloud.pcd", "cloud.xyzn"), partial(write_cloud, CLOUD)),
+    **dict.fromkeys(
+        ("cloud.ply", "cloud.pcd", "cloud.xyzn"), partial(write_cloud, CLOUD)
+    ),
     "text.ply": ply("ascii", ELEMENTS, (lines(BALL.vertices) + lines(POLYGONS)).encode()),
     "big_endian.ply": ply(
         "binary_big_endian", ELEMENTS, BALL.vertices.astype(">f4").tobytes(), *BIG_ENDIAN
@@ -106,7 +115,9 @@ SCANS: dict[str, str | bytes | Callable[[Path], object]] = {
     **dict.fromkeys(("depth.png", "depth.tif", "depth.tiff"), DEPTH.save),
     "depth.npy": lambda path: np.save(path, np.asarray(DEPTH)),
     "array.npy": lambda path: np.save(path, BALL.vertices),
-    "arrays.npz": lambda path: np.savez_compressed(path, points=BALL.vertices, normals=NORMALS),
+    "arrays.npz": lambda path: np.savez_compressed(
+        path, points=BALL.vertices, normals=NORMALS
+    ),
     "views.conf": "camera 0 0 0\nbmesh a.ply 0 0 0 0 0 0 1\nbmesh a.pcd 0 0 1 0 0.6 0 0.8\n",
 }
 
@@ -135,7 +146,9 @@ def test_every_format_is_damaged() -> None:
 def test_a_name_that_is_not_utf8_is_read_as_any_other(name: str, tmp_path: Path) -> None:
     path = whole_scan(name, tmp_path)
     scan = read_scan(path)
-    other = read_scan(path.rename(path.with_name(os.fsdecode(b"latin-\xe9") + path.suffix)))
+    other = read_scan(
+        path.rename(path.with_name(os.fsdecode(b"latin-\xe9") + path.suffix))
+    )
     if isinstance(scan, TriangleMesh) and isinstance(other, TriangleMesh):
         scan, other = PointCloud(scan.vertices), PointCloud(other.vertices)
     assert scan == other
@@ -172,7 +185,14 @@ def read_catalogue(path: Path) -> object:
         done = [record.id for record in records if record.status == "done"]
         meshes = [store.mesh(shape_id) for shape_id in done]
         whole = [store.shape(shape_id, ("spectrum", "overlaps")) for shape_id in done]
-        return records, signatures(store), store.rows.areas(), meshes, whole, status(store)
+        return (
+            records,
+            signatures(store),
+            store.rows.areas(),
+            meshes,
+            whole,
+            status(store),
+        )
 
 
 def read_index(path: Path) -> object:
@@ -238,7 +258,9 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         "file,class\n" + "".join(f"{a},{b}\n" for a, b in labels.items())
     )
     (folder / "labels.cla").write_text("PSB 1\n2 3\n\ncat 0 2\n5\n6\n\ndog 0 1\n7\n")
-    (folder / "scans.txt").write_text("".join(f"scans/egg{number}.off\n" for number in range(6)))
+    (folder / "scans.txt").write_text(
+        "".join(f"scans/egg{number}.off\n" for number in range(6))
+    )
     (folder / "scans.csv").write_text(
         "path,x\n" + "".join(f"scans/egg{k}.off,\n" for k in range(6))
     )
@@ -253,12 +275,16 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
                     arrays = sorted(store.cache.folder.glob("*/*.npy"))
                 else:
                     options = store.options.changed(retrieval={"whitening": "none"})
-                    write_evaluation(evaluate(store, options=options).ranked.rankings, folder)
+                    write_evaluation(
+                        evaluate(store, options=options).ranked.rankings, folder
+                    )
                     table = signatures(store, options=options)
                     calibrate(store, folder / "metric.npz", options=store.options)
         distances = np.abs(table.values[:, :1] - table.values[:, 0])
         for suffix in ("txt", "npy"):
-            write_matrix(DistanceMatrix(table.ids, distances), folder / f"matrix.{suffix}")
+            write_matrix(
+                DistanceMatrix(table.ids, distances), folder / f"matrix.{suffix}"
+            )
         for array in arrays:
             shutil.copy(array, folder)
         yield folder
@@ -275,7 +301,9 @@ def faults(
     """The faults of reading such a file with so many damages."""
     kind = KINDS[name]
     data, path = (whole / kind.file).read_bytes(), whole / f"damaged-{kind.file}"
-    return read_damaged(path, lambda seed: content(data, seed), kind.read, n_seeds, path.stem)[1]
+    return read_damaged(
+        path, lambda seed: content(data, seed), kind.read, n_seeds, path.stem
+    )[1]
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -293,6 +321,8 @@ def test_a_file_that_was_read_wrongly_is_read_or_named(
         path = whole_scan("depth.npy", tmp_path).with_name(
             found.name
         )  # beside the file of a camera
-        assert not read_damaged(path, lambda seed: found.read_bytes(), read_scan, 1, str(path))[1]
+        assert not read_damaged(
+            path, lambda seed: found.read_bytes(), read_scan, 1, str(path)
+        )[1]
     else:
         assert not faults(found.parent.name, whole, lambda data, seed: found.read_bytes())

@@ -38,13 +38,17 @@ def tracked_files() -> list[str]:
     listed = subprocess.run(
         ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True, text=True
     )
-    return [name for name in listed.stdout.split("\0") if name and (ROOT / name).is_file()]
+    return [
+        name for name in listed.stdout.split("\0") if name and (ROOT / name).is_file()
+    ]
 
 
 def built(kind: str, source: Path, target: Path) -> Path:
     """The file that the build backend makes of the sources in a folder."""
     target.mkdir()
-    code = f"from setuptools.build_meta import build_{kind} as build; build({str(target)!r})"
+    code = (
+        f"from setuptools.build_meta import build_{kind} as build; build({str(target)!r})"
+    )
     subprocess.run([sys.executable, "-c", code], cwd=source, check=True)
     (made,) = target.iterdir()
     return made
@@ -71,7 +75,9 @@ def test_the_source_distribution_has_every_tracked_file(folder: Path) -> None:
     assert {name for name in wanted if not (folder / name).is_file()} == set()
     scripts = [name for name in wanted if name.startswith("scripts/")]
     assert [
-        name for name in scripts if (ROOT / name).stat().st_mode != (folder / name).stat().st_mode
+        name
+        for name in scripts
+        if (ROOT / name).stat().st_mode != (folder / name).stat().st_mode
     ] == []
 
 
@@ -83,7 +89,9 @@ def test_the_wheel_has_every_file_of_the_package_and_nothing_else(folder: Path) 
         held = {name for name in archive.namelist() if ".dist-info/" not in name}
         archive.extractall(installed := folder.parent / "installed")
     compiled = {name for name in held if name.endswith((".nbi", ".nbc"))}
-    assert held - compiled == {name for name in tracked_files() if name.startswith("pcretrieve/")}
+    assert held - compiled == {
+        name for name in tracked_files() if name.startswith("pcretrieve/")
+    }
     # A first scan after the installation compiles nothing, even where not even root can write a file.
     home = ("env", f"HOME={installed}", "XDG_CACHE_HOME=", "NUMBA_CACHE_DIR=")
     less = ("setpriv", "--bounding-set=-dac_override", "--inh-caps=-dac_override") * (
@@ -106,7 +114,9 @@ def test_the_version_is_that_of_the_other_files() -> None:
         ("CITATION.cff", r"^version: (\S+)$"),
         ("CHANGELOG.md", r"^## \[([\d.]+)\] - "),
     ):
-        found = re.findall(pattern, (ROOT / name).read_text(encoding="utf-8"), re.MULTILINE)
+        found = re.findall(
+            pattern, (ROOT / name).read_text(encoding="utf-8"), re.MULTILINE
+        )
         assert found[0] == pcretrieve.__version__, name
 
 
@@ -129,7 +139,11 @@ def test_no_dependency_has_a_stricter_licence_than_its_users() -> None:
             with_supernodal.add(name)
         for text in package.requires or ():
             needed = Requirement(text)
-            extras = ("", "remote", "postgresql", "all") if package.name == "pcretrieve" else ("",)
+            extras = (
+                ("", "remote", "postgresql", "all")
+                if package.name == "pcretrieve"
+                else ("",)
+            )
             if needed.marker is None or any(
                 needed.marker.evaluate({"extra": extra}) for extra in extras
             ):

@@ -24,20 +24,27 @@ DOCUMENTS = sorted(
 )
 # Workflows that have passed once; the others say in their first line that they have not.
 RUN: set[str] = set()
-ALL = "".join(path.read_text(encoding="utf-8") for path in DOCUMENTS if path.name != "CHANGELOG.md")
+ALL = "".join(
+    path.read_text(encoding="utf-8") for path in DOCUMENTS if path.name != "CHANGELOG.md"
+)
 
 
 def prose(document: Path) -> str:
     """The text of a document without its blocks of code."""
     return re.sub(
-        r"^```.*?^```$", "", document.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL
+        r"^```.*?^```$",
+        "",
+        document.read_text(encoding="utf-8"),
+        flags=re.MULTILINE | re.DOTALL,
     )
 
 
 def anchors(document: Path) -> set[str]:
     """The anchors that GitHub and Sphinx give to headings."""
     headings = re.findall(r"^#+ (.+)$", prose(document), re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+    return {
+        re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings
+    }
 
 
 def test_no_link_is_dead() -> None:
@@ -58,7 +65,9 @@ def test_no_link_is_dead() -> None:
 def test_every_page_is_in_one_table_of_contents() -> None:
     docs, contents = ROOT / "docs", r"^```\{toctree\}\n:hidden:\n\n(.*?)^```$"
     texts = ((docs / page).read_text("utf-8") for page in ("index.md", "guide.md"))
-    named = [re.findall(contents, text, re.MULTILINE | re.DOTALL)[0].split() for text in texts]
+    named = [
+        re.findall(contents, text, re.MULTILINE | re.DOTALL)[0].split() for text in texts
+    ]
     header, others = ([(docs / name).resolve() for name in names] for names in named)
     assert header == [docs / "gallery" / "index", docs / "guide", docs / "reference"]
     pages = {page.with_suffix("") for page in DOCUMENTS} - {docs / "index"} | {*header}
@@ -66,7 +75,9 @@ def test_every_page_is_in_one_table_of_contents() -> None:
 
 
 def test_the_reference_has_the_public_names_and_no_others() -> None:
-    names = re.findall(r"^   (\w+)$", (ROOT / "docs" / "reference.rst").read_text("utf-8"), re.M)
+    names = re.findall(
+        r"^   (\w+)$", (ROOT / "docs" / "reference.rst").read_text("utf-8"), re.M
+    )
     assert sorted(names) == sorted({*pcretrieve.__all__} - {"__version__"})
 
 
@@ -86,13 +97,18 @@ def test_the_reference_has_the_verbs_of_a_catalogue_and_no_others() -> None:
 
 def test_the_dockerfile_says_what_the_project_says() -> None:
     """Where no Docker builds it: what it names is what the project has."""
-    text, project = DOCKERFILE.replace("\\\n", ""), (ROOT / "pyproject.toml").read_text("utf-8")
+    text, project = (
+        DOCKERFILE.replace("\\\n", ""),
+        (ROOT / "pyproject.toml").read_text("utf-8"),
+    )
     (python,) = re.findall(r"^FROM python:([\d.]+)-slim", text, re.M)
     assert f'"Programming Language :: Python :: {python}"' in project
     (libraries,) = re.findall(r"--no-install-recommends (.+?) &&", text)
     (named,) = re.findall(r"system libraries (.+?)\.\s", README)
     assert libraries.split() == re.split(r", | and ", named)
-    copied = [name for line in re.findall(r"^COPY (.+) /", text, re.M) for name in line.split()]
+    copied = [
+        name for line in re.findall(r"^COPY (.+) /", text, re.M) for name in line.split()
+    ]
     assert {"pyproject.toml", "setup.py", "pcretrieve"} < {*copied}
     assert all((ROOT / name).exists() for name in copied)
     (command,) = re.findall(r'^ENTRYPOINT \["(.+?)"', text, re.M)
@@ -108,14 +124,20 @@ def test_workflows_run_what_is_there_and_say_whether_they_ever_ran() -> None:
         assert text.startswith("# Never run yet") or path.stem in RUN, path.name
         for job in yaml.safe_load(text)["jobs"].values():
             for python in job.get("strategy", {}).get("matrix", {}).get("python", ()):
-                assert f'"Programming Language :: Python :: {python}"' in project, path.name
+                assert f'"Programming Language :: Python :: {python}"' in project, (
+                    path.name
+                )
             commands |= {step["run"] for step in job["steps"] if "run" in step}
-    called = {script for command in commands for script in re.findall(r"^scripts/\w+", command)}
+    called = {
+        script for command in commands for script in re.findall(r"^scripts/\w+", command)
+    }
     assert called == {"scripts/check", "scripts/test", "scripts/docs"}
     assert {"scripts/test", "scripts/test --all"} <= commands
     for form in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"):
         fields = yaml.safe_load(form.read_text("utf-8"))
-        assert form.stem == "config" or {"name", "description", "body"} <= fields.keys(), form.name
+        assert (
+            form.stem == "config" or {"name", "description", "body"} <= fields.keys()
+        ), form.name
 
 
 def test_the_image_has_locked_packages_and_no_root() -> None:
@@ -130,11 +152,15 @@ def test_the_image_has_locked_packages_and_no_root() -> None:
     ]
     (locked,) = (line for line in installs if "--require-hashes" in line)
     assert "-r /source/requirements.lock" in locked
-    copied = [line for line in lines if line.startswith("COPY") and "requirements.lock" in line]
+    copied = [
+        line for line in lines if line.startswith("COPY") and "requirements.lock" in line
+    ]
     assert lines.index(copied[0]) < lines.index(locked)
     # The user is there before it is used, and nothing is installed by it.
     (user,) = (line for line in lines if line.startswith("USER"))
-    made = next(line for line in lines if f"useradd --create-home {user.split()[1]} " in line)
+    made = next(
+        line for line in lines if f"useradd --create-home {user.split()[1]} " in line
+    )
     assert lines.index(installs[-1]) < lines.index(made) < lines.index(user)
     assert f"chown {user.split()[1]} /data" in made
     assert not any(line.startswith("RUN") for line in lines[lines.index(user) :])
@@ -170,7 +196,17 @@ def test_the_image_is_built_and_makes_signatures() -> None:
     docker(["docker", "build", "--network", "host", "-t", "pcretrieve", "."])
     scan = "scans/person-1/person-1_walk.ply"
     made = docker(
-        ["docker", "run", "--rm", "-v", f"{ROOT}:/data:ro", "pcretrieve", "lab", "signature", scan]
+        [
+            "docker",
+            "run",
+            "--rm",
+            "-v",
+            f"{ROOT}:/data:ro",
+            "pcretrieve",
+            "lab",
+            "signature",
+            scan,
+        ]
     )
     assert "person-1_walk" in made.stdout
 
@@ -198,5 +234,7 @@ def test_commands_of_the_documents_exist() -> None:
 def test_the_readme_is_short_and_documents_name_every_command_and_script() -> None:
     assert README.count("\n") <= 90
     assert [name for name in NAMES if f"`{name.removeprefix('lab ')}" not in ALL] == []
-    scripts = {path.name for path in (ROOT / "scripts").iterdir() if path.is_file()} - {"setup"}
+    scripts = {path.name for path in (ROOT / "scripts").iterdir() if path.is_file()} - {
+        "setup"
+    }
     assert [name for name in sorted(scripts) if f"scripts/{name}" not in ALL] == []

@@ -42,7 +42,9 @@ WHITENINGS = (
 )
 
 
-@pytest.mark.parametrize("estimator", [*WHITENINGS, SignatureNeighbors(n_neighbors=1)], ids=str)
+@pytest.mark.parametrize(
+    "estimator", [*WHITENINGS, SignatureNeighbors(n_neighbors=1)], ids=str
+)
 def test_checks_of_scikit_learn(estimator: BaseEstimator) -> None:
     check_estimator(estimator, on_skip=None)
 
@@ -57,7 +59,9 @@ def test_whitenings_are_those_of_the_functions() -> None:
         (PeopleWhitening("r-bihdm"), fit_whitening("people", logs, people=known)),
     ):
         assert estimator.fit(logs, labels).whitening_ == whitening
-        np.testing.assert_array_equal(estimator.transform(logs[:5]), whitening.apply(logs[:5]))
+        np.testing.assert_array_equal(
+            estimator.transform(logs[:5]), whitening.apply(logs[:5])
+        )
     for estimator in WHITENINGS:
         with pytest.raises(OptionError, match=r"shrinkage must lie in \(0, 1\], got 2"):
             clone(estimator).set_params(shrinkage=2).fit(logs, labels)
@@ -118,7 +122,9 @@ def test_the_score_is_the_mean_average_precision_of_new_queries() -> None:
     assert estimator.score([[0.4], [2.9], [0.0]], ["b", "a", "c"]) == pytest.approx(
         (1 / 2 + 2 / 4) / 2
     )
-    with pytest.raises(InputError, match="a score needs queries of fitted classes, got none"):
+    with pytest.raises(
+        InputError, match="a score needs queries of fitted classes, got none"
+    ):
         estimator.score([[0.4]], ["c"])
     with pytest.raises(InputError, match="give y to fit"):
         SignatureNeighbors().fit(gallery).score([[0.4]], ["a"])
@@ -130,7 +136,8 @@ def test_what_neighbours_cannot_be_asked() -> None:
     number: Any
     for number in (0, 61, 2.5, True):
         with pytest.raises(
-            OptionError, match=f"n_neighbors to be a whole number from 1 to 60, got {number}"
+            OptionError,
+            match=f"n_neighbors to be a whole number from 1 to 60, got {number}",
         ):
             estimator.kneighbors(logs, number)
     with pytest.raises(OptionError, match="from 1 to 59, got 60"):
@@ -156,18 +163,30 @@ def test_what_is_no_sequence_of_scans() -> None:
         SignatureTransformer(method="sift").fit([])
 
 
-def test_from_scans_to_neighbours_in_one_pipeline(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_from_scans_to_neighbours_in_one_pipeline(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Four kinds of eggs, three of each."""
-    sizes = [(1 + 0.1 * number, 1, 1.2 + 0.2 * kind) for kind in range(4) for number in range(3)]
+    sizes = [
+        (1 + 0.1 * number, 1, 1.2 + 0.2 * kind)
+        for kind in range(4)
+        for number in range(3)
+    ]
     meshes = [shapes.ellipsoid(size, subdivisions=2) for size in sizes]
     kinds = classes_of(12, 3)
     keep = {"surface": {"mode": "keep"}}
     scans = SignatureTransformer(keep, method="r-bihdm", n_values=9)
-    search = make_pipeline(scans, WithinClassWhitening(), SignatureNeighbors(n_neighbors=2))
+    search = make_pipeline(
+        scans, WithinClassWhitening(), SignatureNeighbors(n_neighbors=2)
+    )
     search.fit(meshes, kinds)
     new = shapes.ellipsoid((1.05, 1, 1.6), subdivisions=2)
     rows = search[-1].kneighbors(search[:-1].transform([new]), return_distance=False)
     assert {kinds[row] for row in rows[0]} == {"class 002"}
-    values = pr.signature(new, {**keep, "signature": {"n_values": 9}}, method="r-bihdm").values
-    monkeypatch.setattr("pcretrieve.pipeline.process.process", None)  # surfaces are remembered
+    values = pr.signature(
+        new, {**keep, "signature": {"n_values": 9}}, method="r-bihdm"
+    ).values
+    monkeypatch.setattr(
+        "pcretrieve.pipeline.process.process", None
+    )  # surfaces are remembered
     np.testing.assert_allclose(scans.transform([new]), [np.log(values)], rtol=1e-9)

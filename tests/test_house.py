@@ -158,8 +158,25 @@ LARGE = {
 
 # Slow to import: each is imported in functions.
 HEAVY = {
-    *("cv2", "distributed", "fsspec", "laspy", "matplotlib", "open3d", "pandas", "potpourri3d"),
-    *("psycopg", "pye57", "pytetwild", "robust_laplacian", "sqlalchemy", "starlette", "trimesh"),
+    *(
+        "cv2",
+        "distributed",
+        "fsspec",
+        "laspy",
+        "matplotlib",
+        "open3d",
+        "pandas",
+        "potpourri3d",
+    ),
+    *(
+        "psycopg",
+        "pye57",
+        "pytetwild",
+        "robust_laplacian",
+        "sqlalchemy",
+        "starlette",
+        "trimesh",
+    ),
 }
 
 
@@ -176,7 +193,9 @@ def n_statements(function: ast.AST) -> int:
     """The statements of a function and of the functions in it, without docstrings."""
     nodes = list(ast.walk(function))
     n_docstrings = sum(
-        ast.get_docstring(node) is not None for node in nodes if isinstance(node, FUNCTION)
+        ast.get_docstring(node) is not None
+        for node in nodes
+        if isinstance(node, FUNCTION)
     )
     return sum(isinstance(node, ast.stmt) for node in nodes) - 1 - n_docstrings
 
@@ -196,8 +215,12 @@ def local_names(function: ast.FunctionDef | ast.AsyncFunctionDef) -> set[str]:
         node = waiting.pop()
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             names.add(node.id)
-        if isinstance(node, COMPREHENSION):  # a name assigned by := is one of the function
-            waiting += [inner for inner in ast.walk(node) if isinstance(inner, ast.NamedExpr)]
+        if isinstance(
+            node, COMPREHENSION
+        ):  # a name assigned by := is one of the function
+            waiting += [
+                inner for inner in ast.walk(node) if isinstance(inner, ast.NamedExpr)
+            ]
         elif not isinstance(node, SCOPE):
             waiting += ast.iter_child_nodes(node)
     return names
@@ -217,7 +240,11 @@ def test_the_package_can_be_read() -> None:
 
 def test_tokens_are_those_of_every_python() -> None:
     """From Python 3.12 on, what is inside an f-string is tokens of its own."""
-    assert n_tokens('x = f"{a + b:{c}} and {d(1)}" + "e"  # f\n') == n_tokens('x = "" + ""\n') == 3
+    assert (
+        n_tokens('x = f"{a + b:{c}} and {d(1)}" + "e"  # f\n')
+        == n_tokens('x = "" + ""\n')
+        == 3
+    )
 
 
 def test_functions_are_small() -> None:
@@ -235,7 +262,9 @@ def test_functions_are_small() -> None:
 
 
 def test_data_flows_one_way() -> None:
-    upwards = [(one, other) for one, other in arrows() if ROOMS.index(other) > ROOMS.index(one)]
+    upwards = [
+        (one, other) for one, other in arrows() if ROOMS.index(other) > ROOMS.index(one)
+    ]
     assert sorted(upwards) == []
     assert len(arrows()) <= MOST_ARROWS
 
@@ -248,12 +277,16 @@ def test_compared_systems_are_met_by_those_who_ask_for_them_alone() -> None:
 def test_the_command_line_calls_the_front_door() -> None:
     for face, also in BEHIND.items():
         seen = {other for one, other in arrows() if one == face}
-        assert seen <= {"errors", "values", "options", "plugins", "draw", "pages"} | also, face
+        assert (
+            seen <= {"errors", "values", "options", "plugins", "draw", "pages"} | also
+        ), face
 
 
 def test_what_is_heavy_is_imported_when_it_is_used() -> None:
     for path in sources():
-        at_once = {name.split(".")[0] for name, is_at_once in imported(path) if is_at_once}
+        at_once = {
+            name.split(".")[0] for name, is_at_once in imported(path) if is_at_once
+        }
         # The application of the search page is imported by `serve` alone.
         assert at_once.isdisjoint(HEAVY) or path.name == "application.py", path
 
@@ -270,7 +303,9 @@ def test_compiled_functions_call_none_of_another_module() -> None:
     for name, (path, each) in compiled.items():
         elsewhere = {other for other, (place, _) in compiled.items() if place != path}
         taken = {found.split(".")[-1] for found, _ in imported(path)} & elsewhere
-        assert not taken & {node.id for node in ast.walk(each) if isinstance(node, ast.Name)}, name
+        assert not taken & {
+            node.id for node in ast.walk(each) if isinstance(node, ast.Name)
+        }, name
 
 
 def test_compiled_loops_have_a_reference() -> None:

@@ -43,14 +43,18 @@ def test_slurm(tmp_path: Path) -> None:
         write_mesh(shapes.ellipsoid((1, 1, 1.5 + number), subdivisions=2), path)
     (scans / "zcopy.off").write_bytes((scans / "part0" / "egg1.off").read_bytes())
     (scans / "bad.off").write_text("OFF\n")
-    (tmp_path / "pcretrieve").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m pcretrieve "$@"\n')
+    (tmp_path / "pcretrieve").write_text(
+        f'#!/bin/sh\nexec "{sys.executable}" -m pcretrieve "$@"\n'
+    )
     (tmp_path / "pcretrieve").chmod(0o755)
     (script,) = re.findall(r"```slurm\n(.*?)```", DOCUMENT, re.DOTALL)
     script, n_replaced = re.subn(r"\bN=10\b", f"N={N_TASKS}", script)
     assert n_replaced == 1
     n_scans: list[int] = []
     for task in range(1, N_TASKS + 1):
-        said = run(script, tmp_path, SLURM_ARRAY_TASK_ID=str(task), SLURM_CPUS_PER_TASK="1")
+        said = run(
+            script, tmp_path, SLURM_ARRAY_TASK_ID=str(task), SLURM_CPUS_PER_TASK="1"
+        )
         n_scans += map(int, re.findall(r"ingest: (\d) scans", said))
     assert sum(n_scans) == 8 > max(n_scans)
     (merge,) = re.findall(r"--wrap '(.*?)'", DOCUMENT)

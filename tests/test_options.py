@@ -8,7 +8,12 @@ from typing import Any
 import pytest
 
 from pcretrieve.errors import OptionError
-from pcretrieve.options import PipelineOptions, RemeshOptions, describe_options, options_difference
+from pcretrieve.options import (
+    PipelineOptions,
+    RemeshOptions,
+    describe_options,
+    options_difference,
+)
 
 # Another value for each option: one that its type and limits allow, and that is not the default.
 OTHER: dict[str, dict[str, Any]] = {
@@ -71,12 +76,16 @@ AFTER = ("signature", "retrieval", "catalogue", "merge")
 
 def every_option() -> list[tuple[str, str]]:
     return [
-        (stage, name) for stage, values in PipelineOptions().model_dump().items() for name in values
+        (stage, name)
+        for stage, values in PipelineOptions().model_dump().items()
+        for name in values
     ]
 
 
 def test_the_table_above_names_every_option() -> None:
-    assert every_option() == [(stage, name) for stage, values in OTHER.items() for name in values]
+    assert every_option() == [
+        (stage, name) for stage, values in OTHER.items() for name in values
+    ]
 
 
 @pytest.mark.parametrize("options", [PipelineOptions(), PipelineOptions(**OTHER)])
@@ -104,7 +113,10 @@ def test_every_option_is_explained() -> None:
             b"[surfice]\n",
             r"there is no option 'surfice'; `pcretrieve lab options` lists them all; did you mean 'surface'",
         ),
-        (b"[surface]\ndepth = 7\n", r"options.toml: in \[surface\], there is no option 'depth'"),
+        (
+            b"[surface]\ndepth = 7\n",
+            r"options.toml: in \[surface\], there is no option 'depth'",
+        ),
         (
             b"[scan]\nvoxel = 'small'\n[surface]\nmode = 'guess'\n",
             r"in \[scan\], voxel: input should be 'auto', got 'small'; "
@@ -117,7 +129,9 @@ def test_every_option_is_explained() -> None:
         ),
     ],
 )
-def test_a_bad_file_says_what_is_wrong_with_it(text: bytes, message: str, tmp_path: Path) -> None:
+def test_a_bad_file_says_what_is_wrong_with_it(
+    text: bytes, message: str, tmp_path: Path
+) -> None:
     path = tmp_path / "options.toml"
     path.write_bytes(text)
     with pytest.raises(OptionError, match=message):
@@ -125,13 +139,22 @@ def test_a_bad_file_says_what_is_wrong_with_it(text: bytes, message: str, tmp_pa
 
 
 BAD: list[tuple[str, dict[str, Any]]] = [
-    ("scan", {"min_range": 0.0, "max_range": -1.0, "outlier_std": 0.0, "normal_neighbors": 2}),
+    (
+        "scan",
+        {"min_range": 0.0, "max_range": -1.0, "outlier_std": 0.0, "normal_neighbors": 2},
+    ),
     ("scan", {"max_range": math.inf, "voxel": -0.1, "flood_gap": 1.0}),
     ("scan", {"voxel": 1.0, "box": [[0.0, 0.0, 0.0], [1.0, 0.0, 1.0]]}),
     ("scan", {"voxel": math.nan}),
     (
         "surface",
-        {"max_faces": 100, "cell": 0.0, "gap": -0.1, "poisson_depth": 13, "target_faces": 100},
+        {
+            "max_faces": 100,
+            "cell": 0.0,
+            "gap": -0.1,
+            "poisson_depth": 13,
+            "target_faces": 100,
+        },
     ),
     ("surface", {"mode": "Auto", "poisson_depth": 7.5, "max_discarded": -0.1}),
     ("surface", {"poisson_depth": 3}),
@@ -147,14 +170,20 @@ BAD: list[tuple[str, dict[str, Any]]] = [
 
 def test_values_that_cannot_be() -> None:
     anywhere = [
-        (stage, {name: "nonsense"}) for stage, name in every_option() if name != "calibration"
+        (stage, {name: "nonsense"})
+        for stage, name in every_option()
+        if name != "calibration"
     ]
     for stage, values in [*BAD, *anywhere]:
         for name, bad in values.items():
-            message = rf"in \[{stage}\], {name}: input should .*, got {re.escape(repr(bad))}"
+            message = (
+                rf"in \[{stage}\], {name}: input should .*, got {re.escape(repr(bad))}"
+            )
             with pytest.raises(OptionError, match=message):
                 PipelineOptions().changed(**{stage: {name: bad}})
-    with pytest.raises(OptionError, match=r"^timeout: input should be greater than 0, got -1"):
+    with pytest.raises(
+        OptionError, match=r"^timeout: input should be greater than 0, got -1"
+    ):
         RemeshOptions(timeout=-1)  # one stage by itself
 
 
@@ -163,9 +192,7 @@ def test_every_option_that_moves_a_spectrum_has_a_digest_of_its_own() -> None:
     for stage, name in every_option():
         other = OTHER[stage][name]
         changed = options.changed(**{stage: {name: other}})
-        difference = (
-            f"{stage}.{name}: {options.model_dump()[stage][name]!r} there, {other!r:.60} here"
-        )
+        difference = f"{stage}.{name}: {options.model_dump()[stage][name]!r} there, {other!r:.60} here"
         hidden = stage in ("retrieval", "merge")
         assert options_difference(options, changed) == ([] if hidden else [difference])
         digests.add(changed.digest)
@@ -173,7 +200,9 @@ def test_every_option_that_moves_a_spectrum_has_a_digest_of_its_own() -> None:
         assert (changed.digest == options.digest) == (stage in AFTER)
         # The unit of a signature is `Signature.unit`.
         is_in_no_signature = stage in AFTER[1:] or (stage, name) == ("scan", "unit")
-        assert (changed.signature_digest == options.signature_digest) == is_in_no_signature
+        assert (
+            changed.signature_digest == options.signature_digest
+        ) == is_in_no_signature
     assert len(digests) == 1 + sum(
         len(values) for stage, values in OTHER.items() if stage not in AFTER
     )
@@ -185,10 +214,16 @@ def test_a_name_is_a_preset_unless_there_is_such_a_file(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     base = PipelineOptions().changed(surface={"genus": 1}, retrieval={"distance": "d2"})
-    assert PipelineOptions.of("clean-mesh") == PipelineOptions.of({"surface": {"mode": "keep"}})
-    assert PipelineOptions.of("clean-mesh", base) == base.changed(surface={"mode": "keep"})
+    assert PipelineOptions.of("clean-mesh") == PipelineOptions.of(
+        {"surface": {"mode": "keep"}}
+    )
+    assert PipelineOptions.of("clean-mesh", base) == base.changed(
+        surface={"mode": "keep"}
+    )
     Path("clean-mesh").write_text("[signature]\nn_modes = 50\n")
-    assert PipelineOptions.of("clean-mesh", base) == base.changed(signature={"n_modes": 50})
+    assert PipelineOptions.of("clean-mesh", base) == base.changed(
+        signature={"n_modes": 50}
+    )
     with pytest.raises(
         OptionError, match="no preset or file 'nowhere'; the presets are body-scanner"
     ):

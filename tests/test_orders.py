@@ -27,7 +27,12 @@ from uuid import uuid4
 import pytest
 import shapes
 from hypothesis import HealthCheck, seed, settings, strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    invariant,
+    rule,
+    run_state_machine_as_test,
+)
 from processes import MADE, PATIENCE, remembered
 
 import pcretrieve as pr
@@ -77,7 +82,9 @@ def store(table: Table, name: str, row: Row) -> bool:
     """Store a row by its name, which keeps its id; false if that is a failure where there is a shape."""
     if (earlier := table.get(name)) is None:
         taken = {one.id for one in table.values()}
-        table[name] = replace(row, id=free_id(Record(row.id, name, ""), taken.__contains__))
+        table[name] = replace(
+            row, id=free_id(Record(row.id, name, ""), taken.__contains__)
+        )
     elif row.is_done or not earlier.is_done:
         table[name] = replace(row, id=earlier.id)
     return row.is_done
@@ -100,10 +107,14 @@ def ingest(
     held = dict(sorted(table.items(), key=lambda item: item[1].id))
     ids = {name: row.id for name, row in held.items()}
     for name in names:
-        numbered = (numbered_id(Path(name).stem, number) for number in range(1, len(ids) + 2))
+        numbered = (
+            numbered_id(Path(name).stem, number) for number in range(1, len(ids) + 2)
+        )
         ids.setdefault(name, next(one for one in numbered if one not in ids.values()))
     gone = {
-        held[name].content: name for name in held if name not in names and files.get(name) is None
+        held[name].content: name
+        for name in held
+        if name not in names and files.get(name) is None
     }
     same = {
         content: [name for name, row in held.items() if row.content == content]
@@ -114,19 +125,27 @@ def ingest(
         content, earlier = files.get(name), held.get(name)
         if content is None:
             row = earlier or Row(ids[name], None)
-            unreadable[name] = replace(row, content=None, label=labels.get(name, row.label))
+            unreadable[name] = replace(
+                row, content=None, label=labels.get(name, row.label)
+            )
             continue
         if not earlier and (old := gone.pop(content, None)):
             moved[old], held[name], ids[name] = name, held[old], held[old].id
             same[content][same[content].index(old)] = name
             earlier = held[name]
         there = [
-            one for one in same[content] if one not in names or files.get(one) in (None, content)
+            one
+            for one in same[content]
+            if one not in names or files.get(one) in (None, content)
         ]
         if earlier and earlier.content == content and (earlier.is_done or not retries):
             fates[name] = "held"
-        elif (content in queued or there) and not (earlier and earlier.content == content):
-            if earlier and (not earlier.is_done or (content not in queued and content < N_GOOD)):
+        elif (content in queued or there) and not (
+            earlier and earlier.content == content
+        ):
+            if earlier and (
+                not earlier.is_done or (content not in queued and content < N_GOOD)
+            ):
                 removed.append(name)
             fates[name] = f"copy of {queued.get(content) or there[0]}"
         else:
@@ -135,7 +154,9 @@ def ingest(
                 ids[name], content, labels.get(name, earlier.label if earlier else None)
             )
     given = {
-        name: label for name, label in labels.items() if name in held and name in {*fates, *process}
+        name: label
+        for name, label in labels.items()
+        if name in held and name in {*fates, *process}
     }
     if moved or removed or given:
         yield False
@@ -174,7 +195,11 @@ def merged(table: Table, other: Table) -> Table | str:
         chosen = row if row.is_done and not mine.is_done else mine
         whole[name] = replace(chosen, label=mine.label or row.label)
     by_id = {row.id: name for name, row in whole.items()}
-    said += [f"{row.id!r} is .*{name} in" for name, row in whole.items() if by_id[row.id] != name]
+    said += [
+        f"{row.id!r} is .*{name} in"
+        for name, row in whole.items()
+        if by_id[row.id] != name
+    ]
     return "|".join(said) or whole
 
 
@@ -202,7 +227,9 @@ def killed_ingest(made: bytes, location: str, folder: Path, transaction: int) ->
     for database in (SqliteDatabase, PostgresqlDatabase):
 
         @contextmanager
-        def writing(self: Any, *given: Any, whole: Any = database.writing) -> Iterator[None]:
+        def writing(
+            self: Any, *given: Any, whole: Any = database.writing
+        ) -> Iterator[None]:
             with whole(self, *given):
                 yield
                 if next(numbers) == transaction:
@@ -248,14 +275,17 @@ class Orders(RuleBasedStateMachine):
         self.table: Table = {}
         self.backups: list[tuple[Path, Table]] = []
         self.hashes = {
-            hashlib.sha256(data).hexdigest(): number for number, data in contents().items()
+            hashlib.sha256(data).hexdigest(): number
+            for number, data in contents().items()
         }
         for name in NAMES:
             (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
         self.patch = pytest.MonkeyPatch()
         self.patch.setattr("pcretrieve.gallery.fitted.SMALLEST_KEPT", 1)
         self.patch.setenv("XDG_CACHE_HOME", str(self.root))
-        self.patch.setenv("PYTHONPATH", os.pathsep.join(sys.path))  # of the server that forks
+        self.patch.setenv(
+            "PYTHONPATH", os.pathsep.join(sys.path)
+        )  # of the server that forks
         self.readers: list[Catalogue] = []
         self.open([])
 
@@ -265,7 +295,9 @@ class Orders(RuleBasedStateMachine):
         self.locations = [str(self.root / f"{uuid4().hex}.sqlite")]
         self.locations += [f"{self.server}?schema={uuid4().hex}"] if self.server else []
         for location in self.locations:
-            with Catalogue(location, pr.PipelineOptions.of(OPTIONS), create=True) as catalogue:
+            with Catalogue(
+                location, pr.PipelineOptions.of(OPTIONS), create=True
+            ) as catalogue:
                 if parts:
                     pr.merge_catalogues(parts, catalogue)
         self.readers = [Catalogue(location) for location in self.locations]
@@ -288,9 +320,12 @@ class Orders(RuleBasedStateMachine):
         with Catalogue.opened(where) as catalogue:
             records = {self.name(record.path): record for record in catalogue.records()}
         rows = {
-            name: Row(r.id, self.hashes.get(r.content_hash), r.label) for name, r in records.items()
+            name: Row(r.id, self.hashes.get(r.content_hash), r.label)
+            for name, r in records.items()
         }
-        assert all(row.is_done == (records[name].status == "done") for name, row in rows.items())
+        assert all(
+            row.is_done == (records[name].status == "done") for name, row in rows.items()
+        )
         return rows
 
     def fates(self, summary: Summary) -> Fates:
@@ -300,7 +335,8 @@ class Orders(RuleBasedStateMachine):
             for record in getattr(summary, kind)
         }
         found |= {
-            path: f"copy of {self.name(original.path)}" for path, original in summary.duplicates
+            path: f"copy of {self.name(original.path)}"
+            for path, original in summary.duplicates
         }
         return {self.name(path): fate for path, fate in found.items()}
 
@@ -311,7 +347,9 @@ class Orders(RuleBasedStateMachine):
     def write(self, name: str, content: int | None) -> None:
         self.delete(name)
         file = self.folder / name
-        file.symlink_to("nowhere") if content is None else file.write_bytes(contents()[content])
+        file.symlink_to("nowhere") if content is None else file.write_bytes(
+            contents()[content]
+        )
         self.files[name] = content
 
     @rule(name=names_of_files)
@@ -333,11 +371,20 @@ class Orders(RuleBasedStateMachine):
         second=st.sampled_from((None, "removes", "ingests")),
     )
     def add(
-        self, way: str, name: str, labels: dict[str, str], retries: bool, second: str | None
+        self,
+        way: str,
+        name: str,
+        labels: dict[str, str],
+        retries: bool,
+        second: str | None,
     ) -> None:
         """While the first scan is processed, a second process may write; readers see each state."""
-        readable = sorted(one for one, content in self.files.items() if content is not None)
-        failed = sorted((row.id, one) for one, row in self.table.items() if not row.is_done)
+        readable = sorted(
+            one for one, content in self.files.items() if content is not None
+        )
+        failed = sorted(
+            (row.id, one) for one, row in self.table.items() if not row.is_done
+        )
         names = {
             "folder": sorted(self.files),
             "file": [one for one in readable if one == name],
@@ -347,7 +394,9 @@ class Orders(RuleBasedStateMachine):
         if way in ("retry", "watch"):
             labels, retries = {}, way == "retry"
         before = self.table
-        for location, reader in zip(self.locations, self.readers, strict=True) if names else ():
+        for location, reader in (
+            zip(self.locations, self.readers, strict=True) if names else ()
+        ):
             table = self.table = dict(before)
             fates: Fates = {}
             turns: list[int] = []
@@ -357,7 +406,8 @@ class Orders(RuleBasedStateMachine):
                 while not next(steps):  # noqa: B023
                     pass
                 assert self.seen(reader) == table  # noqa: B023
-                first = min((row.id, name) for name, row in table.items())[1] if table else None  # noqa: B023
+                rows = sorted((row.id, name) for name, row in table.items())  # noqa: B023
+                first = rows[0][1] if rows else None
                 if not turns and second == "removes" and first:  # noqa: B023
                     with Catalogue(location) as other:  # noqa: B023
                         other.remove(table.pop(first).id)  # noqa: B023
@@ -371,7 +421,9 @@ class Orders(RuleBasedStateMachine):
             if way == "retry":
                 found = pr.retry(location, executor=how)
             elif way == "watch":
-                found = next(iter(pr.watch(self.folder, location, interval=0.001, executor=how)))
+                found = next(
+                    iter(pr.watch(self.folder, location, interval=0.001, executor=how))
+                )
             else:
                 scans = self.folder if way == "folder" else self.folder / name
                 named: dict[str, Any] = {"labels": given, "retry_failed": retries}
@@ -382,10 +434,17 @@ class Orders(RuleBasedStateMachine):
             assert self.fates(found) == fates
             if way in ("folder", "file"):
                 processed = {self.name(record.path) for record in planned.planned}
-                assert self.fates(planned) | {name: fates[name] for name in processed} == fates
-            assert found.unknown_labels == [path for path in given if self.name(path) not in names]
+                assert (
+                    self.fates(planned) | {name: fates[name] for name in processed}
+                    == fates
+                )
+            assert found.unknown_labels == [
+                path for path in given if self.name(path) not in names
+            ]
             for record in found.failed if second != "removes" else ():
-                is_kept = "; the catalogue keeps what was made of this" in str(record.message)
+                is_kept = "; the catalogue keeps what was made of this" in str(
+                    record.message
+                )
                 assert is_kept == table[self.name(record.path)].is_done
 
     @rule(transaction=st.integers(1, 5))
@@ -438,27 +497,41 @@ class Orders(RuleBasedStateMachine):
             with Catalogue(location) as catalogue:
                 if name is None:
                     with pytest.raises(InputError, match="holds no shape"):
-                        catalogue.remove(*(row.id for row in self.table.values()), "nobody")
+                        catalogue.remove(
+                            *(row.id for row in self.table.values()), "nobody"
+                        )
                 else:
                     catalogue.remove(self.table[name].id)
         self.table = {one: row for one, row in self.table.items() if one != name}
 
-    @rule(shape_id=st.sampled_from("abx"), content=numbers, label=st.sampled_from((None, "cat")))
+    @rule(
+        shape_id=st.sampled_from("abx"),
+        content=numbers,
+        label=st.sampled_from((None, "cat")),
+    )
     def keep(self, shape_id: str, content: int, label: str | None) -> None:
         """The search page keeps a scan under a name, unless that or the scan is there, or the scan fails."""
         scan, name = self.root / "scan.off", f"one/{shape_id}.off"
         scan.write_bytes(contents()[content])
         files, before = {**self.files, name: content}, self.table
-        is_free = name not in self.files and shape_id not in {row.id for row in before.values()}
+        is_free = name not in self.files and shape_id not in {
+            row.id for row in before.values()
+        }
         for location in self.locations:
             self.table = dict(before)
             labels = {name: label} if label else {}
-            fate = ingested(self.table, files, [name], labels)[name] if is_free else "refused"
+            fate = (
+                ingested(self.table, files, [name], labels)[name]
+                if is_free
+                else "refused"
+            )
             if fate == "failed" and not self.table[name].is_done:
                 del self.table[name]
             with pytest.MonkeyPatch.context() as patch, suppress(InputError):
                 patch.setattr(pr, "ingest", partial(pr.ingest, executor=remembered))
-                keeping.Collection(location, self.folder / "one", 60, 1).add(scan, shape_id, label)
+                keeping.Collection(location, self.folder / "one", 60, 1).add(
+                    scan, shape_id, label
+                )
                 assert fate in ("done", "held")
                 (self.folder / name).unlink()
             assert (name in self.files) == os.path.lexists(self.folder / name)
@@ -491,13 +564,15 @@ class Orders(RuleBasedStateMachine):
             copy, other = data.draw(st.sampled_from(self.backups))
             whole = merged(self.table, other)
             n_added = sum(
-                row.is_done > self.table.get(name, row).is_done for name, row in other.items()
+                row.is_done > self.table.get(name, row).is_done
+                for name, row in other.items()
             )
             n_added += len(other.keys() - self.table.keys())
             for location in self.locations:
                 if isinstance(whole, str):
                     with pytest.raises(
-                        CatalogueError, match=f"with conflicts cannot be merged: .*({whole})"
+                        CatalogueError,
+                        match=f"with conflicts cannot be merged: .*({whole})",
                     ):
                         pr.merge_catalogues([copy], location)
                 else:
@@ -524,7 +599,10 @@ class Orders(RuleBasedStateMachine):
     def check(self) -> None:
         for location in self.locations:
             found = pr.check(location, sample=0)
-            assert (found.defects, found.n_shapes + found.n_failed) == ((), len(self.table))
+            assert (found.defects, found.n_shapes + found.n_failed) == (
+                (),
+                len(self.table),
+            )
 
     @invariant()
     def readers_agree(self) -> None:
@@ -539,7 +617,9 @@ class Orders(RuleBasedStateMachine):
                 ids,
                 tuple(done[i].label for i in ids),
             )
-            assert reader.rows.labelled(["cat"]) == [one for one in ids if done[one].label == "cat"]
+            assert reader.rows.labelled(["cat"]) == [
+                one for one in ids if done[one].label == "cat"
+            ]
             for one, values in zip(ids, table.values, strict=True):
                 whole = MADE[contents()[done[one].content or 0]]
                 assert (values == whole.signature).all()
@@ -560,7 +640,9 @@ def run(machine: type[Orders], n_orders: int) -> None:
         derandomize=given is None,
         suppress_health_check=[*HealthCheck],
     )
-    run_state_machine_as_test(seed(int(given))(machine) if given else machine, settings=chosen)
+    run_state_machine_as_test(
+        seed(int(given))(machine) if given else machine, settings=chosen
+    )
 
 
 def test_every_order_of_events() -> None:

@@ -39,7 +39,9 @@ def whole_number(name: str, added: object) -> int:
     return added
 
 
-NUMBERS = Registry(Names("number", GROUP, ("one", "two")), {"one": 1, "two": 2}, whole_number)
+NUMBERS = Registry(
+    Names("number", GROUP, ("one", "two")), {"one": 1, "two": 2}, whole_number
+)
 
 
 @pytest.fixture
@@ -53,22 +55,35 @@ def test_names_are_those_of_the_records() -> None:
     assert {record.name: record.has_size for record in records} == METHODS
     assert METHODS.keys() - DESCRIPTORS.own.keys() == COMPARED.keys()
     assert get_args(SpectralOptions.model_fields["element"].annotation) == tuple(ELEMENTS)
-    assert get_args(RetrievalOptions.model_fields["distance"].annotation) == tuple(DISTANCES)
+    assert get_args(RetrievalOptions.model_fields["distance"].annotation) == tuple(
+        DISTANCES
+    )
     assert tuple(MATCHERS) == cli_options.MATCHERS
 
 
 def test_a_package_adds_names_and_takes_none(request: pytest.FixtureRequest) -> None:
     assert NUMBERS.names.all() == ("one", "two")
-    with pytest.raises(OptionError, match="there is no number 'seven'; there are one, two"):
+    with pytest.raises(
+        OptionError, match="there is no number 'seven'; there are one, two"
+    ):
         NUMBERS["seven"]
     request.getfixturevalue("installed")
-    assert NUMBERS.names.all() == ("one", "two", "ending", "lost", "nowhere", "seven", "word")
+    assert NUMBERS.names.all() == (
+        "one",
+        "two",
+        "ending",
+        "lost",
+        "nowhere",
+        "seven",
+        "word",
+    )
     assert (NUMBERS["seven"], NUMBERS["one"], NUMBERS["two"]) == (7, 1, 2)
     assert NUMBERS.called("seven") == "the number 'seven' of the package numbers-package"
     assert NUMBERS.called("one") == "the number 'one'"
     assert NUMBERS.names.known("seven") == "seven"
     with pytest.raises(
-        ValueError, match=r"input should be one of one, two, ending, .*, word, got 'three'"
+        ValueError,
+        match=r"input should be one of one, two, ending, .*, word, got 'three'",
     ):
         NUMBERS.names.known("three")
 
@@ -86,10 +101,15 @@ def test_a_package_adds_names_and_takes_none(request: pytest.FixtureRequest) -> 
             "cannot be loaded, AttributeError: .* has no attribute 'NOWHERE'; upgrade or uninstall",
         ),
         ("ending", "cannot be loaded, SystemExit: 0; upgrade or uninstall that package"),
-        ("word", "must be a whole number, got 'seven'; upgrade or uninstall that package"),
+        (
+            "word",
+            "must be a whole number, got 'seven'; upgrade or uninstall that package",
+        ),
     ],
 )
-def test_what_cannot_be_loaded_is_named_and_disables_nothing_else(name: str, message: str) -> None:
+def test_what_cannot_be_loaded_is_named_and_disables_nothing_else(
+    name: str, message: str
+) -> None:
     with pytest.raises(
         OptionError, match=f"the number '{name}' of the package numbers-package {message}"
     ):
@@ -119,7 +139,9 @@ def test_errors_of_a_package_fail_a_shape_or_an_option_and_others_pass() -> None
         OptionError, match=r"the number 'seven' of .* failed, KeyError: 'x'; upgrade"
     ):
         fail("seven", KeyError("x"), None)
-    with pytest.raises(ShapeError, match="the number 'one' failed, InputError: must be positive"):
+    with pytest.raises(
+        ShapeError, match="the number 'one' failed, InputError: must be positive"
+    ):
         fail("one", InputError("must be positive"))
     others = [("seven", OptionError("n must be odd")), ("seven", ShapeError("too flat"))]
     for name, other in [*others, ("seven", MemoryError()), ("one", KeyError("x"))]:

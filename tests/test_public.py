@@ -12,7 +12,16 @@ from commands import NAMES
 
 import pcretrieve
 
-HEAVY = ("numpy", "scipy", "sklearn", "numba", "open3d", "pytetwild", "trimesh", "pydantic")
+HEAVY = (
+    "numpy",
+    "scipy",
+    "sklearn",
+    "numba",
+    "open3d",
+    "pytetwild",
+    "trimesh",
+    "pydantic",
+)
 
 
 def test_every_command_has_a_function() -> None:
@@ -44,13 +53,19 @@ def test_every_public_name_is_there_and_documented() -> None:
             assert "Raises\n---" in documentation, name
             for parameter in inspect.signature(value).parameters:
                 documented = rf"^(\w+, )*{parameter}(, \w+)* : "
-                assert re.search(documented, documentation, re.MULTILINE), (name, parameter)
+                assert re.search(documented, documentation, re.MULTILINE), (
+                    name,
+                    parameter,
+                )
 
 
 def imported_by(*arguments: str) -> set[str]:
     """Packages that a fresh interpreter has imported after running with these arguments."""
     done = subprocess.run(
-        [sys.executable, "-X", "importtime", *arguments], capture_output=True, text=True, check=True
+        [sys.executable, "-X", "importtime", *arguments],
+        capture_output=True,
+        text=True,
+        check=True,
     )
     return {
         line.rsplit("|", 1)[1].strip().split(".")[0]
@@ -75,7 +90,9 @@ def test_starting_is_light(arguments: tuple[str, ...]) -> None:
     assert imported.isdisjoint(HEAVY)
 
 
-@pytest.mark.parametrize("name", ["read_scan", "SignatureIndex", "eigenpairs", "reconstruct"])
+@pytest.mark.parametrize(
+    "name", ["read_scan", "SignatureIndex", "eigenpairs", "reconstruct"]
+)
 def test_third_parties_wait_until_they_are_needed(name: str) -> None:
     assert imported_by("-c", f"from pcretrieve import {name}").isdisjoint(
         {"open3d", "pytetwild", "trimesh"}

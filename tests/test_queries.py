@@ -19,7 +19,13 @@ from commands import result, run
 import pcretrieve as pr
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.descriptors import describe
-from pcretrieve.errors import CatalogueError, InputError, OptionError, ScanReadError, ShapeError
+from pcretrieve.errors import (
+    CatalogueError,
+    InputError,
+    OptionError,
+    ScanReadError,
+    ShapeError,
+)
 from pcretrieve.values import Neighbors, TriangleMesh
 
 N_KINDS, N_EACH = 3, 4
@@ -36,7 +42,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("stored", "new"):
         (folder / name).mkdir()
     labels = {
-        f"{kind}{number}": f"kind{kind}" for kind in range(N_KINDS) for number in range(N_EACH)
+        f"{kind}{number}": f"kind{kind}"
+        for kind in range(N_KINDS)
+        for number in range(N_EACH)
     }
     for name in labels:
         pr.write_mesh(egg(int(name[0]), int(name[1])), folder / "stored" / f"{name}.off")
@@ -81,7 +89,10 @@ def test_a_file_an_id_and_a_signature_are_answered_alike(
 
 def test_what_is_no_query(catalogue: Path, folder: Path) -> None:
     for query, message in (
-        ("nobody", "'nobody' is no file and no shape of .*; `pcretrieve list` names the shapes"),
+        (
+            "nobody",
+            "'nobody' is no file and no shape of .*; `pcretrieve list` names the shapes",
+        ),
         ("broken", "shape 'broken' failed in read: "),
     ):
         with pytest.raises(InputError, match=message):
@@ -91,7 +102,9 @@ def test_what_is_no_query(catalogue: Path, folder: Path) -> None:
     with pytest.raises(
         InputError, match=r"a distance matrix ranks shapes .* does not hold .*new0\.off"
     ):
-        next(pr.search_many(catalogue, ["11", folder / "new"], matrix=pr.matrix(catalogue)))
+        next(
+            pr.search_many(catalogue, ["11", folder / "new"], matrix=pr.matrix(catalogue))
+        )
     with pytest.raises(
         InputError,
         match="is of the class kind; `pcretrieve list` shows the classes; did you mean 'kind",
@@ -104,7 +117,10 @@ def test_what_is_no_query(catalogue: Path, folder: Path) -> None:
 def test_signatures_that_were_computed_are_kept(catalogue: Path, tmp_path: Path) -> None:
     """Asked again, by whomever, nothing of a shape is read; of one that is new, what is needed."""
     shutil.copy(catalogue, tmp_path / "c.sqlite")
-    with pr.Catalogue(tmp_path / "c.sqlite") as first, pr.Catalogue(tmp_path / "c.sqlite") as other:
+    with (
+        pr.Catalogue(tmp_path / "c.sqlite") as first,
+        pr.Catalogue(tmp_path / "c.sqlite") as other,
+    ):
         options = first.options.changed(signature={"method": "wks"})
         table = pr.signatures(first, options=options)
         statements: list[str] = []
@@ -118,7 +134,9 @@ def test_signatures_that_were_computed_are_kept(catalogue: Path, tmp_path: Path)
         statements.clear()
         again = pr.signatures(other, options=options)
         read = [
-            text for text in statements if text.startswith('SELECT shape, "spectra", "moments"')
+            text
+            for text in statements
+            if text.startswith('SELECT shape, "spectra", "moments"')
         ]
         assert len(read) == 2
     expected = describe(new, options.signature).values.tolist()
@@ -126,7 +144,9 @@ def test_signatures_that_were_computed_are_kept(catalogue: Path, tmp_path: Path)
 
 
 @pytest.mark.parametrize("distance", ["log", "d1", "d2"])
-def test_ranks_in_some_classes_are_those_among_all_shapes(distance: str, catalogue: Path) -> None:
+def test_ranks_in_some_classes_are_those_among_all_shapes(
+    distance: str, catalogue: Path
+) -> None:
     options = {"retrieval": {"distance": distance}, "signature": {"method": "r-bihdm"}}
     new = shapes.ellipsoid((1.02, 1, 1.3), subdivisions=3)
     signature = pr.signature(new, {"signature": {"method": "r-bihdm"}})
@@ -138,7 +158,9 @@ def test_ranks_in_some_classes_are_those_among_all_shapes(distance: str, catalog
 
 
 @pytest.mark.parametrize("rerank", ["none", "k-reciprocal"])
-def test_a_query_can_be_left_out_of_its_results(rerank: str, catalogue: Path, folder: Path) -> None:
+def test_a_query_can_be_left_out_of_its_results(
+    rerank: str, catalogue: Path, folder: Path
+) -> None:
     options = {"retrieval": {"rerank": rerank}}
     with_itself = nearest(catalogue, "11", k=4, options=options)
     assert with_itself.ids[0] == "11"
@@ -169,23 +191,31 @@ def test_what_is_printed_of_many(catalogue: Path, folder: Path) -> None:
     """One table of what is said of each; their neighbours with -v, in JSON and in CSV."""
     names = ["11", *(str(folder / "new" / f"new{kind}.off") for kind in range(2))]
     answers = [pr.search(catalogue, name, k=2) for name in names]
-    lines = run("query", "11", folder / "new", "-c", catalogue, "-k", 2).stdout.splitlines()
+    lines = run(
+        "query", "11", folder / "new", "-c", catalogue, "-k", 2
+    ).stdout.splitlines()
     assert lines[0].split() == ["SCAN", "VERDICT", "CLASS", "SCORE"]
     assert [line.split()[:3] for line in lines[1:]] == [
         [name, one.verdict, one.label] for name, one in zip(names, answers, strict=True)
     ]
-    long = run("query", "11", folder / "new", "-c", catalogue, "-k", 2, "-v").stdout.splitlines()
+    long = run(
+        "query", "11", folder / "new", "-c", catalogue, "-k", 2, "-v"
+    ).stdout.splitlines()
     assert long[::5] == names
     assert [line.split()[4] for line in long if line.startswith("   ")] == [
         name for one in answers for name in one.neighbors.ids
     ]
     assert long[4::5] == [f"{one}, because {one.because}" for one in answers]
     broken = folder / "stored" / "broken.off"
-    some = run("query", "11", broken, "-c", catalogue, "-k", 1, code=3).stdout.splitlines()
+    some = run(
+        "query", "11", broken, "-c", catalogue, "-k", 1, code=3
+    ).stdout.splitlines()
     assert some[2].split() == [str(broken), "-", "-", "-"]
 
 
-def test_a_scan_that_fails_does_not_stop_the_others(catalogue: Path, folder: Path) -> None:
+def test_a_scan_that_fails_does_not_stop_the_others(
+    catalogue: Path, folder: Path
+) -> None:
     broken = folder / "stored" / "broken.off"
     queries = (folder / "new" / "new0.off", broken, "11")
     done = run("query", *queries, "-c", catalogue, "-k", 1, "--json", code=3)
@@ -195,27 +225,39 @@ def test_a_scan_that_fails_does_not_stop_the_others(catalogue: Path, folder: Pat
     assert f"failed: [broken.off / read] {documents[1]['message']}" in done.stderr
     answers = dict(pr.search_many(catalogue, queries, k=1))
     assert isinstance(answers[str(broken)], ScanReadError)
-    assert isinstance(run("query", broken, "-c", catalogue, code=None).exception, ScanReadError)
+    assert isinstance(
+        run("query", broken, "-c", catalogue, code=None).exception, ScanReadError
+    )
 
 
-def test_scores_come_with_distances_and_least_ones_leave_no_match(catalogue: Path) -> None:
+def test_scores_come_with_distances_and_least_ones_leave_no_match(
+    catalogue: Path,
+) -> None:
     found = nearest(catalogue, "11", k=12)
     with pr.Catalogue(catalogue) as store:
         scores = pr.index(store).scores
         plain = nearest(store, "11", k=12, options={"retrieval": {"whitening": "none"}})
         made = {shape_id: pr.stored_signature(store, shape_id) for shape_id in store}
         assert repr(store) == f"Catalogue({catalogue}: {len(made)} shapes)"
-    assert [made["11"].distance(made[one]) for one in plain.ids] == plain.distances.tolist()
+    assert [
+        made["11"].distance(made[one]) for one in plain.ids
+    ] == plain.distances.tolist()
     assert scores is not None and found.scores is not None
     np.testing.assert_array_equal(found.scores, scores.of(found.distances))
     assert found.to_pandas().columns.tolist() == ["id", "distance", "score"]
-    again = nearest(catalogue, "11", k=12, options={"retrieval": {"rerank": "k-reciprocal"}})
+    again = nearest(
+        catalogue, "11", k=12, options={"retrieval": {"rerank": "k-reciprocal"}}
+    )
     assert again.scores is not None
     score_of = dict(zip(found.ids, found.scores.tolist(), strict=True))
     assert again.scores.tolist() == [score_of[shape_id] for shape_id in again.ids]
     least = float(found.scores[5])
     kept = nearest(catalogue, "11", k=12, min_score=least)
-    assert kept.ids == tuple(name for name in found.ids if score_of[name] >= least) != found.ids
+    assert (
+        kept.ids
+        == tuple(name for name in found.ids if score_of[name] >= least)
+        != found.ids
+    )
     done = run("query", "11", "-c", catalogue, "--min-score", 1, "--verbose")
     assert done.stdout == "stranger, because no shape has a score of 1 or more\n"
     assert f"score: {scores.reason}" in done.stderr
@@ -242,7 +284,9 @@ def test_one_question_has_one_answer(
         pr.write_mesh(shapes.ellipsoid((1, 1, 4), subdivisions=3), scan)
     asked = query if query == "00" else str(scan)
     answer = pr.search(catalogue, asked, k=3)
-    assert answer.verdict in ("sure", "between", "stranger") and answer.certainty is not None
+    assert (
+        answer.verdict in ("sure", "between", "stranger") and answer.certainty is not None
+    )
     assert (answer.verdict == "stranger") == (query == "another body")
     assert answer.scan is not None and answer.scan.name in ("good", "poor", "incomplete")
     ((name, among),) = pr.search_many(catalogue, [asked], k=3)
@@ -251,10 +295,14 @@ def test_one_question_has_one_answer(
     page = tmp_path / "page.html"
     command = ("query", asked, "-c", catalogue, "-k", 3)
     (document,) = result(*command, "--html", page)
-    assert {key: document[key] for key in SAID} == {key: getattr(answer, key) for key in SAID}
+    assert {key: document[key] for key in SAID} == {
+        key: getattr(answer, key) for key in SAID
+    }
     assert document["scan"]["name"] == answer.scan.name
     assert [row["id"] for row in document["neighbors"]] == list(answer.neighbors.ids)
-    assert [row["distance"] for row in document["neighbors"]] == answer.neighbors.distances.tolist()
+    assert [
+        row["distance"] for row in document["neighbors"]
+    ] == answer.neighbors.distances.tolist()
     rows = list(csv.DictReader(run(*command, "--csv").stdout.splitlines()))
     assert {row["query"] for row in rows} == {asked}
     for key in SAID:
@@ -279,8 +327,12 @@ def test_a_question_has_one_answer(catalogue: Path, folder: Path, tmp_path: Path
         asked = (scan, "-c", catalogue, "-k", 3, "--whitening", whitening)
         (answer,) = result("query", *asked, "--html", tmp_path / "command.html")
         assert [row["id"] for row in answer["neighbors"]] == list(neighbors.ids)
-        assert [row["distance"] for row in answer["neighbors"]] == neighbors.distances.tolist()
-        page = pr.query_page(catalogue, scan, tmp_path / "python.html", k=3, options=options)
+        assert [
+            row["distance"] for row in answer["neighbors"]
+        ] == neighbors.distances.tolist()
+        page = pr.query_page(
+            catalogue, scan, tmp_path / "python.html", k=3, options=options
+        )
         text = page.read_text(encoding="utf-8")
         assert text == (tmp_path / "command.html").read_text(encoding="utf-8")
         assert all(shape_id in text for shape_id in neighbors.ids)
@@ -293,7 +345,9 @@ def test_a_question_has_one_answer(catalogue: Path, folder: Path, tmp_path: Path
 
 def test_measures_are_the_same_numbers(catalogue: Path, tmp_path: Path) -> None:
     for whitening in ("none", "pca"):
-        printed = result("evaluate", "-c", catalogue, "--whitening", whitening, "--per-class")
+        printed = result(
+            "evaluate", "-c", catalogue, "--whitening", whitening, "--per-class"
+        )
         found = pr.evaluate(catalogue, options={"retrieval": {"whitening": whitening}})
         # A command counts all failures, and measures those of the classes.
         names = {part.name for part in fields(pr.RetrievalMeasures)} - {"n_failed"}
@@ -301,13 +355,19 @@ def test_measures_are_the_same_numbers(catalogue: Path, tmp_path: Path) -> None:
             name: getattr(found, name) for name in names
         }
         assert printed["macro"]["map"] == found.macro.map
-        assert [one["label"] for one in printed["classes"]] == [one.label for one in found.classes]
+        assert [one["label"] for one in printed["classes"]] == [
+            one.label for one in found.classes
+        ]
         assert list(printed["interval"]["low"].values()) == found.interval[0].tolist()
     with pr.Catalogue(catalogue) as store:
-        assert pr.evaluate(pr.signatures(store), options=store.options) == pr.evaluate(store)
+        assert pr.evaluate(pr.signatures(store), options=store.options) == pr.evaluate(
+            store
+        )
     page = pr.report(catalogue, tmp_path / "bodies.html", k=2)
     run("report", "-c", catalogue, "-o", tmp_path / "same.html", "-k", 2)
-    assert page.read_text(encoding="utf-8") == (tmp_path / "same.html").read_text(encoding="utf-8")
+    assert page.read_text(encoding="utf-8") == (tmp_path / "same.html").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_a_metric_of_labelled_scans_is_used_in_another_catalogue(
@@ -334,11 +394,15 @@ def test_a_metric_of_labelled_scans_is_used_in_another_catalogue(
     evaluated = result("evaluate", "-c", catalogue, "--whitening", metric)
     assert evaluated["whitening_used"] == f"{reason}, from {metric}"
     pr.calibrate(catalogue, metric, options={"signature": {"n_values": 9}})
-    with pytest.raises(InputError, match="must be fitted on signatures made by the same options"):
+    with pytest.raises(
+        InputError, match="must be fitted on signatures made by the same options"
+    ):
         nearest(catalogue, "00", options=chosen)
     for content in (b"", b"PK no archive", b"words"):
         metric.write_bytes(content)
-        with pytest.raises(InputError, match="a whitening must be a name such as auto, or a file"):
+        with pytest.raises(
+            InputError, match="a whitening must be a name such as auto, or a file"
+        ):
             nearest(catalogue, "00", options=chosen)
 
 
@@ -352,9 +416,9 @@ def test_atoms_of_labelled_scans_are_used_in_another_catalogue(
         folder / "stored" / "11.off",
     )
     shipped = {"signature": {"method": "dl-supervised"}}
-    assert result("lab", "calibrate", "-c", catalogue, "--method", "dl-supervised", "-o", file)[
-        "config"
-    ]
+    assert result(
+        "lab", "calibrate", "-c", catalogue, "--method", "dl-supervised", "-o", file
+    )["config"]
     learnt = pr.calibrate(catalogue, tmp_path / "again.toml", options=shipped)
     assert (tmp_path / "again.toml").read_bytes() == file.read_bytes()
     assert pr.PipelineOptions.of(file) == learnt
@@ -366,9 +430,9 @@ def test_atoms_of_labelled_scans_are_used_in_another_catalogue(
         plain = pr.stored_signature(
             store, "11", options=pr.PipelineOptions.of(shipped, store.options)
         ).values
-    assert result("lab", "signature", "--config", file, egg)[0]["values"] == pytest.approx(
-        stored, abs=1e-9
-    )
+    assert result("lab", "signature", "--config", file, egg)[0][
+        "values"
+    ] == pytest.approx(stored, abs=1e-9)
     assert np.abs(stored - plain).max() > 1e-3
     content = file.read_text()
     file.unlink()
@@ -377,7 +441,8 @@ def test_atoms_of_labelled_scans_are_used_in_another_catalogue(
     assert len(result("query", egg, "-c", other)[0]["neighbors"]) == 2
     # Signatures of two dictionaries are not compared.
     with pytest.raises(
-        CatalogueError, match=r"built with other options: .*signature.atoms: \(\(.* there, None"
+        CatalogueError,
+        match=r"built with other options: .*signature.atoms: \(\(.* there, None",
     ):
         pr.ingest(folder / "stored", other, options=shipped)
     with pytest.raises(
@@ -399,7 +464,9 @@ def test_atoms_of_labelled_scans_are_used_in_another_catalogue(
         ),
     ):
         file.write_text(bad)
-        with pytest.raises(OptionError, match=rf"atoms.toml: in \[signature\], {message}"):
+        with pytest.raises(
+            OptionError, match=rf"atoms.toml: in \[signature\], {message}"
+        ):
             nearest(catalogue, "11", options=file)
 
 
@@ -408,7 +475,9 @@ def test_what_atoms_cannot_be_learned_from(folder: Path, tmp_path: Path) -> None
     bare, labels = tmp_path / "bare.sqlite", {name: f"kind{name[0]}" for name in eggs}
     files = [folder / "stored" / f"{name}.off" for name in eggs]
     pr.ingest(files, bare, options={"catalogue": {"keep": []}}, labels=labels)
-    with pytest.raises(ShapeError, match=r"^\[00 / signature\] gone: the shape must hold its mesh"):
+    with pytest.raises(
+        ShapeError, match=r"^\[00 / signature\] gone: the shape must hold its mesh"
+    ):
         pr.calibrate(bare, tmp_path / "atoms.toml", options=shipped)
     with pr.Catalogue(bare) as store:
         store.remove("00")
@@ -421,10 +490,16 @@ def test_signatures_are_exported(catalogue: Path, tmp_path: Path) -> None:
         wanted = pr.signatures(store).select(["11", "00"])
     for suffix in (".npz", ".parquet", ".csv"):
         path = tmp_path / f"bodies{suffix}"
-        run("catalogue", "export", "--signatures", "-c", catalogue, "-o", path, "11", "00")
+        run(
+            "catalogue", "export", "--signatures", "-c", catalogue, "-o", path, "11", "00"
+        )
         if suffix == ".npz":
             with np.load(path, allow_pickle=False) as file:
-                ids, labels, values = file["ids"].tolist(), file["labels"].tolist(), file["values"]
+                ids, labels, values = (
+                    file["ids"].tolist(),
+                    file["labels"].tolist(),
+                    file["values"],
+                )
                 assert str(file["kind"]) == "hapt+r-bihdm"
         elif suffix == ".parquet":
             pandas = pytest.importorskip("pandas")

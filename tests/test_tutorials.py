@@ -25,7 +25,8 @@ else:
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 SAMPLES = [
-    f"person-{name}.ply" for name in ("1/person-1_stand", "1/person-1_walk", "2/person-2_run")
+    f"person-{name}.ply"
+    for name in ("1/person-1_stand", "1/person-1_walk", "2/person-2_run")
 ]
 
 #: Makes the catalogue with which other documents begin.
@@ -98,13 +99,20 @@ def install_files(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     project = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8"))["project"]
     for group, points in project["entry-points"].items():
         lines += [f"[{group}]", *(f"{name} = {value}" for name, value in points.items())]
-    modules = {path.stem: path.read_text(encoding="utf-8") for path in Path().glob("*.py")}
-    install(site, project["name"].replace("-", "_"), modules, "\n".join(lines), monkeypatch)
+    modules = {
+        path.stem: path.read_text(encoding="utf-8") for path in Path().glob("*.py")
+    }
+    install(
+        site, project["name"].replace("-", "_"), modules, "\n".join(lines), monkeypatch
+    )
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.stem)
 def test_the_blocks_run_in_order(
-    document: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+    document: Path,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest,
 ) -> None:
     """And files of options have options of these names with such values."""
     if document.name != "CONTRIBUTING.md":  # which makes a catalogue of this name
@@ -131,7 +139,9 @@ def test_the_blocks_run_in_order(
 
 
 def test_the_first_tutorial_makes_the_catalogue_of_the_others() -> None:
-    text = (ROOT / "docs" / "tutorials" / "first_catalogue.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "tutorials" / "first_catalogue.md").read_text(
+        encoding="utf-8"
+    )
     assert f"\n{INGEST}\n" in text
     assert {"README", "CONTRIBUTING", "guide", "scanners", "plugin"} <= {
         page.stem for page in DOCUMENTS
@@ -145,7 +155,11 @@ def test_the_cells_of_notebooks_run_in_order(
     monkeypatch.setenv("MPLBACKEND", "agg")
     monkeypatch.chdir(notebook.parent)
     document = json.loads(notebook.read_text(encoding="utf-8"))
-    cells = ["".join(cell["source"]) for cell in document["cells"] if cell["cell_type"] == "code"]
+    cells = [
+        "".join(cell["source"])
+        for cell in document["cells"]
+        if cell["cell_type"] == "code"
+    ]
     assert cells
     names: dict[str, object] = {}
     for cell in cells:

@@ -48,7 +48,11 @@ ONE = Signature(np.ones(1), "x")
     ("kind", "arguments", "message"),
     [
         (PointCloud, [np.zeros((4, 2))], "points must have shape (n, 3), got (4, 2)"),
-        (PointCloud, ["bunny"], "points must be an array of numbers, got one of type <U5"),
+        (
+            PointCloud,
+            ["bunny"],
+            "points must be an array of numbers, got one of type <U5",
+        ),
         (
             PointCloud,
             [[[1, 2, 3], [4, 5]]],
@@ -59,16 +63,36 @@ ONE = Signature(np.ones(1), "x")
             [[[0, np.nan, np.inf]]],
             "points must be finite, got 2 values that are NaN or infinite",
         ),
-        (PointCloud, [CORNERS, CORNERS[:2]], "normals must have shape (3, 3), got (2, 3)"),
+        (
+            PointCloud,
+            [CORNERS, CORNERS[:2]],
+            "normals must have shape (3, 3), got (2, 3)",
+        ),
         (
             PointCloud,
             [CORNERS, np.diag([1.0, 2, 0])],
             "normals must have unit length, got 2 of 3 that have",
         ),
-        (PointCloud, [CORNERS, None, [0, 0]], "viewpoints must have shape (3, 3), got (2,)"),
-        (TriangleMesh, [CORNERS, np.zeros((1, 4))], "faces must have shape (n, 3), got (1, 4)"),
-        (TriangleMesh, [CORNERS, [[0, 1, 3]]], "faces must name vertices 0 to 2, got 0 to 3"),
-        (TriangleMesh, [CORNERS, [[-1, 1, 2]]], "faces must name vertices 0 to 2, got -1 to 2"),
+        (
+            PointCloud,
+            [CORNERS, None, [0, 0]],
+            "viewpoints must have shape (3, 3), got (2,)",
+        ),
+        (
+            TriangleMesh,
+            [CORNERS, np.zeros((1, 4))],
+            "faces must have shape (n, 3), got (1, 4)",
+        ),
+        (
+            TriangleMesh,
+            [CORNERS, [[0, 1, 3]]],
+            "faces must name vertices 0 to 2, got 0 to 3",
+        ),
+        (
+            TriangleMesh,
+            [CORNERS, [[-1, 1, 2]]],
+            "faces must name vertices 0 to 2, got -1 to 2",
+        ),
         (
             TriangleMesh,
             [CORNERS, [[0, 0.5, 2**32]]],
@@ -84,8 +108,16 @@ ONE = Signature(np.ones(1), "x")
             [IDENTITY * np.nan, IDENTITY],
             "stiffness and mass must be finite, got NaN or inf",
         ),
-        (LaplaceBeltrami, [IDENTITY, 0 * IDENTITY], "mass must sum up to a positive area, got 0"),
-        (LaplaceBeltrami, [IDENTITY, IDENTITY, 0, [0, 1]], "nodes must have shape (3), got (2,)"),
+        (
+            LaplaceBeltrami,
+            [IDENTITY, 0 * IDENTITY],
+            "mass must sum up to a positive area, got 0",
+        ),
+        (
+            LaplaceBeltrami,
+            [IDENTITY, IDENTITY, 0, [0, 1]],
+            "nodes must have shape (3), got (2,)",
+        ),
         (
             Eigenpairs,
             [np.zeros(2), np.zeros((3, 1)), IDENTITY],
@@ -114,23 +146,47 @@ ONE = Signature(np.ones(1), "x")
             [("a",), np.ones((2, 3)), "x"],
             "values must have shape (1, n), got (2, 3)",
         ),
-        (SignatureTable, [("a",), [[1.0, 0.0]], "x"], "signature values must be positive, got 0.0"),
+        (
+            SignatureTable,
+            [("a",), [[1.0, 0.0]], "x"],
+            "signature values must be positive, got 0.0",
+        ),
         (
             SignatureTable,
             [("a",), [[1]], "x", "", ("b", "c")],
             "labels must be as many as ids (1), got 2",
         ),
         (ONE.distance, [1], "the other signature must be of the type Signature, got int"),
-        (ONE.distance, [Signature(np.ones(1), "y")], "must be made by the same options, got ('x',"),
-        (ONE.distance, [Signature(np.ones(1), "x", "other")], "must be made by the same options"),
-        (ONE.distance, [Signature(np.ones(1), "x", unit="m")], "must be made by the same options"),
+        (
+            ONE.distance,
+            [Signature(np.ones(1), "y")],
+            "must be made by the same options, got ('x',",
+        ),
+        (
+            ONE.distance,
+            [Signature(np.ones(1), "x", "other")],
+            "must be made by the same options",
+        ),
+        (
+            ONE.distance,
+            [Signature(np.ones(1), "x", unit="m")],
+            "must be made by the same options",
+        ),
         (
             ONE.distance,
             [Signature(np.ones(1), "x", metric="values")],
             "must be made by the same options",
         ),
-        (eigenpairs, [CORNERS], "operator must be of the type LaplaceBeltrami, got ndarray"),
-        (ModalSpectrum.of, [1], "pairs must be of the type Eigenpairs or ModalSpectrum, got int"),
+        (
+            eigenpairs,
+            [CORNERS],
+            "operator must be of the type LaplaceBeltrami, got ndarray",
+        ),
+        (
+            ModalSpectrum.of,
+            [1],
+            "pairs must be of the type Eigenpairs or ModalSpectrum, got int",
+        ),
         (Surface, [0.0], "the area of a surface must be positive and finite, got 0.0"),
         (Shape, [()], "a shape must have at least 1 surface, got none"),
         (Neighbors, [("a", "b"), np.zeros(3)], "distances must have shape (2), got (3,)"),
@@ -154,7 +210,9 @@ def test_refuses(kind: type[Any], arguments: list[Any], message: str) -> None:
         kind(*arguments)
 
 
-MESH = shapes.icosphere(2).after(Step("made", 0.5, {"faces": 320.0}, ("nothing to note",)))
+MESH = shapes.icosphere(2).after(
+    Step("made", 0.5, {"faces": 320.0}, ("nothing to note",))
+)
 CLOUD = PointCloud(CORNERS, CORNERS, np.zeros(3), MESH.provenance)
 OPERATOR = laplace_beltrami(MESH)
 PAIRS = eigenpairs(OPERATOR, 5)
@@ -208,7 +266,11 @@ def test_how_a_value_was_made_is_no_part_of_it() -> None:
     for value in (MESH, CLOUD):
         first, second = Step("made", 0.5), Step("clean", 2.0)
         assert value.after(first) == value
-        assert value.after(first).after(second).provenance == (*value.provenance, first, second)
+        assert value.after(first).after(second).provenance == (
+            *value.provenance,
+            first,
+            second,
+        )
 
 
 def test_whole_numbers_name_faces_whatever_their_type() -> None:
@@ -228,13 +290,19 @@ def test_points_keep_what_belongs_to_them() -> None:
 KINDS = [kind for kind in vars(errors).values() if isinstance(kind, type)]
 
 
-@pytest.mark.parametrize("error", [kind for kind in KINDS if issubclass(kind, PcretrieveError)])
+@pytest.mark.parametrize(
+    "error", [kind for kind in KINDS if issubclass(kind, PcretrieveError)]
+)
 def test_errors_keep_their_place_through_pickling(error: type[PcretrieveError]) -> None:
     copy = pickle.loads(
         pickle.dumps(error("no closed surface", stage=Stage.REMESH, shape_id="T17"))
     )
     assert type(copy) is error
-    assert (copy.message, copy.stage, copy.shape_id) == ("no closed surface", Stage.REMESH, "T17")
+    assert (copy.message, copy.stage, copy.shape_id) == (
+        "no closed surface",
+        Stage.REMESH,
+        "T17",
+    )
     assert str(copy) == "[T17 / remesh] no closed surface"
 
 
@@ -284,7 +352,9 @@ def test_rigid_motion_moves_no_measure_and_scale_moves_each_by_its_power() -> No
 
 
 def test_flat_faces_have_no_area_to_speak_of_at_any_scale() -> None:
-    vertices = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1e-10, 0], [0.5, 1e-7, 0], [0, 0, 0]])
+    vertices = np.array(
+        [[0, 0, 0], [1, 0, 0], [0.5, 1e-10, 0], [0.5, 1e-7, 0], [0, 0, 0]]
+    )
     faces = np.array([[0, 1, 2], [0, 1, 3], [0, 4, 1], [0, 0, 1]])
     for scale in (1e-6, 1.0, 1e6):
         assert TriangleMesh(scale * vertices, faces).flat_faces.tolist() == [
@@ -326,11 +396,19 @@ def test_points_in_one_place_have_a_frame() -> None:
 
 
 def test_the_power_of_two_above_a_length() -> None:
-    assert [power_of_two(length) for length in (0.0, 0.5, 0.75, 1.9, 2.0)] == [1, 1, 1, 2, 4]
+    assert [power_of_two(length) for length in (0.0, 0.5, 0.75, 1.9, 2.0)] == [
+        1,
+        1,
+        1,
+        2,
+        4,
+    ]
 
 
 def test_vertices_at_one_place_are_linked() -> None:
-    mesh = TriangleMesh(np.array([[0, 0, 0], [0, 0, 0], [1.0, 0, 0]]), np.array([[0, 1, 2]]))
+    mesh = TriangleMesh(
+        np.array([[0, 0, 0], [0, 0, 0], [1.0, 0, 0]]), np.array([[0, 1, 2]])
+    )
     apart = dijkstra(edge_graph(mesh), directed=False)
     np.testing.assert_allclose(apart, [[0, 0, 1], [0, 0, 1], [1, 1, 0]], atol=1e-12)
 
@@ -342,4 +420,6 @@ def test_directions_have_unit_length_and_their_tangent_axes_are_orthogonal() -> 
     assert not made[0].any(), "zero has no direction"
     np.testing.assert_allclose(np.linalg.norm(made[1:], axis=1), 1)
     frames = np.stack([made[1:], *tangent_axes(made[1:])], axis=1)  # (49, 3, 3)
-    np.testing.assert_allclose(frames @ frames.transpose(0, 2, 1), [np.eye(3)] * 49, atol=1e-12)
+    np.testing.assert_allclose(
+        frames @ frames.transpose(0, 2, 1), [np.eye(3)] * 49, atol=1e-12
+    )

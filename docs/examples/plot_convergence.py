@@ -16,7 +16,10 @@ import pcretrieve as pr
 exact = np.repeat(np.arange(7) * np.arange(1, 8), 2 * np.arange(7) + 1)  # 49 values
 meshes = [sphere(rounds) for rounds in (2, 3, 4)]
 spheres = {f"{len(mesh.faces)} faces": mesh for mesh in meshes}
-draw(spheres, {name: mesh.vertices[:, 0] * mesh.vertices[:, 1] for name, mesh in spheres.items()})
+draw(
+    spheres,
+    {name: mesh.vertices[:, 0] * mesh.vertices[:, 1] for name, mesh in spheres.items()},
+)
 
 # %%
 # The largest error of 48 eigenvalues.

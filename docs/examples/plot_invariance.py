@@ -12,7 +12,9 @@ from sample import draw, person
 import pcretrieve as pr
 
 people = {
-    f"person {seed}, {pose}": person(seed, pose) for seed in (1, 2) for pose in ("stand", "walk")
+    f"person {seed}, {pose}": person(seed, pose)
+    for seed in (1, 2)
+    for pose in ("stand", "walk")
 }
 draw(people)
 

@@ -29,7 +29,9 @@ with tempfile.TemporaryDirectory() as folder:
     with pr.Catalogue(catalogue) as shapes:
         bodies = {
             f"{name}\n{distance:.2f}": shapes.mesh(name)
-            for name, distance in zip(found.neighbors.ids, found.neighbors.distances, strict=True)
+            for name, distance in zip(
+                found.neighbors.ids, found.neighbors.distances, strict=True
+            )
         }
 print(found)
 draw({"query": pr.reconstruct(query)} | bodies)

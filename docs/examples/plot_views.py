@@ -14,10 +14,15 @@ from sample import SCANS, draw
 
 import pcretrieve as pr
 
-cloud: Any = pr.read_scan(SCANS / "person-4" / "person-4_stand.conf")  # points, not a mesh
+cloud: Any = pr.read_scan(
+    SCANS / "person-4" / "person-4_stand.conf"
+)  # points, not a mesh
 sensors, view = np.unique(cloud.viewpoints, axis=0, return_inverse=True)
 
-draw({"points by view": cloud, "surface": pr.reconstruct(cloud)}, {"points by view": view.ravel()})
+draw(
+    {"points by view": cloud, "surface": pr.reconstruct(cloud)},
+    {"points by view": view.ravel()},
+)
 
 # %%
 axes = plt.figure(figsize=(7, 6)).add_subplot(projection="3d")

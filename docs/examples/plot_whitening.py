@@ -18,7 +18,11 @@ POSES = ["stand", "walk", "run", "wave"]
 def logarithms(seeds: tuple[int, ...]) -> np.ndarray:
     """One log-signature in each row, poses of a person after each other."""
     return np.array(
-        [np.log(pr.signature(person(seed, pose), "paper")) for seed in seeds for pose in POSES]
+        [
+            np.log(pr.signature(person(seed, pose), "paper"))
+            for seed in seeds
+            for pose in POSES
+        ]
     )
 
 

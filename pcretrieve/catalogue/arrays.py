@@ -19,7 +19,14 @@ from numpy.typing import NDArray
 
 from pcretrieve.catalogue.records import Payload, damaged
 from pcretrieve.options import PipelineOptions
-from pcretrieve.values import FloatArray, ModalSpectrum, Shape, Step, Surface, TriangleMesh
+from pcretrieve.values import (
+    FloatArray,
+    ModalSpectrum,
+    Shape,
+    Step,
+    Surface,
+    TriangleMesh,
+)
 
 DTYPES = tuple(np.dtype(name) for name in ("<f8", "<i4", "<i8", "|i1", "|u1"))
 
@@ -164,14 +171,20 @@ def payloads_of(shape: Shape, options: PipelineOptions) -> dict[Payload, bytes]:
     }
     # The overlaps of a point cloud cannot be computed from the mesh: its operator is that of the points.
     if "overlaps" in keep or options.spectral.of_points:
-        stored["overlaps"] = packed_symmetric(np.stack([s.known_overlaps() for s in spectra]))
+        stored["overlaps"] = packed_symmetric(
+            np.stack([s.known_overlaps() for s in spectra])
+        )
     if "meshes" in keep:
-        meshes = [array for part in parts for array in (part.mesh.vertices, part.mesh.faces)]
+        meshes = [
+            array for part in parts for array in (part.mesh.vertices, part.mesh.faces)
+        ]
         stored["meshes"] = packed(meshes)
     return stored
 
 
-def stored_shape(payloads: Mapping[Payload, bytes], provenance: tuple[Step, ...]) -> Shape:
+def stored_shape(
+    payloads: Mapping[Payload, bytes], provenance: tuple[Step, ...]
+) -> Shape:
     """The shape whose arrays are stored."""
     areas, eigenvalues = unpacked(payloads["spectra"], 2)  # (s,), (s, k)
     n = len(areas)
@@ -182,7 +195,9 @@ def stored_shape(payloads: Mapping[Payload, bytes], provenance: tuple[Step, ...]
     if "moments" in payloads:
         (moments,) = unpacked(payloads["moments"], 1)  # (s, k, k)
         overlaps = (
-            unpacked_symmetric(payloads["overlaps"]) if "overlaps" in payloads else [None] * n
+            unpacked_symmetric(payloads["overlaps"])
+            if "overlaps" in payloads
+            else [None] * n
         )
         spectra = [
             ModalSpectrum(values, m, 1.0, o)
@@ -195,5 +210,7 @@ def stored_shape(payloads: Mapping[Payload, bytes], provenance: tuple[Step, ...]
             for parts in zip(arrays[::2], arrays[1::2], strict=True)
         ]
         meshes = [*kept, *meshes[len(kept) :]]
-    surfaces = (Surface(*parts) for parts in zip(areas.tolist(), spectra, meshes, strict=True))
+    surfaces = (
+        Surface(*parts) for parts in zip(areas.tolist(), spectra, meshes, strict=True)
+    )
     return Shape(tuple(surfaces), provenance=provenance)

@@ -58,10 +58,14 @@ class ArrayCache:
         self.folder: Path | None = None
         with suppress(RuntimeError):  # there is no user
             cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-            self.folder = cache / "pcretrieve" / f"{Path(location).name}-{short_digest(location)}"
+            self.folder = (
+                cache / "pcretrieve" / f"{Path(location).name}-{short_digest(location)}"
+            )
         self.last: tuple[str, Any] | None = None
 
-    def opened(self, name: str, read: Callable[[dict[str, NDArray[Any]]], Made]) -> Made | None:
+    def opened(
+        self, name: str, read: Callable[[dict[str, NDArray[Any]]], Made]
+    ) -> Made | None:
         """What `read` makes of stored arrays; None if there are none."""
         if self.folder is None:
             return None
@@ -72,7 +76,9 @@ class ArrayCache:
             return None  # there is none, or another process removes it at this moment
         # NumPy reads the header of an array by parsers of Python, and lets their exceptions pass.
         except Exception as error:  # noqa: BLE001
-            logger.warning("computed again, because it cannot be read: %s (%s)", kept, error)
+            logger.warning(
+                "computed again, because it cannot be read: %s (%s)", kept, error
+            )
             remove_kept(kept)
             return None
 

@@ -104,7 +104,9 @@ class Catalogue(Mapping[str, Record]):
         any_numbers: bool = False,
     ) -> None:
         #: For other rooms of this package, which need more than the verbs below.
-        self.rows = Rows(location, settings_of(options or PipelineOptions()), create=create)
+        self.rows = Rows(
+            location, settings_of(options or PipelineOptions()), create=create
+        )
         self.location = self.rows.location
         try:
             self.options = stored_options(
@@ -158,11 +160,15 @@ class Catalogue(Mapping[str, Record]):
         """The record of a shape that did not fail; InputError, which is a KeyError too, for others."""
         record = self.record(shape_id)
         if record.status != "done":
-            raise UnknownShape(f"shape {shape_id!r} failed in {record.stage}: {record.message}")
+            raise UnknownShape(
+                f"shape {shape_id!r} failed in {record.stage}: {record.message}"
+            )
         return record
 
     def __contains__(self, shape_id: object) -> bool:
-        return any(record.status == "done" for record in self.rows.several([str(shape_id)]))
+        return any(
+            record.status == "done" for record in self.rows.several([str(shape_id)])
+        )
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.rows.wanted(state="done")[1])
@@ -188,7 +194,9 @@ class Catalogue(Mapping[str, Record]):
         incomplete: poor and incomplete scans alone.
         offset, limit: how many are left out first, and how many there are at most.
         """
-        pages = self.rows.pages(status=status, incomplete=incomplete, offset=offset, limit=limit)
+        pages = self.rows.pages(
+            status=status, incomplete=incomplete, offset=offset, limit=limit
+        )
         return [record for page in pages for record in page]
 
     def labels(self) -> dict[str, str | None]:
@@ -201,7 +209,9 @@ class Catalogue(Mapping[str, Record]):
 
     # --- one shape --------------------------------------------------------------------------------------
 
-    def shape(self, shape_id: str, needs: tuple[Need, ...] = ("spectrum", "mesh")) -> Shape:
+    def shape(
+        self, shape_id: str, needs: tuple[Need, ...] = ("spectrum", "mesh")
+    ) -> Shape:
         """Read a shape with some of its parts; those that were not stored are missing in it."""
         names = [name for name, served in SERVED.items() if served & {*needs}]
         entry = self.rows.entry(shape_id, ["spectra", *names])
@@ -262,7 +272,9 @@ class Catalogue(Mapping[str, Record]):
             payloads["thumbnails"] = packed([np.frombuffer(content.thumbnail, np.uint8)])
         if content.up is not None:
             payloads["up"] = packed([content.up])
-        return self.rows.store(Entry(record, {OWN: packed_values(content.signature)}, payloads))
+        return self.rows.store(
+            Entry(record, {OWN: packed_values(content.signature)}, payloads)
+        )
 
     def remove(self, *shape_ids: str) -> None:
         """Remove shapes: from the catalogue, its free space and log, and the cache of its indexes.

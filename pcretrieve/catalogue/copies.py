@@ -50,7 +50,9 @@ class MergedCatalogues:
     n_held: int
 
 
-def merge_catalogues(parts: Sequence[CatalogueLike], output: CatalogueLike) -> MergedCatalogues:
+def merge_catalogues(
+    parts: Sequence[CatalogueLike], output: CatalogueLike
+) -> MergedCatalogues:
     """Store the shapes of several catalogues in one, such as those of ``ingest(shard=...)``.
 
     Of a path that several catalogues have, the first finished shape is kept, or the first failure if none is
@@ -79,7 +81,9 @@ def merge_catalogues(parts: Sequence[CatalogueLike], output: CatalogueLike) -> M
     """
     check_many("parts", parts)
     if not parts:
-        raise InputError("there must be at least one catalogue to merge, got none: name the parts")
+        raise InputError(
+            "there must be at least one catalogue to merge, got none: name the parts"
+        )
     with ExitStack() as stack:
         sources = [stack.enter_context(Catalogue.opened(part)) for part in parts]
         for part in sources:
@@ -87,7 +91,9 @@ def merge_catalogues(parts: Sequence[CatalogueLike], output: CatalogueLike) -> M
         _chosen(
             [part.rows for part in sources]
         )  # conflicts are an error before there is a new file
-        target = stack.enter_context(Catalogue.opened(output, sources[0].options, create=True))
+        target = stack.enter_context(
+            Catalogue.opened(output, sources[0].options, create=True)
+        )
         return _merge([one.rows for one in (target, *sources)])
 
 
@@ -123,7 +129,9 @@ def backup(catalogue: CatalogueLike, file: str | Path, *, names: bool = True) ->
         Path(file),
         catalogue.location if isinstance(catalogue, Catalogue) else catalogue,
     )
-    exists = CatalogueError(f"{target} exists: name a new file for the backup, or remove it first")
+    exists = CatalogueError(
+        f"{target} exists: name a new file for the backup, or remove it first"
+    )
     if os.path.lexists(target):
         raise exists
     copy_rows = _copy_rows if names else _copy_without_names
@@ -170,10 +178,15 @@ def _copy_file(source: Path, target: Path) -> None:
         check_tables(source, connection)
         # By rows, not by pages, whose free space has bytes of what was removed.
         connection.execute("VACUUM INTO ?", [str(target.absolute())])
-    with translated(target), closing(sqlite3.connect(target, isolation_level=None)) as copy:
+    with (
+        translated(target),
+        closing(sqlite3.connect(target, isolation_level=None)) as copy,
+    ):
         copy.execute("PRAGMA secure_delete = ON")
         copy.execute(f"PRAGMA journal_mode = {journal(target)}")
-        copy.execute("DELETE FROM meta WHERE key = 'batch'")  # no ingest counts in the copy
+        copy.execute(
+            "DELETE FROM meta WHERE key = 'batch'"
+        )  # no ingest counts in the copy
 
 
 def _copy_rows(rows: Rows, target: Path) -> None:
@@ -238,18 +251,26 @@ def _merge(stores: Sequence[Rows]) -> MergedCatalogues:
                     labels.get(entry.record.path, entry.record.label) or None
                 )  # it may have moved
                 if entry.record.label != label:
-                    entries[at] = replace(entry, record=replace(entry.record, label=label))
+                    entries[at] = replace(
+                        entry, record=replace(entry.record, label=label)
+                    )
             target.add(entries)
             n_stored += len(entries)
             logger.info("stored: %d of %d shapes", n_stored, n_added)
-    held = {path: origin.label or "" for path, (place, origin) in chosen.items() if place == 0}
+    held = {
+        path: origin.label or "" for path, (place, origin) in chosen.items() if place == 0
+    }
     target.revise(
-        labels={path: labels[path] for path, label in held.items() if labels[path] != label}
+        labels={
+            path: labels[path] for path, label in held.items() if labels[path] != label
+        }
     )
     return MergedCatalogues(n_added, len(held))
 
 
-def _chosen(stores: Sequence[Rows]) -> tuple[dict[str, tuple[int, Record]], dict[str, str]]:
+def _chosen(
+    stores: Sequence[Rows],
+) -> tuple[dict[str, tuple[int, Record]], dict[str, str]]:
     """By path, the number of the store whose shape is kept and the row in it; and its label.
 
     Conflicts are an error, before anything is written.
@@ -262,7 +283,10 @@ def _chosen(stores: Sequence[Rows]) -> tuple[dict[str, tuple[int, Record]], dict
             path = origin.path
             earlier, other = chosen.setdefault(path, (number, origin))
             places = f"in {stores[earlier].location} and in {store.location}"
-            if origin.label != labels.setdefault(path, origin.label or "") and origin.label:
+            if (
+                origin.label != labels.setdefault(path, origin.label or "")
+                and origin.label
+            ):
                 if labels[path]:
                     conflicts.append(
                         f"{path} has the labels {labels[path]!r} and {origin.label!r} {places}"
@@ -278,7 +302,9 @@ def _chosen(stores: Sequence[Rows]) -> tuple[dict[str, tuple[int, Record]], dict
     for path, (number, origin) in chosen.items():
         if (other_path := paths.setdefault(origin.id, path)) != path:
             before, here = stores[chosen[other_path][0]].location, stores[number].location
-            conflicts.append(f"{origin.id!r} is {other_path} in {before} and {path} in {here}")
+            conflicts.append(
+                f"{origin.id!r} is {other_path} in {before} and {path} in {here}"
+            )
     if conflicts:
         more = f"; and {len(conflicts) - NAMED} more" if len(conflicts) > NAMED else ""
         raise CatalogueError(

@@ -70,7 +70,9 @@ def _fault(file: IO[bytes], size: int) -> str | None:
     for start in range(0, n_frames, at_once):
         data = file.read(min(at_once, n_frames - start) * n_bytes)
         # Page, size of the file if a transaction ends here, two salts, two checksums.
-        heads = np.frombuffer(data, ">u4").reshape(-1, n_bytes // 4)[:, :6].astype(np.uint32)
+        heads = (
+            np.frombuffer(data, ">u4").reshape(-1, n_bytes // 4)[:, :6].astype(np.uint32)
+        )
         is_ours = (heads[:, 2:4] == salts).all(axis=1)
         is_commit = heads[:, 1] > 0
         first = 0
@@ -111,7 +113,9 @@ def _checksums(words: Words, before: Words) -> Words:
 @cache
 def _weights(n_words: int) -> Words:
     """Weights (2 + n, 2) of the checksum before, and of the words of a frame, or of the header of a log."""
-    n_left_out = 0 if n_words < HEADER // 4 else 4  # the salts and the checksum of the frame
+    n_left_out = (
+        0 if n_words < HEADER // 4 else 4
+    )  # the salts and the checksum of the frame
     n_summed = 2 + n_words - n_left_out
     numbers = [0, 1]
     while len(numbers) <= n_summed:

@@ -124,12 +124,13 @@ FURTHER = (
     # By a hash, because an entry of other indexes must be shorter than a path may be.
     "ALTER TABLE shapes ADD CONSTRAINT shapes_by_path EXCLUDE USING hash (path WITH =)",
     # The arrays are compressed already.
-    *(f'ALTER TABLE arrays ALTER COLUMN "{name}" SET STORAGE EXTERNAL' for name in PAYLOADS),
+    *(
+        f'ALTER TABLE arrays ALTER COLUMN "{name}" SET STORAGE EXTERNAL'
+        for name in PAYLOADS
+    ),
 )
 
-FORBIDDEN = (
-    "cannot be used by this user of the database: grant the privileges, or give another user"
-)
+FORBIDDEN = "cannot be used by this user of the database: grant the privileges, or give another user"
 
 FULL = (
     "cannot be used, the server has as many connections as it allows: wait until others have ended, use "
@@ -216,7 +217,9 @@ class PostgresqlDatabase:
         with self._translated(), self._connection.cursor() as cursor:
             cursor.executemany(statement.replace("?", "%s"), map(_storable, rows))
 
-    def columns(self, query: str, values: Sequence[object] = ()) -> Iterator[list[list[Any]]]:
+    def columns(
+        self, query: str, values: Sequence[object] = ()
+    ) -> Iterator[list[list[Any]]]:
         """Yield the result of a query by columns, some rows at a time, within a transaction."""
         made = self._connection.cursor(name="columns")
         # Closed twice: the first time needs the server.
@@ -291,7 +294,9 @@ class PostgresqlDatabase:
                 query = "SELECT pg_catalog.txid_status(%s::bigint)"
                 (status,) = self._executed(query, [self._number]).fetchone()
             if status != "committed":
-                raise TransactionLost(f"{self.location} has not stored the last change") from error
+                raise TransactionLost(
+                    f"{self.location} has not stored the last change"
+                ) from error
 
     def _executed(self, query: str, values: Sequence[object] = ()) -> Any:
         """Execute a statement; outside of a transaction, try again while the server is away."""
@@ -334,7 +339,9 @@ class PostgresqlDatabase:
         """Whether an error says that the server is away, and may come back."""
         if self._connection is None:
             return STARTING in str(error)
-        return bool(self._connection.closed or (error.sqlstate or "").startswith(("08", "57P")))
+        return bool(
+            self._connection.closed or (error.sqlstate or "").startswith(("08", "57P"))
+        )
 
     def _pause(self, error: Exception) -> None:
         """Wait before the next try; raise the error if there have been tries for long enough."""
@@ -408,7 +415,9 @@ class PostgresqlDatabase:
                     f"{self.location} must be a database with the encoding UTF8: create another"
                 )
             # Not IF NOT EXISTS, which needs the privilege to create schemas if the schema exists too.
-            if not self.execute("SELECT 1 FROM pg_namespace WHERE nspname = ?", [self._schema]):
+            if not self.execute(
+                "SELECT 1 FROM pg_namespace WHERE nspname = ?", [self._schema]
+            ):
                 self._connection.execute(
                     sql.SQL("CREATE SCHEMA {}").format(sql.Identifier(self._schema))
                 )
@@ -424,7 +433,9 @@ def _parsed(url: str) -> tuple[str, str, str]:
         if "@" in user + parts.path or parts.port == 0:
             raise ValueError(url)
         query = dict(
-            parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
+            parse_qsl(
+                parts.query, keep_blank_values=True, strict_parsing=bool(parts.query)
+            )
         )
     except ValueError as error:
         raise CatalogueError(
@@ -438,7 +449,9 @@ def _parsed(url: str) -> tuple[str, str, str]:
     return whole.geturl(), shown.geturl(), schema
 
 
-def _while_heard(connection: Any, steps: Generator[Any, int, Any]) -> Generator[Any, int, Any]:
+def _while_heard(
+    connection: Any, steps: Generator[Any, int, Any]
+) -> Generator[Any, int, Any]:
     """The steps of a statement, by which psycopg waits; an error after a long time without any answer."""
     import psycopg
 
@@ -452,7 +465,9 @@ def _while_heard(connection: Any, steps: Generator[Any, int, Any]) -> Generator[
                 heard = time.monotonic()
             elif time.monotonic() - heard > SILENCE:
                 connection.pgconn.finish()
-                raise psycopg.OperationalError(f"the server has not answered for {SILENCE:.0f} s")
+                raise psycopg.OperationalError(
+                    f"the server has not answered for {SILENCE:.0f} s"
+                )
             wanted = steps.send(ready)
     except StopIteration as end:
         return end.value

@@ -24,7 +24,14 @@ SCHEMA_VERSION = 1
 
 #: The parts that are stored of a shape besides its record and its signatures; each can be read separately.
 Payload = Literal["spectra", "moments", "overlaps", "up", "thumbnails", "meshes"]
-PAYLOADS: tuple[Payload, ...] = ("spectra", "moments", "overlaps", "up", "thumbnails", "meshes")
+PAYLOADS: tuple[Payload, ...] = (
+    "spectra",
+    "moments",
+    "overlaps",
+    "up",
+    "thumbnails",
+    "meshes",
+)
 
 # Columns by table. The table shapes has the small columns that are searched and listed; what is read of
 # single shapes only is in further tables, by the number of the shape.
@@ -260,7 +267,9 @@ def free_id(record: Record, is_taken: Callable[[str], bool]) -> str:
     while is_taken(numbered_id(stem, last)):
         last *= 2
     numbers = range(last // 2 + 1, last)
-    first = bisect_left(numbers, True, key=lambda number: not is_taken(numbered_id(stem, number)))
+    first = bisect_left(
+        numbers, True, key=lambda number: not is_taken(numbered_id(stem, number))
+    )
     return numbered_id(stem, numbers.start + first)
 
 
@@ -277,7 +286,11 @@ FIELDS = [one.name for one in fields(Record) if one.name != "grade"]
 STEP_FIELDS = [one.name for one in fields(Step)]
 
 # Columns with the checksum: not itself, and not the stamp, without which a file is read once more.
-SUMMED = [name for name in SHAPE_COLUMNS + PROVENANCE_COLUMNS if name not in ("checksum", "stamp")]
+SUMMED = [
+    name
+    for name in SHAPE_COLUMNS + PROVENANCE_COLUMNS
+    if name not in ("checksum", "stamp")
+]
 
 # Numbers with a fraction, which databases return as float, also if they were stored as int.
 REAL = {name for name, kind in TABLES["shapes"].items() if kind == "double precision"}
@@ -286,7 +299,8 @@ REAL = {name for name, kind in TABLES["shapes"].items() if kind == "double preci
 def checksum(row: Mapping[str, Any]) -> int:
     """The checksum of the values of a record, by which readers notice changed bits."""
     values = [
-        float(row[name]) if name in REAL and row[name] is not None else row[name] for name in SUMMED
+        float(row[name]) if name in REAL and row[name] is not None else row[name]
+        for name in SUMMED
     ]
     # PostgreSQL cannot store the character 0, in the place of which it has the symbol for it.
     return zlib.crc32(json.dumps(values).replace("\\u0000", "\\u2400").encode())
@@ -317,11 +331,14 @@ def record_of(row: Sequence[Any], location: str) -> Record:
     # Without steps, there is no row of its provenance.
     if values["steps"] is None or checksum(values) != values["checksum"]:
         raise changed_row(
-            location, f"shape {values['id']!r}: its record has changed since it was stored"
+            location,
+            f"shape {values['id']!r}: its record has changed since it was stored",
         )
     grade = None
     if values["grade"] is not None:
-        grade = Grade(values["grade"], values["expected_error"], json.loads(values["reasons"]))
+        grade = Grade(
+            values["grade"], values["expected_error"], json.loads(values["reasons"])
+        )
     decoded = {
         "steps": tuple(
             Step(**s | {"notes": tuple(s["notes"])}) for s in json.loads(values["steps"])
@@ -349,7 +366,10 @@ def stored_options(
 ) -> PipelineOptions:
     """The options that a catalogue was built with."""
     try:
-        values, numbers = json.loads(settings["options"]), int(settings["numbers_version"])
+        values, numbers = (
+            json.loads(settings["options"]),
+            int(settings["numbers_version"]),
+        )
         own = PipelineOptions(**values)
     except OptionError as error:
         raise CatalogueError(

@@ -106,7 +106,9 @@ class Rows:
     settings: of a new catalogue: ``options``, as JSON, and ``numbers_version``.
     """
 
-    def __init__(self, location: str | Path, settings: Mapping[str, str], *, create: bool) -> None:
+    def __init__(
+        self, location: str | Path, settings: Mapping[str, str], *, create: bool
+    ) -> None:
         path = file_of(location)
         self.database: SqliteDatabase | PostgresqlDatabase
         if path is not None:
@@ -195,7 +197,9 @@ class Rows:
         rows = self._all(
             "SELECT id, path, content_hash, label, status, stamp FROM shapes ORDER BY id"
         )
-        return [Record(row[0], row[1], row[2], row[3], row[4], stamp=row[5]) for row in rows]
+        return [
+            Record(row[0], row[1], row[2], row[3], row[4], stamp=row[5]) for row in rows
+        ]
 
     def labels(self) -> dict[str, str | None]:
         """The class of each shape, including failed ones, by id in ascending order."""
@@ -270,7 +274,9 @@ class Rows:
     def labelled(self, labels: Collection[str]) -> list[str]:
         """The ids of the shapes of some classes that did not fail, in ascending order."""
         query = f"SELECT id, status FROM shapes{self.database.scanned}"
-        return sorted(one for one, status in self._each(query, "label", labels) if status == "done")
+        return sorted(
+            one for one, status in self._each(query, "label", labels) if status == "done"
+        )
 
     def with_content(self, content_hash: str) -> list[Record]:
         """The records of files with this content, including failed ones, in ascending order of id."""
@@ -305,7 +311,8 @@ class Rows:
         arrays: dict[int, dict[Payload, bytes]] = {}
         with self.database.reading():
             records = {
-                row[0]: record_of(row, self.location) for row in self._each(RECORDS, column, ids)
+                row[0]: record_of(row, self.location)
+                for row in self._each(RECORDS, column, ids)
             }
             known = "digest IN (SELECT digest FROM descriptors)"
             query = f"SELECT shape, digest, value FROM signatures WHERE {known} AND"
@@ -316,7 +323,9 @@ class Rows:
                 query = f"SELECT shape, {names} FROM arrays"
                 for number, *stored in self._each(query, "shape", records):
                     given = zip(payloads, stored, strict=True)
-                    arrays[number] = {name: value for name, value in given if value is not None}
+                    arrays[number] = {
+                        name: value for name, value in given if value is not None
+                    }
         entries = (
             Entry(record, signatures.get(number, {}), arrays.get(number, {}))
             for number, record in records.items()
@@ -332,7 +341,9 @@ class Rows:
     def stored_bytes(self, shape_id: str) -> dict[str, int]:
         """The sizes in bytes of a shape's record, signatures and arrays; InputError if there is no shape."""
         entry = self.entry(shape_id)
-        texts = (str(value) for value in row_of(entry.record).values() if value is not None)
+        texts = (
+            str(value) for value in row_of(entry.record).values() if value is not None
+        )
         sizes = dict.fromkeys(("record", "signatures", *PAYLOADS), 0)
         sizes["record"] = sum(len(text.encode()) for text in texts)
         sizes["signatures"] = sum(map(len, entry.signatures.values()))
@@ -352,8 +363,12 @@ class Rows:
             return bool(self._all("SELECT 1 FROM shapes WHERE id = ?", [shape_id]))
 
         with self.database.writing():
-            earlier = self._all("SELECT id, status FROM shapes WHERE path = ?", [record.path])
-            shape_id, status = earlier[0] if earlier else (free_id(record, is_taken), None)
+            earlier = self._all(
+                "SELECT id, status FROM shapes WHERE path = ?", [record.path]
+            )
+            shape_id, status = (
+                earlier[0] if earlier else (free_id(record, is_taken), None)
+            )
             if not (status == "done" and record.status == "failed"):
                 self._insert([replace(entry, record=replace(record, id=shape_id))])
                 if "done" in (status, record.status):
@@ -371,7 +386,9 @@ class Rows:
     def remove(self, *shape_ids: str) -> None:
         """Remove shapes, and their bytes; InputError, without a change, if one of the ids does not exist."""
         with self.database.writing():
-            known = {one for (one,) in self._each("SELECT id FROM shapes", "id", shape_ids)}
+            known = {
+                one for (one,) in self._each("SELECT id FROM shapes", "id", shape_ids)
+            }
             for shape_id in shape_ids:
                 if shape_id not in known:
                     raise self.unknown(shape_id)
@@ -452,7 +469,10 @@ class Rows:
                 "INSERT INTO signatures SELECT ?, number, ? FROM shapes "
                 "WHERE id = ? AND content_hash = ? AND status = 'done' "
                 "ON CONFLICT (digest, shape) DO UPDATE SET value = excluded.value",
-                ((digest, value, record.id, record.content_hash) for record, value in signatures),
+                (
+                    (digest, value, record.id, record.content_hash)
+                    for record, value in signatures
+                ),
             )
 
     # --- pictures ---------------------------------------------------------------------------------------
@@ -461,7 +481,9 @@ class Rows:
         """(3,) the direction upwards in the picture of a shape, in the frame of its file."""
         stored = self.entry(shape_id, ["up"]).payloads.get("up")
         with intact(self.location, f"the thumbnail of {shape_id!r}"):
-            return None if stored is None else np.asarray(unpacked(stored, 1)[0], np.float64)
+            return (
+                None if stored is None else np.asarray(unpacked(stored, 1)[0], np.float64)
+            )
 
     def keep_thumbnail(self, record: Record, picture: bytes, up: FloatArray) -> bool:
         """Store the picture of a shape, and what is up in it, unless the shape has been replaced meanwhile.
@@ -498,12 +520,16 @@ class Rows:
 
     def _records(self, column: str, values: Collection[str]) -> list[Record]:
         """The records with some ids, paths or content hashes, in ascending order of id."""
-        found = (record_of(row, self.location) for row in self._each(RECORDS, column, values))
+        found = (
+            record_of(row, self.location) for row in self._each(RECORDS, column, values)
+        )
         return sorted(found, key=lambda record: record.id)
 
     def _changed(self) -> None:
         """Give the new state a name that no earlier state had, not even before a copy was restored."""
-        self.database.execute("UPDATE meta SET value = ? WHERE key = 'revision'", [uuid4().hex])
+        self.database.execute(
+            "UPDATE meta SET value = ? WHERE key = 'revision'", [uuid4().hex]
+        )
 
     def _insert(self, entries: Collection[Entry]) -> None:
         """Insert shapes, each instead of the shape of its path, if there is one."""
@@ -512,19 +538,31 @@ class Rows:
         numbered = list(enumerate(entries, last + 1))
         rows = [(number, row_of(entry.record)) for number, entry in numbered]
         signatures = [
-            (d, number, value) for number, one in numbered for d, value in one.signatures.items()
+            (d, number, value)
+            for number, one in numbered
+            for d, value in one.signatures.items()
         ]
         self._add_descriptors({digest for digest, _, _ in signatures})
         for table, stored in (
-            ("shapes", [(number, *map(row.__getitem__, SHAPE_COLUMNS)) for number, row in rows]),
+            (
+                "shapes",
+                [(number, *map(row.__getitem__, SHAPE_COLUMNS)) for number, row in rows],
+            ),
             (
                 "provenance",
-                [(number, *map(row.__getitem__, PROVENANCE_COLUMNS)) for number, row in rows],
+                [
+                    (number, *map(row.__getitem__, PROVENANCE_COLUMNS))
+                    for number, row in rows
+                ],
             ),
             ("signatures", signatures),
             (
                 "arrays",
-                [(n, *map(one.payloads.get, PAYLOADS)) for n, one in numbered if one.payloads],
+                [
+                    (n, *map(one.payloads.get, PAYLOADS))
+                    for n, one in numbered
+                    if one.payloads
+                ],
             ),
         ):
             if stored:
@@ -546,21 +584,25 @@ class Rows:
         """Change the path or the label of shapes by path; a path that another shape has is not given."""
         rows = {record.path: row_of(record) for record in self._records("path", values)}
         sums = {
-            path: checksum(rows[path] | {name: values[path]}) for path in values if path in rows
+            path: checksum(rows[path] | {name: values[path]})
+            for path in values
+            if path in rows
         }
         changes = [(values[path], total, path) for path, total in sums.items()]
         statement = f"UPDATE shapes SET {name} = ?, checksum = ? WHERE path = ?"
         if name == "path":
             taken = "SELECT 1 FROM shapes WHERE path = ?"
             self.database.each(
-                f"{statement} AND NOT EXISTS ({taken})", [(*one, one[0]) for one in changes]
+                f"{statement} AND NOT EXISTS ({taken})",
+                [(*one, one[0]) for one in changes],
             )
         else:
             self.database.each(statement, changes)
 
     def _add_descriptors(self, digests: Iterable[str]) -> None:
         self.database.each(
-            f"{inserting('descriptors')} ON CONFLICT DO NOTHING", [(one,) for one in digests]
+            f"{inserting('descriptors')} ON CONFLICT DO NOTHING",
+            [(one,) for one in digests],
         )
 
     def _each(self, query: str, column: str, values: Iterable[object]) -> Iterator[Any]:
@@ -569,7 +611,9 @@ class Rows:
         word = "" if query.endswith("AND") else "WHERE"
         for start in range(0, len(chosen), PARAMETERS):
             here = chosen[start : start + PARAMETERS]
-            yield from self._all(f"{query} {word} {column} IN ({', '.join('?' * len(here))})", here)
+            yield from self._all(
+                f"{query} {word} {column} IN ({', '.join('?' * len(here))})", here
+            )
 
     def _all(self, query: str, values: Collection[object] = ()) -> list[Any]:
         return self.database.execute(query, list(values))

@@ -13,7 +13,13 @@ import sqlite3
 import stat
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
+from contextlib import (
+    AbstractContextManager,
+    ExitStack,
+    contextmanager,
+    nullcontext,
+    suppress,
+)
 from os.path import samestat
 from pathlib import Path
 from typing import Any, Literal
@@ -55,7 +61,9 @@ PRIVATE = 0o600
 MOUNTS = Path("/proc/self/mountinfo")
 
 # Types of file systems that several computers mount. Those of FUSE do not say whether they are one.
-SHARED = frozenset({"9p", "ceph", "cifs", "gpfs", "lustre", "nfs", "nfs4", "smb3", "virtiofs"})
+SHARED = frozenset(
+    {"9p", "ceph", "cifs", "gpfs", "lustre", "nfs", "nfs4", "smb3", "virtiofs"}
+)
 FUSE = "fuse"
 
 
@@ -99,7 +107,9 @@ class SqliteDatabase:
         with translated(self._path):
             self._connection.executemany(statement, rows)
 
-    def columns(self, query: str, values: Sequence[object] = ()) -> Iterator[list[list[Any]]]:
+    def columns(
+        self, query: str, values: Sequence[object] = ()
+    ) -> Iterator[list[list[Any]]]:
         """Yield the result of a query by columns, some rows at a time."""
         cursor = self._connection.execute(query, values)
         while rows := cursor.fetchmany(READ_AT_ONCE):
@@ -153,11 +163,16 @@ class SqliteDatabase:
     def faults(self) -> list[str]:
         """What is wrong with the pages and the SQL indexes of the file."""
         try:
-            rows = self._connection.execute(f"PRAGMA integrity_check({LISTED})").fetchall()
+            rows = self._connection.execute(
+                f"PRAGMA integrity_check({LISTED})"
+            ).fetchall()
         except sqlite3.DatabaseError as error:
             return [str(error)]
         lines = [
-            line for (text,) in rows for line in text.splitlines() if not line.startswith("***")
+            line
+            for (text,) in rows
+            for line in text.splitlines()
+            if not line.startswith("***")
         ]
         return [] if lines == ["ok"] else lines
 
@@ -166,7 +181,9 @@ class SqliteDatabase:
         with translated(self._path):
             self._connection.execute(f"BEGIN {kind}")
             with (
-                _without_checkpoints(self._path) if kind == "IMMEDIATE" else nullcontext(),
+                _without_checkpoints(self._path)
+                if kind == "IMMEDIATE"
+                else nullcontext(),
                 self._connection,
             ):
                 yield
@@ -186,7 +203,11 @@ class SqliteDatabase:
                     PARTS_OF_FILE
                 ):  # another process may have created them in the meantime
                     unique = "CREATE UNIQUE INDEX shapes_by_path ON shapes (path)"
-                    words = {"text": "text", "octets": "blob", "ordered": " WITHOUT ROWID"}
+                    words = {
+                        "text": "text",
+                        "octets": "blob",
+                        "ordered": " WITHOUT ROWID",
+                    }
                     for statement, values in created(settings, words, [unique]):
                         self.execute(statement, values)
         check_tables(self._path, self._connection)
@@ -203,7 +224,9 @@ def check_tables(path: Path, connection: sqlite3.Connection) -> None:
         raise CatalogueError(
             f"{path} is an SQLite file, but no catalogue: give another --catalogue"
         )
-    if acting := ", ".join(sorted(f"{kind} {name!r}" for kind, name in parts if kind != "table")):
+    if acting := ", ".join(
+        sorted(f"{kind} {name!r}" for kind, name in parts if kind != "table")
+    ):
         raise CatalogueError(
             f"{path} has the {acting}, which no catalogue has, and which may change others"
         )
@@ -226,11 +249,15 @@ def connect(path: Path, *, create: bool) -> sqlite3.Connection:
             raise CatalogueError(f"{path} is a folder: name a file for --catalogue")
         size = path.stat().st_size if path.exists() else 0
     except OSError as error:
-        raise CatalogueError(f"cannot use the catalogue {path}: {error.strerror}") from error
+        raise CatalogueError(
+            f"cannot use the catalogue {path}: {error.strerror}"
+        ) from error
     if size == 1:  # which SQLite takes for an empty file
         raise CatalogueError(f"{path} {ADVICE['not a database']}")
     if not size and not create:
-        raise CatalogueError(f"there is no catalogue {path}: make one with `pcretrieve ingest`")
+        raise CatalogueError(
+            f"there is no catalogue {path}: make one with `pcretrieve ingest`"
+        )
     if not path.parent.is_dir():
         raise CatalogueError(
             f"there is no folder {path.parent} to put a catalogue into: make it first"
@@ -307,7 +334,9 @@ def translated(path: Path) -> Iterator[None]:
         if "malformed" in text:
             raise damaged(str(path), text) from error
         advice = next((advice for words, advice in ADVICE.items() if words in text), None)
-        message = f"{path} {advice}" if advice else f"cannot use the catalogue {path}: {text}"
+        message = (
+            f"{path} {advice}" if advice else f"cannot use the catalogue {path}: {text}"
+        )
         raise CatalogueError(message) from error
     # Of a message of SQLite that quotes names which are damaged themselves.
     except UnicodeDecodeError as error:
@@ -316,8 +345,13 @@ def translated(path: Path) -> Iterator[None]:
 
 def _is_writable(path: Path) -> bool:
     """Whether SQLite can write to a file, for which it creates further files in the same folder."""
-    effective = os.access in os.supports_effective_ids  # the user by whose rights files are opened
-    return all(os.access(place, os.W_OK, effective_ids=effective) for place in (path, path.parent))
+    effective = (
+        os.access in os.supports_effective_ids
+    )  # the user by whose rights files are opened
+    return all(
+        os.access(place, os.W_OK, effective_ids=effective)
+        for place in (path, path.parent)
+    )
 
 
 def _connected(path: Path, mode: str) -> sqlite3.Connection:

@@ -78,7 +78,9 @@ def findings_of(
         spacing = between(around)
         checks += stages.point_checks(cloud, spacing=spacing)
         if cloud.normals is not None:
-            checks += stages.normal_checks(cloud.normals, around.near[:, : N_NEIGHBORS + 1])
+            checks += stages.normal_checks(
+                cloud.normals, around.near[:, : N_NEIGHBORS + 1]
+            )
             checks.append(stages.layers_check(double_layers(cloud), cloud.diagonal))
         if mesh is not None:
             base = np.zeros((0, 3)) if marks is None else marks.base

@@ -218,14 +218,18 @@ class Fit:
         """(m,) spacing of the points beside each face that may be bare; 0 at others."""
         distance, near = self.to_points
         found, some = np.zeros(len(distance)), distance > BARE * self.spacing
-        around = nearest(self.cloud.points, self.cloud.points[near[some]], SPACING_NEIGHBORS + 1)
+        around = nearest(
+            self.cloud.points, self.cloud.points[near[some]], SPACING_NEIGHBORS + 1
+        )
         found[some] = local_spacings(Neighborhoods(*around))
         return found
 
     @cached_property
     def filled(self) -> Mask:
         """(m,) faces without a point nearby."""
-        farthest = np.maximum(FILLED * self.spacing, FILLED_OF_SPARSE * self.local_spacing)
+        farthest = np.maximum(
+            FILLED * self.spacing, FILLED_OF_SPARSE * self.local_spacing
+        )
         return np.asarray(self.to_points[0] > farthest)
 
     @cached_property
@@ -254,7 +258,9 @@ class Fit:
     def gap(self) -> float:
         """Distance to the nearest point that `COVERED` of the surface do not exceed; the base is left out."""
         distance = np.where(self.on_base, 0, self.to_points[0])
-        (covered,) = _quantiles(distance, np.where(self.on_base, 0, self.areas), (COVERED,))
+        (covered,) = _quantiles(
+            distance, np.where(self.on_base, 0, self.areas), (COVERED,)
+        )
         return float(covered)
 
     @cached_property
@@ -301,7 +307,9 @@ class Fit:
         rays = unit_vectors(np.random.default_rng(0).standard_normal((N_RAYS, 3)))
         cosines = normals @ rays.T  # (k, r)
         directions = np.sign(cosines)[:, :, np.newaxis] * rays
-        reached = self._sky.cast(np.repeat(origins, N_RAYS, axis=0), directions.reshape(-1, 3))[0]
+        reached = self._sky.cast(
+            np.repeat(origins, N_RAYS, axis=0), directions.reshape(-1, 3)
+        )[0]
         weights = np.abs(cosines)
         is_free = np.isinf(reached).reshape(weights.shape)
         return np.asarray((weights * is_free).sum(axis=1) / weights.sum(axis=1))
@@ -335,13 +343,18 @@ class Fit:
         inner = [grid_points(each, STEPS) for each in corners]
         apart = nearest(self.cloud.points, np.concatenate(inner), 1)[0][:, 0]
         large = []
-        for faces, places, distance in zip(patches, inner, _split(apart, inner), strict=True):
+        for faces, places, distance in zip(
+            patches, inner, _split(apart, inner), strict=True
+        ):
             radius = float(distance.max() / self.length)
             if radius >= LEAST_HOLE:
                 large.append((faces, places[distance.argmax()], radius))
         if not large:
             return ()
-        deepest = [faces[np.argsort(-self.to_points[0][faces])[:N_MIDDLE]] for faces, _, _ in large]
+        deepest = [
+            faces[np.argsort(-self.to_points[0][faces])[:N_MIDDLE]]
+            for faces, _, _ in large
+        ]
         lights = _split(self.light(np.concatenate(deepest)), deepest)
         return tuple(
             Hole(
@@ -351,7 +364,9 @@ class Fit:
                 float(np.average(light, weights=self.areas[seen])),
                 self._is_expected(faces, middle, radius),
             )
-            for (faces, middle, radius), seen, light in zip(large, deepest, lights, strict=True)
+            for (faces, middle, radius), seen, light in zip(
+                large, deepest, lights, strict=True
+            )
         )
 
     def _is_expected(self, faces: Faces, middle: FloatArray, radius: float) -> bool:
@@ -362,7 +377,9 @@ class Fit:
     def axis(self, faces: Faces) -> FloatArray:
         """(3,) the unit vector along the sum of the area vectors of some faces; 0 if that is."""
         axis = self.areas[faces] @ self.normals[faces]
-        return np.asarray(axis / max(float(np.linalg.norm(axis)), np.finfo(np.float64).tiny))
+        return np.asarray(
+            axis / max(float(np.linalg.norm(axis)), np.finfo(np.float64).tiny)
+        )
 
     def is_unseen(self, faces: Faces, middle: FloatArray, radius: float) -> bool:
         """Whether points are far apart on all surface that faces the way some faces do.
@@ -459,7 +476,9 @@ class Fit:
         offsets = self.cloud.points[rim] - middle
         likeness = rim_of_limb(normals, offsets, axis)
         closing = far[is_near & is_closing]
-        area = np.linalg.norm(self.areas[closing] @ self.normals[closing]) / self.areas.sum()
+        area = (
+            np.linalg.norm(self.areas[closing] @ self.normals[closing]) / self.areas.sum()
+        )
         share = max(likeness, SHEET) * float(area)
         is_hair = share < IN_HAIR and self.is_at_end(middle)
         if is_hair or self.is_unseen(faces, middle, 2 * NEAR_END * self.cloud.diagonal):
@@ -472,7 +491,9 @@ def between(around: Neighborhoods) -> float:
     return float(np.median(around.distance[:, 1]))
 
 
-def _quantiles(values: FloatArray, weights: FloatArray, shares: Sequence[float]) -> FloatArray:
+def _quantiles(
+    values: FloatArray, weights: FloatArray, shares: Sequence[float]
+) -> FloatArray:
     """(q,) values that these shares of the weights do not exceed."""
     order = np.argsort(values)
     summed = np.cumsum(weights[order])
@@ -502,7 +523,9 @@ def rim_of_limb(normals: FloatArray, offsets: FloatArray, axis: FloatArray) -> f
     """
     both = [_across(directions, axis) for directions in (normals, offsets)]
     both[1] = unit_vectors(both[1])
-    spread = np.linalg.eigvalsh([2 * np.cov(across.T, bias=True) for across in both])[:, 1].clip(0)
+    spread = np.linalg.eigvalsh([2 * np.cov(across.T, bias=True) for across in both])[
+        :, 1
+    ].clip(0)
     return float(np.sqrt(spread[0]) * spread[1] * (1 - np.abs(normals @ axis).mean()))
 
 

@@ -264,10 +264,14 @@ def graded(
         outcome = OUTCOMES[-1 - bisect_left(limits, value)]
         is_over = outcome == "failed"
     if outcome == "passed":
-        return Check(name, outcome, value, shown, measure.passed, error, says=measure.says)
+        return Check(
+            name, outcome, value, shown, measure.passed, error, says=measure.says
+        )
     where = tuple((float(x), float(y), float(z)) for x, y, z in places)
     grade = measure.grade if is_over else ""
-    return Check(name, outcome, value, shown, measure.poor, error, grade, measure.says, where)
+    return Check(
+        name, outcome, value, shown, measure.poor, error, grade, measure.says, where
+    )
 
 
 def percent(share: float) -> str:
@@ -306,5 +310,7 @@ def _reason(check: Check) -> str:
     if check.parts:
         return f"{check.says}, on {' and '.join(check.parts)}"
     x, y, z = check.places[0]
-    more = f", and at {len(check.places) - 1} more places" if len(check.places) > 1 else ""
+    more = (
+        f", and at {len(check.places) - 1} more places" if len(check.places) > 1 else ""
+    )
     return f"{check.says}, near ({x:.3g}, {y:.3g}, {z:.3g}){more}"

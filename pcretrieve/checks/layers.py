@@ -109,5 +109,7 @@ def _bunching(
     low, high = heights[np.arange(len(n)), ranks]
     width = np.maximum(high - low, LEAST_STEP)
     steps = np.maximum(heights[:, NEXT:] - heights[:, :-NEXT], LEAST_STEP)
-    entropy = np.nansum(np.log(steps), axis=1) / np.maximum(n - NEXT, 1) + np.log((n + 1) / NEXT)
+    entropy = np.nansum(np.log(steps), axis=1) / np.maximum(n - NEXT, 1) + np.log(
+        (n + 1) / NEXT
+    )
     return np.log(width) + NORMAL - entropy, width

@@ -94,22 +94,36 @@ def point_checks(cloud: PointCloud, *, spacing: float) -> list[Check]:
         if cleanings
         else len(cloud.points)
     )
-    averaged = "" if n_kept == len(cloud.points) else f", averaged to {len(cloud.points):,}"
+    averaged = (
+        "" if n_kept == len(cloud.points) else f", averaged to {len(cloud.points):,}"
+    )
     shown = f"{n_kept:,} points{averaged}, {percent(share)} of the diagonal apart"
     checks = [graded("Points", share, shown)]
-    for cropped in [step for step in cloud.provenance if step.stage == "crop" and step.notes]:
+    for cropped in [
+        step for step in cloud.provenance if step.stage == "crop" and step.notes
+    ]:
         n_in, n_cut = (
             cropped.sizes["points_in"],
             cropped.sizes["points_in"] - cropped.sizes["points"],
         )
         shown = f"{n_cut:,.0f} of {n_in:,.0f} points cut away, {percent(n_cut / n_in)}"
         checks.append(
-            Check("Background", "passed", n_cut / n_in, shown, f"{'; '.join(cropped.notes)}.")
+            Check(
+                "Background",
+                "passed",
+                n_cut / n_in,
+                shown,
+                f"{'; '.join(cropped.notes)}.",
+            )
         )
     for cleaned in cleanings:
         outliers = 1 - cleaned["points"] / cleaned["points_thinned"]
-        dropped = f"{cleaned['outliers']:,.0f} of {cleaned['points_in']:,.0f} points dropped"
-        checks.append(graded("Outliers", outliers, f"{dropped}, {percent(outliers)} of the voxels"))
+        dropped = (
+            f"{cleaned['outliers']:,.0f} of {cleaned['points_in']:,.0f} points dropped"
+        )
+        checks.append(
+            graded("Outliers", outliers, f"{dropped}, {percent(outliers)} of the voxels")
+        )
     return [*checks, _sensor_check(cloud)]
 
 
@@ -122,13 +136,17 @@ def normal_checks(normals: FloatArray, near: NDArray[np.intp]) -> list[Check]:
         apart. "Sides seen": length of the mean normal.
     """
     own, others = near[:, 0], near[:, 1:]
-    cosines = np.einsum("ij,ikj->ik", normals[own], normals.take(others, axis=0))  # (m, k)
+    cosines = np.einsum(
+        "ij,ikj->ik", normals[own], normals.take(others, axis=0)
+    )  # (m, k)
     disagreeing = float((cosines <= 0).mean())
     # The mean normal of a closed surface is 0; the mean normal of half a sphere has the length 1/2.
     unbalanced = float(np.linalg.norm(normals.mean(axis=0)))
     return [
         graded("Normals", disagreeing, f"{percent(1 - disagreeing)} of neighbours agree"),
-        graded("Sides seen", unbalanced, f"their normals are {percent(unbalanced)} one-sided"),
+        graded(
+            "Sides seen", unbalanced, f"their normals are {percent(unbalanced)} one-sided"
+        ),
     ]
 
 
@@ -144,11 +162,15 @@ def layers_check(layers: Layers, diagonal: float) -> Check:
         f"{percent(share)} of the surface"
     )
     worst = layers.places[layers.apart.argmax()]
-    return graded("Double walls", share, shown, error=ERROR_OF_LAYERS * width, places=[worst])
+    return graded(
+        "Double walls", share, shown, error=ERROR_OF_LAYERS * width, places=[worst]
+    )
 
 
 def _sensor_check(cloud: PointCloud) -> Check:
-    notes = [note for step in cloud.provenance if step.stage == "orient" for note in step.notes]
+    notes = [
+        note for step in cloud.provenance if step.stage == "orient" for note in step.notes
+    ]
     is_known = cloud.viewpoints is not None
     guessed = not is_known and any("leaked" in note for note in notes)
     shown = (
@@ -165,7 +187,9 @@ def _sensor_check(cloud: PointCloud) -> Check:
 def surface_checks(mesh: TriangleMesh) -> list[Check]:
     """Check whether a surface is one closed manifold, and count its handles."""
     found = defects(mesh)
-    n_edges = float(found.boundary_edges + found.non_manifold_edges + found.inconsistent_edges)
+    n_edges = float(
+        found.boundary_edges + found.non_manifold_edges + found.inconsistent_edges
+    )
     shown = str(found) if found else "no defects"
     error = ERROR_OF_HOLES if found else 0.0
     closed = graded("Closed surface", n_edges, shown, is_good=not found, error=error)
@@ -179,7 +203,9 @@ def surface_checks(mesh: TriangleMesh) -> list[Check]:
 
 def mesh_check(provenance: Sequence[Step]) -> list[Check]:
     """Check whether a mesh that was repaired, or sampled for reconstruction, was a manifold."""
-    welds = [step.sizes["non_manifold"] for step in provenance if "non_manifold" in step.sizes]
+    welds = [
+        step.sizes["non_manifold"] for step in provenance if "non_manifold" in step.sizes
+    ]
     return [
         graded(
             "Welds",
@@ -214,9 +240,7 @@ def filled_check(fit: Fit) -> Check:
 
 def evenness_check(fit: Fit) -> Check:
     """Check whether some sides have many fewer points than others."""
-    shown = (
-        f"a quarter of the surface has {fit.unevenness:.2g} times the spacing of another quarter"
-    )
+    shown = f"a quarter of the surface has {fit.unevenness:.2g} times the spacing of another quarter"
     return graded("Evenness", fit.unevenness, shown)
 
 
@@ -280,14 +304,22 @@ def marks_check(n_cuts: int, n_bridges: int) -> Check:
     n = n_cuts + n_bridges
     shown = f"{_counted(n_cuts, 'cut')}, {_counted(n_bridges, 'bridge')}"
     return graded(
-        "Cuts and bridges", float(n), shown, is_good=not n, error=ERROR_OF_CUT * math.sqrt(n)
+        "Cuts and bridges",
+        float(n),
+        shown,
+        is_good=not n,
+        error=ERROR_OF_CUT * math.sqrt(n),
     )
 
 
 def spectrum_checks(shape: Shape) -> list[Check]:
     """Check whether the surface is that of one body, and whether all surfaces of the scan agree."""
     logs = np.log(
-        [surface.spectrum.eigenvalues[1:] for surface in shape.surfaces if surface.spectrum]
+        [
+            surface.spectrum.eigenvalues[1:]
+            for surface in shape.surfaces
+            if surface.spectrum
+        ]
     )
     checks = []
     for surface in shape.surfaces[:1]:
@@ -298,7 +330,9 @@ def spectrum_checks(shape: Shape) -> list[Check]:
     if len(logs) > 1:
         apart = float(np.linalg.norm(logs[:, :N_COMPARED].std(axis=0, ddof=1)))
         shown = f"{apart:.2g} between the spectra of {len(logs)} surfaces"
-        checks.append(graded("Surfaces", apart, shown, error=ERROR_OF_DISAGREEMENT * apart))
+        checks.append(
+            graded("Surfaces", apart, shown, error=ERROR_OF_DISAGREEMENT * apart)
+        )
     return checks
 
 
@@ -324,7 +358,12 @@ def body_check(waist: Neck) -> Check:
     )
     error = NECK_ERROR if are_two else 0.0
     return graded(
-        "One body", waist.length, shown, is_good=not are_two, error=error, places=[waist.middle]
+        "One body",
+        waist.length,
+        shown,
+        is_good=not are_two,
+        error=error,
+        places=[waist.middle],
     )
 
 
@@ -375,7 +414,9 @@ def _pieces(
     """
     is_above = values > levels[:, np.newaxis]
     # One corner is on a side of its own; the line crosses both edges that meet there.
-    alone = np.where(is_above.sum(axis=1) == 1, is_above.argmax(axis=1), is_above.argmin(axis=1))
+    alone = np.where(
+        is_above.sum(axis=1) == 1, is_above.argmax(axis=1), is_above.argmin(axis=1)
+    )
     row = np.arange(len(faces))
     start, at_start = vertices[faces[row, alone]], values[row, alone]
     ends = []

@@ -46,7 +46,9 @@ DEMO_QUERY = Path("new", "person-1", "person-1_hands_on_hips.ply")
 )
 @opt.workers_option
 @opt.limit_options
-@opt.rare_option("--scheduler ADDRESS", "Process the scans on the Dask cluster of this scheduler.")
+@opt.rare_option(
+    "--scheduler ADDRESS", "Process the scans on the Dask cluster of this scheduler."
+)
 @opt.rare_option(
     "--scheduler-file FILE",
     "The same, by the file that `dask scheduler --scheduler-file` writes.",
@@ -54,7 +56,10 @@ DEMO_QUERY = Path("new", "person-1", "person-1_hands_on_hips.ply")
 )
 @opt.option("--retry-failed", "Process failed scans again too.")
 @opt.rare_option(
-    "--retries N", "Try failing scans again, at most N times, with changes.", opt.NUMBER, default=0
+    "--retries N",
+    "Try failing scans again, at most N times, with changes.",
+    opt.NUMBER,
+    default=0,
 )
 @opt.rare_option(
     "--max-failures N",
@@ -65,7 +70,9 @@ DEMO_QUERY = Path("new", "person-1", "person-1_hands_on_hips.ply")
 @opt.progress_option
 @opt.rare_option("--quiet -q", "Print warnings and failures only.")
 @opt.rare_option(
-    "--log-file FILE", "Append each stage of each scan, and each repair, to a file.", opt.PATH
+    "--log-file FILE",
+    "Append each stage of each scan, and each repair, to a file.",
+    opt.PATH,
 )
 @opt.rare_option(
     "--shard I/N",
@@ -95,7 +102,9 @@ def ingest_command(
     options = _new_options(values)
     if cluster := opt.taken(values, "scheduler", "scheduler_file"):
         values["executor"] = pr.DaskExecutor(**cluster)
-    with messages.Progress("ingest", "none" if quiet and progress == "bar" else progress) as shown:
+    with messages.Progress(
+        "ingest", "none" if quiet and progress == "bar" else progress
+    ) as shown:
         try:
             values |= {"on_start": shown.start, "on_shape": partial(_advance, shown)}
             summary = pr.ingest(paths, catalogue, options=options, **values)
@@ -110,10 +119,14 @@ def ingest_command(
 def _new_options(values: dict[str, Any]) -> pr.PipelineOptions | None:
     """The options of a new catalogue; None for those of the catalogue, if nothing was given."""
     without_meshes = values.pop("no_meshes", False)
-    is_given = without_meshes or any(values[name] for name in ("config", "surface", "unit"))
+    is_given = without_meshes or any(
+        values[name] for name in ("config", "surface", "unit")
+    )
     options = opt.load_options(values)
     if without_meshes:
-        options = options.changed(catalogue={"keep": set(options.catalogue.keep) - {"meshes"}})
+        options = options.changed(
+            catalogue={"keep": set(options.catalogue.keep) - {"meshes"}}
+        )
     return options if is_given else None
 
 
@@ -131,10 +144,13 @@ def _stopped(stop: BaseException, catalogue: str) -> NoReturn:
 
 def _advance(shown: messages.Progress, record: pr.Record) -> None:
     """Count a scan that a catalogue has now, and show it."""
-    facts = {"status": record.status, "seconds": round(record.seconds, 3)} | _facts(record)
+    facts = {"status": record.status, "seconds": round(record.seconds, 3)} | _facts(
+        record
+    )
     is_failed = record.status == "failed"
     shown.advance(
-        facts, messages.failure_line(record.id, record, record.path) if is_failed else None
+        facts,
+        messages.failure_line(record.id, record, record.path) if is_failed else None,
     )
 
 
@@ -168,7 +184,9 @@ def watch_command(folder: Path, catalogue: str, **values: Any) -> None:
     options = _new_options(values)
     try:
         messages.say(f"watching {folder} every {values['interval']:g} s, until Ctrl-C")
-        for summary in pr.watch(folder, catalogue, options=options, on_shape=_tell, **values):
+        for summary in pr.watch(
+            folder, catalogue, options=options, on_shape=_tell, **values
+        ):
             _say_summary(summary, catalogue)
     except (KeyboardInterrupt, SystemExit) as stop:
         _stopped(stop, catalogue)
@@ -197,7 +215,9 @@ def status_command(catalogue: str) -> out.Result:
 def _write_status(catalogue: str, found: pr.BatchStatus) -> None:
     for line in _progress_lines(found):
         out.write_words(line)
-    out.write_words(f"{catalogue}: {found.n_shapes} shapes, {sum(found.failures.values())} failed")
+    out.write_words(
+        f"{catalogue}: {found.n_shapes} shapes, {sum(found.failures.values())} failed"
+    )
     rows = ((str(number), kind) for kind, number in found.failures.items())
     out.write_table({"NUMBER": "number", "FAILURE": "text"}, rows)
 
@@ -219,13 +239,17 @@ def _progress_lines(found: pr.BatchStatus) -> list[str]:
     ]
     if found.stages:
         shares = sorted(found.stages.items(), key=lambda stage: -stage[1])
-        lines.append("time: " + ", ".join(f"{name} {share:.0%}" for name, share in shares))
+        lines.append(
+            "time: " + ", ".join(f"{name} {share:.0%}" for name, share in shares)
+        )
     if found.state in ("stopped", "killed"):
         lines.append("the same command of ingest goes on from there")
     return lines
 
 
-def _counts(n_done: int, n_failed: int, n_known: int, n_duplicates: int, done: str = "done") -> str:
+def _counts(
+    n_done: int, n_failed: int, n_known: int, n_duplicates: int, done: str = "done"
+) -> str:
     """What became of scans, as `ingest` and `status` say it."""
     return f"{n_done} {done}, {n_failed} failed, {n_known} known already, {n_duplicates} duplicates"
 
@@ -233,7 +257,9 @@ def _counts(n_done: int, n_failed: int, n_known: int, n_duplicates: int, done: s
 def _say_summary(summary: pr.Summary, catalogue: str, labels: str | None = None) -> None:
     """Print the summary of an ingest, or of what an ingest would do."""
     for path, original in summary.duplicates:
-        messages.say(f"skipped {path}: the same content as {original.id} ({original.path})")
+        messages.say(
+            f"skipped {path}: the same content as {original.id} ({original.path})"
+        )
     if summary.unknown_labels:
         quoted = ", ".join(summary.unknown_labels[:QUOTED])
         more = len(summary.unknown_labels) - QUOTED
@@ -242,8 +268,12 @@ def _say_summary(summary: pr.Summary, catalogue: str, labels: str | None = None)
             + (f" and {more} more" if more > 0 else "")
         )
     failures = _failures(summary)
-    done, word = (summary.planned, "to process") if summary.planned else (summary.done, "done")
-    counts = _counts(len(done), len(failures), len(_known(summary)), len(summary.duplicates), word)
+    done, word = (
+        (summary.planned, "to process") if summary.planned else (summary.done, "done")
+    )
+    counts = _counts(
+        len(done), len(failures), len(_known(summary)), len(summary.duplicates), word
+    )
     again = "; --retry-failed processes the failed shapes again" if failures else ""
     messages.say(f"{counts}: {catalogue}{again}")
     if incomplete := _incomplete(summary):
@@ -269,7 +299,9 @@ def _result(
         "done": [record.id for record in summary.done],
         "held": [record.id for record in _known(summary)],
         "incomplete": [record.id for record in _incomplete(summary)],
-        "duplicates": [{"path": path, "id": original.id} for path, original in summary.duplicates],
+        "duplicates": [
+            {"path": path, "id": original.id} for path, original in summary.duplicates
+        ],
         "failed": [_facts(record) for record in _failures(summary)],
         "unknown_labels": summary.unknown_labels,
     }
@@ -278,7 +310,10 @@ def _result(
 
 def _failures(summary: pr.Summary) -> list[pr.Record]:
     """The scans that failed now, and those that failed before."""
-    return [*summary.failed, *(record for record in summary.held if record.status == "failed")]
+    return [
+        *summary.failed,
+        *(record for record in summary.held if record.status == "failed"),
+    ]
 
 
 def _known(summary: pr.Summary) -> list[pr.Record]:
@@ -287,7 +322,12 @@ def _known(summary: pr.Summary) -> list[pr.Record]:
 
 def _commonest_reason(records: Sequence[pr.Record]) -> tuple[str, int]:
     """The most frequent first reason of scans that are not good, without its place; and how often."""
-    firsts = [reason for record in records if record.grade for reason in record.grade.reasons[:1]]
+    firsts = [
+        reason
+        for record in records
+        if record.grade
+        for reason in record.grade.reasons[:1]
+    ]
     counts = Counter(reason.partition(", near (")[0] for reason in firsts)
     return counts.most_common(1)[0] if counts else ("", 0)
 
@@ -298,7 +338,10 @@ def _incomplete(summary: pr.Summary) -> list[pr.Record]:
 
 @opt.command("demo", has_json=False)
 @click.argument(
-    "folder", type=click.Path(path_type=Path), default=Path("pcretrieve-demo"), metavar="[FOLDER]"
+    "folder",
+    type=click.Path(path_type=Path),
+    default=Path("pcretrieve-demo"),
+    metavar="[FOLDER]",
 )
 def demo_command(folder: Path) -> None:
     """Try everything on simulated scans: ingest, query, evaluate, and a page of the results.
@@ -333,8 +376,14 @@ def demo_command(folder: Path) -> None:
             ["ingest", scans, "--labels", scans / "labels.csv", *inside],
         ),
         ("Find whom the new scan shows.", ["query", *inside, new, "-k", "5"]),
-        ("Measure how well scans of one body find each other: 1 is best.", ["evaluate", *inside]),
-        ("Write the results with pictures on an HTML page.", ["report", *inside, "--output", page]),
+        (
+            "Measure how well scans of one body find each other: 1 is best.",
+            ["evaluate", *inside],
+        ),
+        (
+            "Write the results with pictures on an HTML page.",
+            ["report", *inside, "--output", page],
+        ),
     ]
     for purpose, words in steps:
         arguments = [str(word) for word in words]

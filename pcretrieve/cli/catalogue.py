@@ -24,7 +24,13 @@ START = {"ID": "text", "GRADE": "text", "CLASS": "text"}
 COLUMNS = {
     "stored": START | {"EULER": "number", "SECONDS": "number", "FILE": "path"},
     "incomplete": START | {"FILE": "path", "REASON": "words"},
-    "failed": {"ID": "text", "STAGE": "text", "CLASS": "text", "FILE": "path", "REASON": "words"},
+    "failed": {
+        "ID": "text",
+        "STAGE": "text",
+        "CLASS": "text",
+        "FILE": "path",
+        "REASON": "words",
+    },
 }
 
 
@@ -56,7 +62,9 @@ def list_command(catalogue: str, failed: bool, **chosen: Any) -> out.Result:
             say(f"no shape is {which} in {catalogue}{after}")
         if which == "stored" and counts:
             found = ", ".join(f"{n} {name}" for name, n in sorted(counts.items()))
-            say(f"{found}; for reasons: {', '.join(f'--{name}' for name in sorted(counts))}")
+            say(
+                f"{found}; for reasons: {', '.join(f'--{name}' for name in sorted(counts))}"
+            )
 
     return out.Result(map(_facts, records), show=show)
 
@@ -77,7 +85,9 @@ def _row(record: pr.Record, columns: out.Columns, counts: Counter[str]) -> list[
         "EULER": "-" if record.euler is None else str(record.euler),
         "SECONDS": f"{record.seconds:.2f}",
         "FILE": shown_path(record.path),
-        "REASON": (record.message or str(record.grade or "")).removeprefix(f"{record.path}: "),
+        "REASON": (record.message or str(record.grade or "")).removeprefix(
+            f"{record.path}: "
+        ),
     }
     return [cells[name] for name in columns]
 
@@ -93,7 +103,9 @@ def show_command(shape_id: str, catalogue: str) -> out.Result:
     """
     store = opt.opened(catalogue, any_numbers=True)
     record, stored = store.record(shape_id), store.rows.stored_bytes(shape_id)
-    return out.Result(_facts(record) | {"stored_bytes": stored}, show=lambda: _show(record, stored))
+    return out.Result(
+        _facts(record) | {"stored_bytes": stored}, show=lambda: _show(record, stored)
+    )
 
 
 def _show(record: pr.Record, stored: dict[str, int]) -> None:
@@ -106,9 +118,14 @@ def _show(record: pr.Record, stored: dict[str, int]) -> None:
         "steps": None,
     }
     rows = [(name, str(value)) for name, value in shown.items() if value is not None]
-    parts = ", ".join(f"{name} {size / 1000:.1f}" for name, size in stored.items() if size)
+    parts = ", ".join(
+        f"{name} {size / 1000:.1f}" for name, size in stored.items() if size
+    )
     rows.append(
-        ("stored", f"{sum(stored.values()) / 1000:.1f} kB" + (f": {parts}" if parts else ""))
+        (
+            "stored",
+            f"{sum(stored.values()) / 1000:.1f} kB" + (f": {parts}" if parts else ""),
+        )
     )
     out.write_table({"": "text", " ": "words"}, rows)
     out.print_text("")
@@ -126,7 +143,11 @@ def _show(record: pr.Record, stored: dict[str, int]) -> None:
 @opt.option("--dry-run", "Show what would be removed, and remove nothing.")
 @opt.option("--yes", "Remove several shapes without a question.")
 def remove_command(
-    shape_ids: tuple[str, ...], catalogue: str, before: datetime | None, dry_run: bool, yes: bool
+    shape_ids: tuple[str, ...],
+    catalogue: str,
+    before: datetime | None,
+    dry_run: bool,
+    yes: bool,
 ) -> out.Result:
     """Remove shapes from a catalogue, and their bytes from its file. The scans stay where they are.
 
@@ -149,7 +170,9 @@ def remove_command(
                 raise store.rows.unknown(shape_id)
         question = f"Remove {len(chosen)} shapes from {catalogue}?"
         if dry_run:
-            say(f"would remove {len(chosen)} from {catalogue}: {', '.join(chosen) or 'none'}")
+            say(
+                f"would remove {len(chosen)} from {catalogue}: {', '.join(chosen) or 'none'}"
+            )
             return out.Result({"chosen": [*chosen], "removed": []})
         if len(chosen) > 1 and not yes and not may(question, otherwise=True):
             raise InputError("nothing was removed; --yes removes without a question")
@@ -200,7 +223,9 @@ def merge_command(parts: tuple[str, ...], output: str) -> out.Result:
     "--repair",
     "Remove damaged shapes, to be ingested again, damaged indexes, and rows without a shape.",
 )
-@opt.option("--remote", "Fetch scans at URLs that the catalogue names, without a question.")
+@opt.option(
+    "--remote", "Fetch scans at URLs that the catalogue names, without a question."
+)
 def check_command(catalogue: str, sample: int, repair: bool, remote: bool) -> out.Result:
     """Check a catalogue for damage: its file, each record, all arrays, and some signatures.
 
@@ -220,11 +245,14 @@ def check_command(catalogue: str, sample: int, repair: bool, remote: bool) -> ou
             on_shapes=lambda _: shown.advance({}),  # one at a time
         )
         options = store.options
-    document = {"catalogue": without_password(catalogue), "is_whole": result.is_whole} | asdict(
-        result
-    )
+    document = {
+        "catalogue": without_password(catalogue),
+        "is_whole": result.is_whole,
+    } | asdict(result)
     show = partial(_write_check, catalogue, result)
-    return out.Result(document, options, show, failed=not result.is_whole, exit_code=out.EXIT_ERROR)
+    return out.Result(
+        document, options, show, failed=not result.is_whole, exit_code=out.EXIT_ERROR
+    )
 
 
 def _may_fetch(hosts: Sequence[str]) -> bool:
@@ -244,7 +272,10 @@ def _write_check(catalogue: str, result: pr.Check) -> None:
         say(
             "the file is damaged, and cannot be repaired: restore a backup, or ingest into a new one"
         )
-    n_defects, n_left = len(result.defects), sum(defect.repair is None for defect in result.defects)
+    n_defects, n_left = (
+        len(result.defects),
+        sum(defect.repair is None for defect in result.defects),
+    )
     out.write_words(
         f"{catalogue}: {result.n_shapes} shapes, {result.n_failed} failed, {result.n_recomputed} signatures "
         f"computed again, {n_defects} defects"
@@ -287,7 +318,11 @@ def backup_command(catalogue: str, file: Path, without_names: bool) -> out.Resul
 @opt.option("--signatures", "Write signatures, ids and classes, not meshes.")
 @opt.comparison_options
 def export_command(
-    shape_ids: tuple[str, ...], catalogue: str, output: Path, signatures: bool, **comparison: Any
+    shape_ids: tuple[str, ...],
+    catalogue: str,
+    output: Path,
+    signatures: bool,
+    **comparison: Any,
 ) -> out.Result:
     """Write meshes or signatures of a catalogue to files.
 
@@ -297,7 +332,9 @@ def export_command(
     pcretrieve catalogue export --signatures -c bodies.sqlite -o bodies.parquet
     """
     if not signatures:
-        opt.refuse("meshes have no such options, which are for --signatures", *opt.COMPARISON)
+        opt.refuse(
+            "meshes have no such options, which are for --signatures", *opt.COMPARISON
+        )
     store = opt.opened(catalogue, any_numbers=not signatures)
     options = opt.compared(store, comparison)
     if signatures:
@@ -312,7 +349,9 @@ def export_command(
     return out.Result({"files": files}, options if signatures else None, show)
 
 
-def _export_meshes(store: pr.Catalogue, shape_ids: tuple[str, ...], output: Path) -> list[Path]:
+def _export_meshes(
+    store: pr.Catalogue, shape_ids: tuple[str, ...], output: Path
+) -> list[Path]:
     """Write a mesh of one shape, or a folder of meshes; nothing, if one of the meshes is missing."""
     if len(shape_ids) == 1 and output.suffix and not output.is_dir():
         pr.write_mesh(store.mesh(shape_ids[0]), output)

@@ -33,7 +33,9 @@ RARE = ("ST", "E")  # of papers, not needed to judge a collection
 @opt.labels_option
 @opt.matrix_option
 @opt.option("--good-only", "Ask for good scans only; the others stay in the gallery.")
-@opt.option("--per-class", "Add the means of each class, and which classes are confused with it.")
+@opt.option(
+    "--per-class", "Add the means of each class, and which classes are confused with it."
+)
 @opt.option(
     "--csv FOLDER",
     "Write queries.csv, classes.csv, confusion.csv, precision_recall.csv and det.csv to a folder.",
@@ -63,7 +65,9 @@ def evaluate_command(
     pcretrieve evaluate --matrix run1.txt --labels shrec11.cla
     """
     file, rerank, good_only = values["matrix"], values["rerank"], values["good_only"]
-    matrix = opt.read_distances(values, *(name for name in opt.COMPARISON if name != "rerank"))
+    matrix = opt.read_distances(
+        values, *(name for name in opt.COMPARISON if name != "rerank")
+    )
     options = None
     if catalogue is None and (matrix is None or labels is None):
         catalogue = os.environ.get(opt.CATALOGUE_VARIABLE) or None
@@ -122,13 +126,21 @@ def _evaluation_document(
         part.name: getattr(found, part.name) for part in fields(pr.RetrievalMeasures)
     }
     document |= {"n_shapes": found.ranked.rankings.n_gallery} | how
-    document["interval"] = {"level": found.level, "low": _named(low), "high": _named(high)}
+    document["interval"] = {
+        "level": found.level,
+        "low": _named(low),
+        "high": _named(high),
+    }
     document["macro"] = {name: getattr(macro, name) for name in MEASURES}
     if per_class:
         document["classes"] = [
             {"label": one.label, "n_queries": one.n_queries}
             | _named(one.means.tolist())
-            | {"confused": [{"label": label, "n_queries": n} for label, n in one.confused]}
+            | {
+                "confused": [
+                    {"label": label, "n_queries": n} for label, n in one.confused
+                ]
+            }
             for one in found.classes
         ]
     return document
@@ -143,8 +155,14 @@ def _rows(found: pr.Evaluation, rerank: str, per_class: bool) -> list[tuple[str,
     low, high = found.interval
     means = [(found, "micro-average"), (found.macro, "macro-average")]
     if rerank != "none":
-        means[:1] = [(found.plain, "micro-average, plain"), (found, f"micro-average, {rerank}")]
-    rows = [(*_numbers(getattr(one, name) for name in MEASURES), words) for one, words in means]
+        means[:1] = [
+            (found.plain, "micro-average, plain"),
+            (found, f"micro-average, {rerank}"),
+        ]
+    rows = [
+        (*_numbers(getattr(one, name) for name in MEASURES), words)
+        for one, words in means
+    ]
     rows[-1:-1] = [
         (*_numbers(low), f"  {found.level:.0%} interval from"),
         (*_numbers(high), "  to"),
@@ -152,14 +170,18 @@ def _rows(found: pr.Evaluation, rerank: str, per_class: bool) -> list[tuple[str,
     for one in found.classes if per_class else ():
         others = ", ".join(f"{label or 'no class'} {n}" for label, n in one.confused)
         nearest = f"; nearest {others}" if others else ""
-        rows.append((*_numbers(one.means), f"{one.label}, {one.n_queries} queries{nearest}"))
+        rows.append(
+            (*_numbers(one.means), f"{one.label}, {one.n_queries} queries{nearest}")
+        )
     return rows
 
 
 def _write_evaluation(
     found: pr.Evaluation, how: dict[str, Any], per_class: bool, is_verbose: bool
 ) -> None:
-    columns = {name: kind for name, kind in COLUMNS.items() if is_verbose or name not in RARE}
+    columns = {
+        name: kind for name, kind in COLUMNS.items() if is_verbose or name not in RARE
+    }
     kept = [name in columns for name in COLUMNS]
     rows = _rows(found, str(how["rerank"]), per_class)
     out.write_table(columns, (tuple(compress(row, kept)) for row in rows))
@@ -174,7 +196,9 @@ def _write_evaluation(
         f"count as misses; {by}"
     )
     if "missed_at" in how:
-        missed = ", ".join(f"{share:.2%} at {rate}" for rate, share in how["missed_at"].items())
+        missed = ", ".join(
+            f"{share:.2%} at {rate}" for rate, share in how["missed_at"].items()
+        )
         say(
             f"pairs: equal error rate {how['equal_error_rate']:.2%}; missed at a false-match rate: {missed}"
         )
@@ -189,9 +213,13 @@ def _numbers(values: Iterable[float], form: str = ".4f") -> list[str]:
 
 @opt.command("calibrate")
 @opt.catalogue_option
-@opt.option("--output -o FILE", "Write this file, such as metric.npz.", opt.PATH, required=True)
+@opt.option(
+    "--output -o FILE", "Write this file, such as metric.npz.", opt.PATH, required=True
+)
 @opt.on_catalogue
-def calibrate_command(store: pr.Catalogue, options: pr.PipelineOptions, output: Path) -> out.Result:
+def calibrate_command(
+    store: pr.Catalogue, options: pr.PipelineOptions, output: Path
+) -> out.Result:
     """Learn from labelled scans which differences to ignore.
 
     Scan some bodies several times, in the way you will scan later: three people in ten poses will do. Use the
@@ -245,4 +273,6 @@ def report_command(
     pcretrieve report -c bodies.sqlite --versus none/queries.csv -o bodies.html
     """
     page = pr.report(store, output, options=options, **shown)
-    return out.Result({"page": page}, options, lambda: out.write_lines(shown_path(str(page))))
+    return out.Result(
+        {"page": page}, options, lambda: out.write_lines(shown_path(str(page)))
+    )

@@ -47,7 +47,9 @@ FOUND = (
 @opt.config_option
 @opt.surface_option
 @opt.process_options
-def inspect_command(scan: Path, output: Path | None, png: Path | None, **run: Any) -> out.Result:
+def inspect_command(
+    scan: Path, output: Path | None, png: Path | None, **run: Any
+) -> out.Result:
     """Show what is wrong with a scan, and what to do about it, on an HTML page.
 
     The page shows points, normals and surface from all sides and in 3D; points that were removed; gaps that
@@ -66,7 +68,11 @@ def inspect_command(scan: Path, output: Path | None, png: Path | None, **run: An
         )
     options = opt.load_options(run)
     asked = {"options": options, "n_rescans": run.pop("n_rescans"), "png": png}
-    run |= {"output": output or Path(scan.stem + ".html"), "suffix": ".html", "is_alone": is_alone}
+    run |= {
+        "output": output or Path(scan.stem + ".html"),
+        "suffix": ".html",
+        "is_alone": is_alone,
+    }
     run["timeout"] *= 1 + asked["n_rescans"]
     found = list(each_scan("inspect", partial(_inspected, **asked), scan, **run))
     if is_alone:
@@ -131,5 +137,7 @@ def report_problem_command(
         f"attach this file to your report; it has {'the' if with_scan else 'no'} points of the scan"
     )
     return out.Result(
-        {"file": output, "failure": failure}, options, lambda: out.write_lines(str(output))
+        {"file": output, "failure": failure},
+        options,
+        lambda: out.write_lines(str(output)),
     )

@@ -20,7 +20,13 @@ import click
 
 from pcretrieve import __version__
 from pcretrieve.cli.messages import Printed, say, silence, stop_waiting, tell_of_waiting
-from pcretrieve.cli.output import EXIT_ERROR, EXIT_INTERRUPTED, JSON_FLAG, errors_as_json, exit_code
+from pcretrieve.cli.output import (
+    EXIT_ERROR,
+    EXIT_INTERRUPTED,
+    JSON_FLAG,
+    errors_as_json,
+    exit_code,
+)
 from pcretrieve.errors import OptionError, PcretrieveError, did_you_mean
 
 # Shells report a program that was ended by a signal with this number plus the number of the signal.
@@ -81,7 +87,8 @@ class _LazyGroup(click.Group):
         if isinstance(module, dict):
             return _LazyGroup(module, name=cmd_name, help=f"{text}.")
         found = getattr(
-            import_module(f"pcretrieve.cli.{module}"), f"{cmd_name.replace('-', '_')}_command"
+            import_module(f"pcretrieve.cli.{module}"),
+            f"{cmd_name.replace('-', '_')}_command",
         )
         command: click.Command = found
         return command
@@ -104,7 +111,9 @@ class _LazyGroup(click.Group):
 
 
 @click.group(
-    cls=_LazyGroup, table=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]}
+    cls=_LazyGroup,
+    table=COMMANDS,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.version_option(__version__, prog_name="pcretrieve")
 @click.pass_context
@@ -156,7 +165,9 @@ def main() -> NoReturn:
         # Of printing alone: the library raises errors of its own, and errors of files have their names.
         if error.filename is not None:
             raise
-        say(f"Error: cannot print the result: {error.strerror}; print it to another place")
+        say(
+            f"Error: cannot print the result: {error.strerror}; print it to another place"
+        )
         silence(sys.stdout)
         sys.exit(EXIT_ERROR)
     sys.exit(code if isinstance(code, int) else 0)

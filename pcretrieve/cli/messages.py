@@ -32,9 +32,19 @@ WARNING_WORDS = ("Error:", "failed:")
 # Characters that are printed as JSON escapes them: control characters, on which terminals act; separators of
 # lines; characters that reverse the direction of the text that follows; and halves of characters. Names of
 # files and classes may have any of them.
-_RANGES = ((0x00, 0x1F), (0x7F, 0x9F), (0x2028, 0x202E), (0x2066, 0x2069), (0xD800, 0xDFFF))
-ESCAPES = {code: f"\\u{code:04x}" for first, last in _RANGES for code in range(first, last + 1)}
-ESCAPES |= {ord(sign): escape for sign, escape in (("\n", "\\n"), ("\r", "\\r"), ("\t", "\\t"))}
+_RANGES = (
+    (0x00, 0x1F),
+    (0x7F, 0x9F),
+    (0x2028, 0x202E),
+    (0x2066, 0x2069),
+    (0xD800, 0xDFFF),
+)
+ESCAPES = {
+    code: f"\\u{code:04x}" for first, last in _RANGES for code in range(first, last + 1)
+}
+ESCAPES |= {
+    ord(sign): escape for sign, escape in (("\n", "\\n"), ("\r", "\\r"), ("\t", "\\t"))
+}
 
 # Time until people are told what they wait for, and between two states of that line; seconds.
 FIRST_WORD = 1.5
@@ -43,7 +53,9 @@ NEXT_WORD = 1.0
 # Least time between two lines of progress where standard error is no terminal; seconds.
 LINE_INTERVAL = 60.0
 
-_answered = Event()  # results or progress are shown, and the line of waiting is not needed any more
+_answered = (
+    Event()
+)  # results or progress are shown, and the line of waiting is not needed any more
 _waiting: list[Thread] = []
 _writing = RLock()
 
@@ -70,7 +82,11 @@ def broken(text: str, stream: TextIO, indent: int = 0) -> str:
         return text
     # Paths and addresses stay whole, so that they can be copied.
     return textwrap.fill(
-        text, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False
+        text,
+        width,
+        subsequent_indent=" " * indent,
+        break_long_words=False,
+        break_on_hyphens=False,
     )
 
 
@@ -108,7 +124,9 @@ def silence(stream: TextIO) -> None:
     os.close(nowhere)
 
 
-def failure_line(name: str, failure: pr.ShapeError | pr.Record | Failure, path: str = "") -> str:
+def failure_line(
+    name: str, failure: pr.ShapeError | pr.Record | Failure, path: str = ""
+) -> str:
     """The message about a shape that failed; `path` is its file."""
     message = failure.message or ""
     file = "" if path in message else f" ({shown_path(path)})"
@@ -202,7 +220,9 @@ def _tell(command: str) -> None:
             while not _answered.is_set():
                 text = f"{command}: {latest.message}, {time.monotonic() - started:.0f} s"
                 printable = "".join(sign if sign.isprintable() else "?" for sign in text)
-                line.set_description_str(printable[: shutil.get_terminal_size().columns - 1])
+                line.set_description_str(
+                    printable[: shutil.get_terminal_size().columns - 1]
+                )
                 _answered.wait(NEXT_WORD)
 
 
@@ -251,14 +271,22 @@ class Progress:
         self._n_done += 1
         self._n_failed += failure is not None
         if self._mode == "json":
-            counts = {"finished": self._n_done, "failures": self._n_failed, "total": self._total}
+            counts = {
+                "finished": self._n_done,
+                "failures": self._n_failed,
+                "total": self._total,
+            }
             say(json.dumps(facts | counts, ensure_ascii=False), indent=None)
         elif failure is not None:
             say(failure)
         if self._bar is not None:
             self._bar.set_postfix(failed=self._n_failed, refresh=False)
             self._bar.update()
-        elif self._mode == "bar" and self._total and time.monotonic() - self._said >= LINE_INTERVAL:
+        elif (
+            self._mode == "bar"
+            and self._total
+            and time.monotonic() - self._said >= LINE_INTERVAL
+        ):
             self._said = time.monotonic()
             seconds = self._said - self._started
             left = duration(seconds / self._n_done * (self._total - self._n_done))
@@ -273,4 +301,6 @@ def duration(seconds: float) -> str:
     if seconds < 60:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)
-    return f"{minutes // 60} h {minutes % 60:02} min" if minutes >= 60 else f"{minutes} min"
+    return (
+        f"{minutes // 60} h {minutes % 60:02} min" if minutes >= 60 else f"{minutes} min"
+    )

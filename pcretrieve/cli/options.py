@@ -45,7 +45,15 @@ RETRIEVAL_FLAGS = ("distance", "whitening", "rerank")
 COMPARISON = ("config", *SIGNATURE_FLAGS, *RETRIEVAL_FLAGS)
 
 MATCHERS = ("heat-hausdorff", "hks-bow-gallery", "mds-cm-bof", "meshsift")
-WHITENING_NAMES = ("auto", "unsupervised", "none", "people", "neighbours", "pca", "within-class")
+WHITENING_NAMES = (
+    "auto",
+    "unsupervised",
+    "none",
+    "people",
+    "neighbours",
+    "pca",
+    "within-class",
+)
 
 # What messages call the values of these types.
 KINDS = {click.IntRange: "whole number", click.FloatRange: "number"}
@@ -60,7 +68,11 @@ class Option(click.Option):
 
     def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
         """Name and text of the option; nothing for a rare one in ``--help``."""
-        return None if self.is_rare and not ctx.meta.get(ALL) else super().get_help_record(ctx)
+        return (
+            None
+            if self.is_rare and not ctx.meta.get(ALL)
+            else super().get_help_record(ctx)
+        )
 
 
 class Command(click.Command):
@@ -69,7 +81,9 @@ class Command(click.Command):
     def __init__(self, *args: Any, has_json: bool = True, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.params += [_JSON, _JSON_LINES] * has_json
-        self._rare = [one.opts[0] for one in self.params if isinstance(one, Option) and one.is_rare]
+        self._rare = [
+            one.opts[0] for one in self.params if isinstance(one, Option) and one.is_rare
+        ]
         self.params += [_HELP_ALL] * bool(self._rare)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -79,7 +93,9 @@ class Command(click.Command):
             with formatter.section("More options, see --help-all"):
                 # Not by click, which breaks lines at the hyphens of names.
                 width = formatter.width - formatter.current_indent
-                for line in textwrap.wrap(" ".join(self._rare), width, break_on_hyphens=False):
+                for line in textwrap.wrap(
+                    " ".join(self._rare), width, break_on_hyphens=False
+                ):
                     formatter.write(f"{'':{formatter.current_indent}}{line}\n")
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -131,7 +147,9 @@ def option(
     names = [word for word in words if word.startswith("-")]
     metavar = " ".join(words[len(names) :]) or None
     is_flag = kind is None and metavar is None
-    settings.setdefault("show_default", settings.get("default") is not None and not is_flag)
+    settings.setdefault(
+        "show_default", settings.get("default") is not None and not is_flag
+    )
     chosen = click.Choice(kind) if isinstance(kind, tuple) else kind
     if type(kind) in KINDS:
         kind.name = KINDS[type(kind)]
@@ -197,8 +215,14 @@ def _completion(
         ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
         # Without control characters, of which the shell would make further lines.
-        found = [name for name in names(ctx) if name.startswith(incomplete) and name.isprintable()]
-        return [*map(CompletionItem, found)] or [CompletionItem(incomplete, type="file")] * or_files
+        found = [
+            name
+            for name in names(ctx)
+            if name.startswith(incomplete) and name.isprintable()
+        ]
+        return [*map(CompletionItem, found)] or [
+            CompletionItem(incomplete, type="file")
+        ] * or_files
 
     return complete
 
@@ -223,7 +247,9 @@ complete_presets = _completion(_presets, or_files=True)
 complete_ids = _completion(_shapes)
 complete_queries = _completion(_shapes, or_files=True)
 complete_labels = _completion(
-    lambda context: sorted({f"{LABEL}{name}" for name in _shapes(context).values() if name})
+    lambda context: sorted(
+        {f"{LABEL}{name}" for name in _shapes(context).values() if name}
+    )
 )
 complete_methods = _completion(lambda context: DESCRIPTOR_NAMES.all())
 
@@ -234,7 +260,9 @@ def classes_of(
     """The classes of conditions ``label=CLASS`` on the shapes that are searched."""
     for condition in conditions:
         if not condition.startswith(LABEL):
-            raise click.BadParameter(f"must be label=CLASS, got {condition!r}", context, parameter)
+            raise click.BadParameter(
+                f"must be label=CLASS, got {condition!r}", context, parameter
+            )
     return [condition.removeprefix(LABEL) for condition in conditions]
 
 
@@ -254,7 +282,9 @@ catalogue_option = option(
     envvar=CATALOGUE_VARIABLE,
     show_envvar=True,
 )
-workers_option = option("--workers N", "Scans at a time.", COUNT, show_default="one per core")
+workers_option = option(
+    "--workers N", "Scans at a time.", COUNT, show_default="one per core"
+)
 progress_option = rare_option(
     "--progress",
     "Show a bar (a line a minute in a log file), one line of JSON for each scan, or nothing.",
@@ -291,7 +321,11 @@ unit_option = option(
 
 
 def limit_options(
-    command: Decorated, *, unit: str = "scan", time: float = 600, memory: float | None = None
+    command: Decorated,
+    *,
+    unit: str = "scan",
+    time: float = 600,
+    memory: float | None = None,
 ) -> Decorated:
     """Options that limit time and memory of the processes in which a command works."""
     seconds, space = click.FloatRange(min=1), click.FloatRange(min=0.5)
@@ -317,7 +351,9 @@ def load_options(values: dict[str, Any]) -> pr.PipelineOptions:
         "surface": {"mode": values.pop("surface", None)},
         "scan": {"unit": values.pop("unit", None)},
     }
-    changed = {table: chosen for table, chosen in given.items() if None not in chosen.values()}
+    changed = {
+        table: chosen for table, chosen in given.items() if None not in chosen.values()
+    }
     return pr.PipelineOptions.of(values.pop("config")).changed(**changed)
 
 
@@ -334,7 +370,9 @@ method_option = rare_option(
     shell_complete=complete_methods,
 )
 n_values_option = rare_option(
-    "--n-values L", "Number of values of the descriptor.  [default: 23, or the catalogue's]", COUNT
+    "--n-values L",
+    "Number of values of the descriptor.  [default: 23, or the catalogue's]",
+    COUNT,
 )
 scale_option = rare_option(
     "--scale",
@@ -404,12 +442,17 @@ def opened(catalogue: str, *, any_numbers: bool = False) -> pr.Catalogue:
 
 def compared(store: pr.Catalogue, values: dict[str, Any]) -> pr.PipelineOptions:
     """The options with which a command compares shapes, taken from its values."""
-    return pr.PipelineOptions.of(values.pop("config"), store.options).changed(**changes(values))
+    return pr.PipelineOptions.of(values.pop("config"), store.options).changed(
+        **changes(values)
+    )
 
 
 def changes(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """The changed options of a comparison by table, taken from the values of a command."""
-    signature, retrieval = taken(values, *SIGNATURE_FLAGS), taken(values, *RETRIEVAL_FLAGS)
+    signature, retrieval = (
+        taken(values, *SIGNATURE_FLAGS),
+        taken(values, *RETRIEVAL_FLAGS),
+    )
     if (method := signature.get("method")) in MATCHERS:
         raise click.UsageError(
             f"{method} compares pairs of surfaces, and has no signatures: write its distances in Python by "
@@ -439,7 +482,9 @@ def read_distances(values: dict[str, Any], *others: str) -> pr.DistanceMatrix | 
 def refuse(reason: str, *names: str) -> None:
     """End with a usage error if the command was given some of these options."""
     values = click.get_current_context().params
-    if given := [f"--{name.replace('_', '-')}" for name in names if values[name] is not None]:
+    if given := [
+        f"--{name.replace('_', '-')}" for name in names if values[name] is not None
+    ]:
         raise click.UsageError(f"{reason}: leave out {', '.join(given)}")
 
 

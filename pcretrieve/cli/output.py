@@ -17,7 +17,13 @@ from unicodedata import combining, east_asian_width
 import click
 
 import pcretrieve as pr
-from pcretrieve.cli.messages import ESCAPES, broken, escaped, stop_waiting, without_password
+from pcretrieve.cli.messages import (
+    ESCAPES,
+    broken,
+    escaped,
+    stop_waiting,
+    without_password,
+)
 from pcretrieve.errors import OptionError, PcretrieveError
 
 if TYPE_CHECKING:
@@ -93,7 +99,9 @@ def write_table(columns: Columns, rows: Iterable[Sequence[str]]) -> int:
         # Later rows of long tables are at least as wide as the first ones.
         widths = [
             max(widest, *map(_width, column))
-            for widest, column in zip(widths, zip(columns, *cells, strict=True), strict=True)
+            for widest, column in zip(
+                widths, zip(columns, *cells, strict=True), strict=True
+            )
         ]
         least = sum(widths) + len(GAP) * (len(widths) - 1)
         if kinds[-1] == "words":
@@ -102,13 +110,19 @@ def write_table(columns: Columns, rows: Iterable[Sequence[str]]) -> int:
         if not n_rows and any(heading.strip() for heading in columns):
             cells.insert(0, [*columns])
         for number, row in enumerate(cells, n_rows):
-            parts = [part for part in zip(kinds, widths, row, strict=True) if part[0] != left_out]
+            parts = [
+                part
+                for part in zip(kinds, widths, row, strict=True)
+                if part[0] != left_out
+            ]
             print_text(_line(parts, limit, is_heading=not number and row == [*columns]))
         n_rows += len(block)
     return n_rows
 
 
-def _line(parts: Sequence[tuple[str, int, str]], limit: int | None, *, is_heading: bool) -> str:
+def _line(
+    parts: Sequence[tuple[str, int, str]], limit: int | None, *, is_heading: bool
+) -> str:
     """The line of a row, of kinds, widths and cells; or several lines, if words are broken."""
     padded, start = [], 0
     for kind, width, text in parts:
@@ -148,7 +162,8 @@ def _width(text: str) -> int:
     if text.isascii():
         return len(text)
     return sum(
-        0 if combining(sign) else 2 if east_asian_width(sign) in "WF" else 1 for sign in text
+        0 if combining(sign) else 2 if east_asian_width(sign) in "WF" else 1
+        for sign in text
     )
 
 
@@ -171,7 +186,9 @@ class Result(NamedTuple):
     exit_code: int = EXIT_SOME_FAILED
 
 
-def choose_json(context: click.Context, parameter: click.Parameter, is_given: bool) -> None:
+def choose_json(
+    context: click.Context, parameter: click.Parameter, is_given: bool
+) -> None:
     """Let the command print JSON."""
     if is_given:
         context.meta[FORM] = parameter.opts[0]
@@ -213,7 +230,9 @@ def errors_as_json(context: click.Context, is_json: bool) -> Iterator[None]:
         if is_json and context.meta.get(FORM) == JSON_LINES_FLAG:
             print_text(_text(facts, indent=None))
         elif is_json:
-            known = {"result": elements} if (elements := context.meta.get(ELEMENTS)) else {}
+            known = (
+                {"result": elements} if (elements := context.meta.get(ELEMENTS)) else {}
+            )
             print_text(_text(_head(context, None) | known | facts))
         raise
 
@@ -230,7 +249,11 @@ def failure_facts(
 ) -> dict[str, Any]:
     """What failed, for JSON: the name of the exception, the stage, if there is one, and the message."""
     kind = type(failure).__name__ if isinstance(failure, Exception) else failure.error
-    return {"error": kind, "stage": getattr(failure, "stage", None), "message": failure.message}
+    return {
+        "error": kind,
+        "stage": getattr(failure, "stage", None),
+        "message": failure.message,
+    }
 
 
 def _head(context: click.Context, options: pr.PipelineOptions | None) -> dict[str, Any]:

@@ -47,9 +47,13 @@ def each_scan(
             elif not is_alone:
                 stem = Path(name).stem
                 facts = {"status": "failed", "seconds": 0.0, "id": stem, "path": name}
-                shown.advance(facts | out.failure_facts(outcome), failure_line(stem, outcome, name))
+                shown.advance(
+                    facts | out.failure_facts(outcome), failure_line(stem, outcome, name)
+                )
 
-        for name, outcome in pr.map_scans(function, paths, on_start=start, on_scan=advance, **run):
+        for name, outcome in pr.map_scans(
+            function, paths, on_start=start, on_scan=advance, **run
+        ):
             if is_alone and isinstance(outcome, ShapeError):
                 raise outcome
             yield {"path": name} | (
@@ -63,9 +67,14 @@ def each_scan(
 @opt.command("merge")
 @click.argument("paths", nargs=-1, metavar="VIEWS...")
 @opt.option(
-    "--output -o CLOUD", "Write this point cloud: .ply, .pcd or .xyzn.", opt.PATH, required=True
+    "--output -o CLOUD",
+    "Write this point cloud: .ply, .pcd or .xyzn.",
+    opt.PATH,
+    required=True,
 )
-@opt.option("--refine/--no-refine", "Refine known poses, or use them as they are.", default=None)
+@opt.option(
+    "--refine/--no-refine", "Refine known poses, or use them as they are.", default=None
+)
 @opt.option(
     "--sensor",
     "Where the sensor is, if files do not say: far away in front, as of range scanners, or at "
@@ -150,7 +159,9 @@ def _number(value: float) -> float | None:
     required=True,
 )
 @opt.option(
-    "--suffix SUFFIX", "Format of the meshes of a folder of scans.  [default: .ply]", MESH_SUFFIXES
+    "--suffix SUFFIX",
+    "Format of the meshes of a folder of scans.  [default: .ply]",
+    MESH_SUFFIXES,
 )
 @opt.option("--report", "Print each step, with what was repaired.")
 @opt.config_option
@@ -169,13 +180,24 @@ def reconstruct_command(
     """
     options, is_alone = opt.load_options(run), not scan.is_dir()
     if is_alone and suffix is not None:
-        raise click.UsageError("--suffix is for folders: give the suffix of the mesh with -o")
-    run |= {"output": output, "suffix": suffix or ".ply", "kind": "mesh", "is_alone": is_alone}
+        raise click.UsageError(
+            "--suffix is for folders: give the suffix of the mesh with -o"
+        )
+    run |= {
+        "output": output,
+        "suffix": suffix or ".ply",
+        "kind": "mesh",
+        "is_alone": is_alone,
+    }
     # Printed at the end, because they would break a bar.
-    found = list(each_scan("reconstruct", partial(_reconstructed, options=options), scan, **run))
+    found = list(
+        each_scan("reconstruct", partial(_reconstructed, options=options), scan, **run)
+    )
     made = [facts for facts in found if "mesh" in facts]
     if not is_alone:
-        say(f"{len(made)} surfaces are in {output}, {len(found) - len(made)} scans failed")
+        say(
+            f"{len(made)} surfaces are in {output}, {len(found) - len(made)} scans failed"
+        )
 
     def show() -> None:
         for facts in made if report else ():
@@ -184,15 +206,23 @@ def reconstruct_command(
             out.write_steps(facts["steps"])
         if is_alone:
             facts = {
-                name: value for name, value in found[0].items() if name not in ("path", "steps")
+                name: value
+                for name, value in found[0].items()
+                if name not in ("path", "steps")
             }
             texts = (
                 f"{value:.6g}" if isinstance(value, float) else str(value)
                 for value in facts.values()
             )
-            say("  ".join(f"{name} {text}" for name, text in zip(facts, texts, strict=True)))
+            say(
+                "  ".join(
+                    f"{name} {text}" for name, text in zip(facts, texts, strict=True)
+                )
+            )
 
-    return out.Result(found[0] if is_alone else found, options, show, len(found) - len(made))
+    return out.Result(
+        found[0] if is_alone else found, options, show, len(found) - len(made)
+    )
 
 
 def _reconstructed(scan: Path, file: Path, options: pr.PipelineOptions) -> dict[str, Any]:
@@ -231,7 +261,10 @@ def _reconstructed(scan: Path, file: Path, options: pr.PipelineOptions) -> dict[
 @opt.settings_options
 @opt.process_options
 def signature_command(
-    paths: tuple[str, ...], from_catalogue: str | None, progress: str | None, **values: Any
+    paths: tuple[str, ...],
+    from_catalogue: str | None,
+    progress: str | None,
+    **values: Any,
 ) -> out.Result:
     """Print the signatures of scans, one line each: path, then values.
 
@@ -245,7 +278,12 @@ def signature_command(
     changes = {"signature": opt.taken(values, "n_modes", *opt.SIGNATURE_FLAGS)}
     if from_catalogue is not None:
         opt.refuse(
-            "a catalogue has options of its own", "config", "surface", "unit", "workers", "memory"
+            "a catalogue has options of its own",
+            "config",
+            "surface",
+            "unit",
+            "workers",
+            "memory",
         )
         store = opt.opened(from_catalogue)
         options = store.options.changed(**changes)
@@ -258,7 +296,11 @@ def signature_command(
         if progress == "bar" and not out.prints_json() and sys.stdout.isatty():
             progress = None
         rows = each_scan(
-            "signature", partial(_described, options=options), paths, progress=progress, **values
+            "signature",
+            partial(_described, options=options),
+            paths,
+            progress=progress,
+            **values,
         )
     failures: list[str] = []
 
@@ -272,7 +314,9 @@ def signature_command(
         for facts in counted():
             if "values" in facts:
                 name = escaped(shown_path(facts.get("id") or facts["path"]))
-                out.print_text("\t".join([name, *(f"{value:.9g}" for value in facts["values"])]))
+                out.print_text(
+                    "\t".join([name, *(f"{value:.9g}" for value in facts["values"])])
+                )
 
     return out.Result(counted(), options, show, failures)
 
@@ -286,16 +330,28 @@ def _described(path: Path, options: pr.PipelineOptions) -> dict[str, Any]:
 
 def _facts(signature: pr.Signature) -> dict[str, Any]:
     """What JSON has of a signature."""
-    facts = {"kind": signature.kind, "unit": signature.unit, "values": signature.values.tolist()}
-    return facts if signature.errors is None else facts | {"errors": signature.errors.tolist()}
+    facts = {
+        "kind": signature.kind,
+        "unit": signature.unit,
+        "values": signature.values.tolist(),
+    }
+    return (
+        facts
+        if signature.errors is None
+        else facts | {"errors": signature.errors.tolist()}
+    )
 
 
 def _of_catalogue(
     store: pr.Catalogue, ids: tuple[str, ...], options: pr.PipelineOptions
 ) -> Iterator[dict[str, Any]]:
     """Id, path, and signature or failure of each shape of a catalogue."""
-    for record in [store.record(shape_id) for shape_id in ids] or store.records(status="done"):
-        failure: pr.Record | ShapeError | None = record if record.status == "failed" else None
+    for record in [store.record(shape_id) for shape_id in ids] or store.records(
+        status="done"
+    ):
+        failure: pr.Record | ShapeError | None = (
+            record if record.status == "failed" else None
+        )
         facts: dict[str, Any] = {"id": record.id, "path": record.path}
         if failure is None:
             try:

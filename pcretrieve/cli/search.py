@@ -68,7 +68,10 @@ PAIR = {"DISTANCE": "number", "LIMIT": "number", "FIRST": "text", "SECOND": "tex
 @opt.limit_options
 @opt.rare_option("--csv", "Print one table of all results, as CSV.", into="as_csv")
 @opt.option(
-    "--html PAGE", "Write an HTML page of all queries too, with pictures.", opt.PATH, into="page"
+    "--html PAGE",
+    "Write an HTML page of all queries too, with pictures.",
+    opt.PATH,
+    into="page",
 )
 @opt.verbose_option
 @opt.up_option
@@ -178,14 +181,24 @@ def _write_answer(answer: pr.Answer, name: str | None) -> None:
     """A table of the neighbours, below a line with the query if there are several, and the verdict."""
     if name is not None:
         out.write_lines(shown_path(name))
-    columns = COLUMNS | (SCAN if any(record.is_incomplete for record in answer.records) else {})
+    columns = COLUMNS | (
+        SCAN if any(record.is_incomplete for record in answer.records) else {}
+    )
     rows = []
     for row in answer.rows():
         score = "-" if row["score"] is None else f"{row['score']:.2f}"
         grade = row["grade"]
         scan = "" if grade is None or grade["name"] == "good" else grade["name"]
         label, path = row["label"] or "-", shown_path(row["path"])
-        cells = (str(row["rank"]), f"{row['distance']:#.4g}", score, label, row["id"], path, scan)
+        cells = (
+            str(row["rank"]),
+            f"{row['distance']:#.4g}",
+            score,
+            label,
+            row["id"],
+            path,
+            scan,
+        )
         rows.append(cells[: len(columns)])
     out.write_table(columns, rows)
     out.write_words(f"{answer}, because {answer.because}")
@@ -195,7 +208,9 @@ def _write_csv(outcomes: Outcomes) -> None:
     """One row for each neighbour of each query."""
     from pcretrieve.values.files import csv_text
 
-    answers = ((name, answer) for name, answer in outcomes if not isinstance(answer, ShapeError))
+    answers = (
+        (name, answer) for name, answer in outcomes if not isinstance(answer, ShapeError)
+    )
     rows = (row for name, answer in answers for row in answer.table(name))
     out.write_csv(csv_text(pr.Answer.columns, rows))
 
@@ -209,10 +224,16 @@ def _write_csv(outcomes: Outcomes) -> None:
 )
 @opt.on_catalogue
 @opt.option(
-    "--html PAGE", "Write an HTML page too, with both shapes of each pair.", opt.PATH, into="page"
+    "--html PAGE",
+    "Write an HTML page too, with both shapes of each pair.",
+    opt.PATH,
+    into="page",
 )
 def duplicates_command(
-    store: pr.Catalogue, options: pr.PipelineOptions, threshold: float | None, page: Path | None
+    store: pr.Catalogue,
+    options: pr.PipelineOptions,
+    threshold: float | None,
+    page: Path | None,
 ) -> out.Result:
     """Find copies of shapes: at another resolution, mirrored, or two scans of one body in one pose.
 
@@ -227,7 +248,10 @@ def duplicates_command(
         compared = options.of_copies if threshold is None else options
         written = pr.query_page(store, pairs, page, options=compared)
         say(f"page: {shown_path(str(written))}", indent=None)
-    rows = ((f"{one.distance:#.4g}", f"{one.limit:#.4g}", one.first, one.second) for one in pairs)
+    rows = (
+        (f"{one.distance:#.4g}", f"{one.limit:#.4g}", one.first, one.second)
+        for one in pairs
+    )
     say(f"{len(pairs)} {'pair' if len(pairs) == 1 else 'pairs'}")
     return out.Result(
         [pair._asdict() for pair in pairs], options, partial(out.write_table, PAIR, rows)
@@ -236,7 +260,9 @@ def duplicates_command(
 
 @opt.command("map")
 @opt.catalogue_option
-@opt.option("--output -o PNG|HTML", "Write this picture or this page.", opt.PATH, required=True)
+@opt.option(
+    "--output -o PNG|HTML", "Write this picture or this page.", opt.PATH, required=True
+)
 @opt.up_option
 @opt.on_catalogue
 def map_command(
@@ -250,13 +276,18 @@ def map_command(
     pcretrieve lab map --catalogue bodies.sqlite -o bodies.html
     """
     page = pr.draw_map(store, output, options=options, up=up)
-    return out.Result({"page": page}, options, lambda: out.write_lines(shown_path(str(page))))
+    return out.Result(
+        {"page": page}, options, lambda: out.write_lines(shown_path(str(page)))
+    )
 
 
 @opt.command("serve", has_json=False)
 @opt.catalogue_option
 @opt.option(
-    "--port N", "Port at 127.0.0.1; 0 for any free one.", click.IntRange(0, 65535), default=8765
+    "--port N",
+    "Port at 127.0.0.1; 0 for any free one.",
+    click.IntRange(0, 65535),
+    default=8765,
 )
 @opt.option("--read-only", "Take no scans from browsers.")
 @opt.option(
@@ -264,7 +295,9 @@ def map_command(
     "Let people keep their scans: files in this folder, shapes in the catalogue.",
     click.Path(exists=True, file_okay=False, writable=True, path_type=Path),
 )
-@opt.option("--max-upload MB", "Refuse larger scans from browsers.", opt.COUNT, default=200)
+@opt.option(
+    "--max-upload MB", "Refuse larger scans from browsers.", opt.COUNT, default=200
+)
 @partial(opt.limit_options, unit="scan from a browser", time=300, memory=4)
 @opt.up_option
 @opt.comparison_options

@@ -32,7 +32,9 @@ def bihdm(
 
 BIHDM = Descriptor(
     name="bihdm",
-    make=lambda shape, o: bihdm(spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.scale),
+    make=lambda shape, o: bihdm(
+        spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.scale
+    ),
     needs=("spectrum", "overlaps"),
     spread=1.04,
 )

@@ -43,11 +43,15 @@ def csd(pairs: Eigenpairs, n_values: int = 23, n_modes: int = 60) -> Signature:
             f"n_values must be between {HEAT_SHARE} and {MOST_VALUES} for csd, got {n_values}"
         )
     n_frequencies = n_values // HEAT_SHARE
-    weights = wave_kernel_weights(pairs.eigenvalues, n_values - n_frequencies, n_modes)  # (e, m)
+    weights = wave_kernel_weights(
+        pairs.eigenvalues, n_values - n_frequencies, n_modes
+    )  # (e, m)
     lowest = pairs.lowest(n_modes + 1)
     wave = lowest.eigenvectors[:, 1:] ** 2 @ weights.T  # (n, e)
     heat = scale_invariant_heat(lowest, n_frequencies)  # (n, f)
-    areas = pairs.mass @ np.ones(pairs.mass.shape[0])  # (n,), the areas of the vertices, of sum 1
+    areas = pairs.mass @ np.ones(
+        pairs.mass.shape[0]
+    )  # (n,), the areas of the vertices, of sum 1
     values = np.concatenate([_mean_direction(wave, areas), _mean_direction(heat, areas)])
     return Signature(values, kind="csd", digest=f"L={n_values} m={n_modes}")
 
@@ -83,7 +87,9 @@ CSD = Descriptor(
 WIDTH = 0.07
 
 
-def wks(pairs: Eigenpairs | ModalSpectrum, n_values: int = 23, n_modes: int = 60) -> Signature:
+def wks(
+    pairs: Eigenpairs | ModalSpectrum, n_values: int = 23, n_modes: int = 60
+) -> Signature:
     """The second moment of the wave kernel signature over a surface, at L energies.
 
     The wave kernel signature of a point x at energy e [1]_, equations (4) and (5), is
@@ -108,7 +114,9 @@ def wks(pairs: Eigenpairs | ModalSpectrum, n_values: int = 23, n_modes: int = 60
     return Signature(values, kind="wks", digest=f"L={n_values} m={n_modes}")
 
 
-def wave_kernel_weights(eigenvalues: FloatArray, n_energies: int, n_modes: int) -> FloatArray:
+def wave_kernel_weights(
+    eigenvalues: FloatArray, n_energies: int, n_modes: int
+) -> FloatArray:
     """The weights p_k(e) of the modes in the wave kernel signature, as in `wks`.
 
     eigenvalues: (k,) float64, ascending, the zero eigenvalue first.
@@ -118,7 +126,9 @@ def wave_kernel_weights(eigenvalues: FloatArray, n_energies: int, n_modes: int) 
     levels = np.log(eigenvalues[1 : n_modes + 1])  # (m,)
     energies = np.linspace(levels[0], levels[-1], n_energies)
     width = WIDTH * (levels[-1] - levels[0])
-    weights: FloatArray = np.exp(-((energies[:, np.newaxis] - levels) ** 2) / (2 * width**2))
+    weights: FloatArray = np.exp(
+        -((energies[:, np.newaxis] - levels) ** 2) / (2 * width**2)
+    )
     weights /= weights.sum(axis=1, keepdims=True)
     return weights
 

@@ -50,7 +50,9 @@ def _checked(name: str, added: object) -> Descriptor:
     if not isinstance(added, Descriptor):
         raise TypeError(f"must be of the class Descriptor, got {added!r}")
     if added.name != name:
-        raise TypeError(f"must have the name of its entry point, got a record named {added.name!r}")
+        raise TypeError(
+            f"must have the name of its entry point, got a record named {added.name!r}"
+        )
     return added
 
 
@@ -59,12 +61,18 @@ class _Descriptors(Registry[Descriptor]):
 
     def __getitem__(self, name: str) -> Descriptor:
         """The record of a name, or of the fusion of several names; OptionError as by `Registry`."""
-        records = [super(_Descriptors, self).__getitem__(part) for part in fused_names(name)]
+        records = [
+            super(_Descriptors, self).__getitem__(part) for part in fused_names(name)
+        ]
         return records[0] if len(records) == 1 else fused(records)
 
     def called(self, name: str) -> str:
         """The descriptor in a message; of a fusion, without the packages of its parts."""
-        return super().called(name) if len(fused_names(name)) == 1 else f"the descriptor {name!r}"
+        return (
+            super().called(name)
+            if len(fused_names(name)) == 1
+            else f"the descriptor {name!r}"
+        )
 
     def version(self, name: str) -> str:
         """The packages and the versions of all parts that other packages add."""
@@ -74,13 +82,18 @@ class _Descriptors(Registry[Descriptor]):
 
 DESCRIPTORS: Registry[Descriptor] = _Descriptors(
     DESCRIPTOR_NAMES,
-    {record.name: record for record in (R_BIHDM, BIHDM, SHAPE_DNA, WKS, CSD, HAPT, MOMENTS)},
+    {
+        record.name: record
+        for record in (R_BIHDM, BIHDM, SHAPE_DNA, WKS, CSD, HAPT, MOMENTS)
+    },
     _checked,
 )
 
 
 def describe(
-    shape: Shape, options: SignatureOptions, method: Descriptor | MeshFunction | None = None
+    shape: Shape,
+    options: SignatureOptions,
+    method: Descriptor | MeshFunction | None = None,
 ) -> Signature:
     """The signature of a shape by the method and the parameters in `options`.
 
@@ -122,7 +135,9 @@ def describe(
     _check_size(descriptor, options)
     parts = (shape,) if set(descriptor.needs) == {"points"} else shape.apart()
     unit = _unit_of_sizes(shape) if options.compares_sizes else None
-    return _mean([replace(_described(descriptor, part, options), unit=unit) for part in parts])
+    return _mean(
+        [replace(_described(descriptor, part, options), unit=unit) for part in parts]
+    )
 
 
 def _mean(made: Sequence[Signature]) -> Signature:
@@ -133,7 +148,9 @@ def _mean(made: Sequence[Signature]) -> Signature:
     rows = np.array([signature.values for signature in made])  # (s, L)
     if first.metric == "logarithms":
         logs = np.log(rows)
-        return replace(first, values=np.exp(logs.mean(axis=0)), errors=logs.std(axis=0, ddof=1))
+        return replace(
+            first, values=np.exp(logs.mean(axis=0)), errors=logs.std(axis=0, ddof=1)
+        )
     return replace(first, values=rows.mean(axis=0), errors=rows.std(axis=0, ddof=1))
 
 
@@ -141,7 +158,9 @@ def _measured(function: MeshFunction, mesh: TriangleMesh) -> Signature:
     """What a function of one's own says of one surface."""
     name = getattr(function, "__name__", type(function).__name__)
     with DESCRIPTORS.blamed(name, Stage.SIGNATURE):
-        return Signature(np.atleast_1d(np.asarray(function(mesh))), kind=name, metric="values")
+        return Signature(
+            np.atleast_1d(np.asarray(function(mesh))), kind=name, metric="values"
+        )
 
 
 def signature_length(options: SignatureOptions) -> int:
@@ -172,7 +191,11 @@ def with_overlaps(shape: Shape, element: str) -> Shape:
     surfaces = [*shape.surfaces]
     for at, surface in enumerate(surfaces):
         spectrum = surface.spectrum
-        if surface.mesh is not None and spectrum is not None and spectrum.overlaps is None:
+        if (
+            surface.mesh is not None
+            and spectrum is not None
+            and spectrum.overlaps is None
+        ):
             # As in the pipeline, so that rounding errors are the same.
             with threadpool_limits(limits=1):
                 pairs = unit_eigenpairs(surface.mesh, len(spectrum.eigenvalues), element)
@@ -181,7 +204,9 @@ def with_overlaps(shape: Shape, element: str) -> Shape:
     return replace(shape, surfaces=tuple(surfaces))
 
 
-def _described(descriptor: Descriptor, part: Shape, options: SignatureOptions) -> Signature:
+def _described(
+    descriptor: Descriptor, part: Shape, options: SignatureOptions
+) -> Signature:
     """The signature of one surface."""
     needed = _needed(descriptor, part, options)
     with DESCRIPTORS.blamed(descriptor.name, Stage.SIGNATURE):
@@ -193,12 +218,15 @@ def _described(descriptor: Descriptor, part: Shape, options: SignatureOptions) -
         wrong = f"{length} values, as its record declares, got {len(made.values)}"
     if wrong:
         raise ShapeError(
-            f"{DESCRIPTORS.called(descriptor.name)} must give {wrong}", stage=Stage.SIGNATURE
+            f"{DESCRIPTORS.called(descriptor.name)} must give {wrong}",
+            stage=Stage.SIGNATURE,
         )
     if not options.size_weight:
         return made
     logarithm = options.size_weight * np.log(part.area)
-    size = part.area**options.size_weight if descriptor.metric == "logarithms" else logarithm
+    size = (
+        part.area**options.size_weight if descriptor.metric == "logarithms" else logarithm
+    )
     # The error bar that a method of another package may return has no entry for the size.
     return replace(made, values=np.append(made.values, size), errors=None)
 

@@ -67,7 +67,9 @@ class Descriptor:
                     f"{what} of a descriptor must be of {', '.join(known)}, got {wrong[0]!r}"
                 )
         if not self.spread > 0:
-            raise OptionError(f"spread of a descriptor must be positive, got {self.spread:g}")
+            raise OptionError(
+                f"spread of a descriptor must be positive, got {self.spread:g}"
+            )
 
 
 def check_modes(n_modes: int, n_pairs: int, *, least: int = 1) -> None:
@@ -80,7 +82,11 @@ def check_modes(n_modes: int, n_pairs: int, *, least: int = 1) -> None:
 
 def spectrum_of(shape: Shape, options: SignatureOptions) -> ModalSpectrum:
     """The spectrum of the surface on unit area; for the scale ``absolute``, in the unit of the file."""
-    return shape.spectrum.scaled(shape.area) if options.scale == "absolute" else shape.spectrum
+    return (
+        shape.spectrum.scaled(shape.area)
+        if options.scale == "absolute"
+        else shape.spectrum
+    )
 
 
 def fused(parts: Sequence[Descriptor]) -> Descriptor:
@@ -94,7 +100,9 @@ def fused(parts: Sequence[Descriptor]) -> Descriptor:
             for part, signature in zip(parts, made, strict=True)
         ]
         digest = ", ".join(f"{signature.kind} {signature.digest}" for signature in made)
-        return Signature(np.concatenate(scaled), kind=name, digest=digest, metric="values")
+        return Signature(
+            np.concatenate(scaled), kind=name, digest=digest, metric="values"
+        )
 
     return Descriptor(
         name=name,

@@ -78,12 +78,16 @@ def projected_areas(mesh: TriangleMesh, radii: FloatArray, spread: float) -> Flo
     for row, radius in zip(transform, radii, strict=True):
         arrived = _arrived(samples, radius / CELL, grid.shape)
         offsets, shares = _ball(spread * radius / CELL)
-        row[:] = _gathered(arrived, inside, offsets @ steps, shares) / (4 * np.pi * radius**2)
+        row[:] = _gathered(arrived, inside, offsets @ steps, shares) / (
+            4 * np.pi * radius**2
+        )
     return transform
 
 
 @compiled()
-def _arrived(samples: FloatArray, radius: float, shape: tuple[int, int, int]) -> FloatArray:
+def _arrived(
+    samples: FloatArray, radius: float, shape: tuple[int, int, int]
+) -> FloatArray:
     """The area that arrives in each voxel of a grid, in C order, from a surface that moves inwards."""
     arrived = np.zeros(shape[0] * shape[1] * shape[2])
     for i in range(len(samples)):
@@ -99,7 +103,10 @@ def _arrived(samples: FloatArray, radius: float, shape: tuple[int, int, int]) ->
 
 @compiled()
 def _gathered(
-    arrived: FloatArray, inside: NDArray[np.intp], offsets: NDArray[np.intp], shares: FloatArray
+    arrived: FloatArray,
+    inside: NDArray[np.intp],
+    offsets: NDArray[np.intp],
+    shares: FloatArray,
 ) -> FloatArray:
     """(k,) sums of the areas round each of k voxels, each area with the share of its voxel in the ball."""
     gathered, first = np.zeros(len(inside)), 0
@@ -135,7 +142,9 @@ def _samples(mesh: TriangleMesh, grid: Grid) -> FloatArray:
     These are the centres of the triangles into which each triangle is divided, at most `SPACING` wide.
     """
     corners = mesh.corners  # (3, 3, m)
-    widest = np.sqrt(((corners - corners[:, [2, 0, 1]]) ** 2).sum(axis=0).max(axis=0))  # (m,)
+    widest = np.sqrt(
+        ((corners - corners[:, [2, 0, 1]]) ** 2).sum(axis=0).max(axis=0)
+    )  # (m,)
     n_parts = np.maximum(1, np.ceil(widest / SPACING))  # (m,) of each edge
     if (n_points := (n_parts**2).sum()) > MOST_POINTS:
         raise DegenerateMeshError(
@@ -159,12 +168,16 @@ def _centres(
         a, b, c, n = faces[f, 0], faces[f, 1], faces[f, 2], parts[f]
         for part in range(n * n):
             row, column, share = part // n, part % n, 1 / 3
-            if row + column >= n:  # a triangle between those with the orientation of the face
+            if (
+                row + column >= n
+            ):  # a triangle between those with the orientation of the face
                 row, column, share = n - 1 - row, n - 1 - column, 2 / 3
             u, v = (row + share) / n, (column + share) / n
             sample = samples[point]
             for k in range(6):
-                sample[k] = u * values[a, k] + v * values[b, k] + (1 - (u + v)) * values[c, k]
+                sample[k] = (
+                    u * values[a, k] + v * values[b, k] + (1 - (u + v)) * values[c, k]
+                )
             length = np.sqrt(sample[3] ** 2 + sample[4] ** 2 + sample[5] ** 2)
             for k in range(3, 6):
                 sample[k] /= length if length > 0 else 1.0
@@ -200,7 +213,11 @@ def _weighted_normal(
     double = np.sqrt(across[0] ** 2 + across[1] ** 2 + across[2] ** 2)  # twice the area
     angle = np.arctan2(double, u * x + v * y + w * z)
     length = max(double, np.finfo(np.float64).tiny)
-    return angle * across[0] / length, angle * across[1] / length, angle * across[2] / length
+    return (
+        angle * across[0] / length,
+        angle * across[1] / length,
+        angle * across[2] / length,
+    )
 
 
 def _ball(radius: float) -> tuple[NDArray[np.intp], FloatArray]:
@@ -235,7 +252,9 @@ def interior(mesh: TriangleMesh, grid: Grid) -> Mask:
     votes = np.zeros(grid.shape, dtype=np.int8)
     for order in ((1, 2, 0), (0, 2, 1), (0, 1, 2)):
         turned = votes.transpose(order)
-        turned += _windings(np.ascontiguousarray(at[:, order]), mesh.faces, turned.shape) != 0
+        turned += (
+            _windings(np.ascontiguousarray(at[:, order]), mesh.faces, turned.shape) != 0
+        )
     return votes >= 2
 
 
@@ -246,8 +265,14 @@ def _windings(at: FloatArray, faces: IntArray, shape: tuple[int, int, int]) -> I
     turns = np.zeros(shape, dtype=np.int32)
     for f in range(len(faces)):
         a, b, c = at[faces[f, 0]], at[faces[f, 1]], at[faces[f, 2]]
-        first, last = int(np.ceil(min(a[0], b[0], c[0]))), int(np.floor(max(a[0], b[0], c[0])))
-        low, high = int(np.ceil(min(a[1], b[1], c[1]))), int(np.floor(max(a[1], b[1], c[1])))
+        first, last = (
+            int(np.ceil(min(a[0], b[0], c[0]))),
+            int(np.floor(max(a[0], b[0], c[0]))),
+        )
+        low, high = (
+            int(np.ceil(min(a[1], b[1], c[1]))),
+            int(np.floor(max(a[1], b[1], c[1]))),
+        )
         for x in range(first, last + 1):
             for y in range(low, high + 1):
                 turn, z = _crossing(a, b, c, x, y)
@@ -261,7 +286,9 @@ def _windings(at: FloatArray, faces: IntArray, shape: tuple[int, int, int]) -> I
 
 
 @compiled()
-def _crossing(a: FloatArray, b: FloatArray, c: FloatArray, x: int, y: int) -> tuple[int, float]:
+def _crossing(
+    a: FloatArray, b: FloatArray, c: FloatArray, x: int, y: int
+) -> tuple[int, float]:
     """How the grid line at (x, y) turns round a triangle that it crosses, 1 or −1, and where; else 0."""
     # Twice the signed areas of the triangles of the line and one edge, opposite each corner.
     p = (b[0] - x) * (c[1] - y) - (b[1] - y) * (c[0] - x)
@@ -295,7 +322,9 @@ def moments(mesh: TriangleMesh) -> Signature:
     framed = in_principal_frame(mesh)
     corners = framed.vertices[framed.faces]  # (m, 3, 3)
     middles = (corners + np.roll(corners, 1, axis=1)) / 2  # of the edges
-    second, fourth = (framed.face_areas @ (middles**power).mean(axis=1) for power in (2, 4))  # (3,)
+    second, fourth = (
+        framed.face_areas @ (middles**power).mean(axis=1) for power in (2, 4)
+    )  # (3,)
     second = np.maximum(second, np.finfo(float).eps)  # of a surface in a plane
     return Signature(np.sqrt(np.concatenate([second, fourth / second])), kind="moments")
 
@@ -304,14 +333,20 @@ def in_principal_frame(mesh: TriangleMesh) -> TriangleMesh:
     """The surface of unit area, oriented outwards, with its centre and principal axes as the frame."""
     areas = mesh.face_areas
     if not 0 < (total := float(areas.sum())) < np.inf:
-        raise DegenerateMeshError(f"a surface must have a positive area, got an area of {total:g}")
+        raise DegenerateMeshError(
+            f"a surface must have a positive area, got an area of {total:g}"
+        )
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))  # (m, 3) each
     centre = areas @ (a + b + c) / (3 * total)
     # The midpoints of the edges integrate quadratics over a triangle exactly.
     middles = np.concatenate([a + b, b + c, c + a]) / 2 - centre
     axes = np.linalg.eigh(middles.T @ (np.tile(areas, 3)[:, np.newaxis] * middles))[1]
     turned = TriangleMesh((mesh.vertices - centre) @ axes / np.sqrt(total), mesh.faces)
-    return turned if turned.volume >= 0 else TriangleMesh(turned.vertices, turned.faces[:, ::-1])
+    return (
+        turned
+        if turned.volume >= 0
+        else TriangleMesh(turned.vertices, turned.faces[:, ::-1])
+    )
 
 
 MOMENTS = Descriptor(

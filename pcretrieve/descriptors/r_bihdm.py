@@ -79,7 +79,9 @@ def r_bihdm(
 
 R_BIHDM = Descriptor(
     name="r-bihdm",
-    make=lambda shape, o: r_bihdm(spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.scale),
+    make=lambda shape, o: r_bihdm(
+        spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.scale
+    ),
     needs=("spectrum",),
     spread=1.04,
 )
@@ -117,8 +119,12 @@ def leading(
         first, in the unit named by `scale`.
     """
     if not 1 <= n_values <= n_modes:
-        raise OptionError(f"n_values must be between 1 and n_modes = {n_modes}, got {n_values}")
-    mu = np.linalg.eigvalsh(matrix)  # (n,), ascending: the negative eigenvalues first, μ_0 last
+        raise OptionError(
+            f"n_values must be between 1 and n_modes = {n_modes}, got {n_values}"
+        )
+    mu = np.linalg.eigvalsh(
+        matrix
+    )  # (n,), ascending: the negative eigenvalues first, μ_0 last
     # The matrix of BiHDM has one row more than modes and constant, and may have one zero eigenvalue.
     if not (mu[-1] > 0 > mu[n_modes - 1]):
         raise SpectrumError(

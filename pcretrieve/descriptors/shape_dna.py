@@ -53,7 +53,9 @@ def shape_dna(
         raise OptionError(
             f"n_values must be between 1 and {n_pairs - first} for {n_pairs} eigenpairs, got {n_values}"
         )
-    unit = {"area": 1 / pairs.area, "first": pairs.eigenvalues[1], "nothing": 1.0}[normalized_by]
+    unit = {"area": 1 / pairs.area, "first": pairs.eigenvalues[1], "nothing": 1.0}[
+        normalized_by
+    ]
     values = unit / pairs.eigenvalues[first : n_values + first]
     kind = "shape-dna-norm1" if normalized_by == "first" else "shape-dna"
     return Signature(values, kind=kind, digest=f"L={n_values} {normalized_by}")
@@ -64,7 +66,9 @@ SHAPE_DNA = Descriptor(
     make=lambda shape, o: shape_dna(
         spectrum_of(shape, o),
         o.n_values,
-        normalized_by="nothing" if o.scale == "absolute" else "area",  # the same for `relative`
+        normalized_by="nothing"
+        if o.scale == "absolute"
+        else "area",  # the same for `relative`
     ),
     needs=("spectrum",),
     spread=0.52,

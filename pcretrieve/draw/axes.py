@@ -51,7 +51,8 @@ class Person(NamedTuple):
     def upwards(self, vertices: FloatArray) -> FloatArray:
         """(3,) the mean of the directions from the feet to the pelvis, and from the pelvis to the chest."""
         chest, pelvis = (
-            vertices[ways.max(axis=0).argmin()] for ways in (self.from_hands, self.from_feet)
+            vertices[ways.max(axis=0).argmin()]
+            for ways in (self.from_hands, self.from_feet)
         )
         parts = np.stack([chest - pelvis, pelvis - vertices[self.feet].mean(axis=0)])
         return unit_vectors(unit_vectors(parts).sum(axis=0))
@@ -59,7 +60,9 @@ class Person(NamedTuple):
     def forwards(self, vertices: FloatArray) -> FloatArray:
         """(3,) from the middle of each foot to its end, which are the toes."""
         near = self.from_feet < FOOT * self.from_feet[0, self.feet[1]]  # (2, n)
-        return np.asarray(sum(vertices[self.feet] - [vertices[one].mean(axis=0) for one in near]))
+        return np.asarray(
+            sum(vertices[self.feet] - [vertices[one].mean(axis=0) for one in near])
+        )
 
 
 def person_of(vertices: FloatArray, faces: IntArray) -> Person | None:
@@ -69,14 +72,18 @@ def person_of(vertices: FloatArray, faces: IntArray) -> Person | None:
     if not 0 < apart.max() < np.inf:
         return None  # a single point, or several parts
     pairings = (([0, 1], [2, 3]), ([0, 2], [1, 3]), ([0, 3], [1, 2]))
-    pairs = min(pairings, key=lambda both: sum(float(apart[tuple(pair)]) for pair in both))
+    pairs = min(
+        pairings, key=lambda both: sum(float(apart[tuple(pair)]) for pair in both)
+    )
     areas = np.linalg.norm(area_vectors(vertices, faces), axis=1)
     near = [ways[pair].min(axis=0)[faces[:, 0]] < END * apart.max() for pair in pairs]
     (arms, hands), (legs, feet) = sorted(
         zip([areas[one].sum() for one in near], pairs, strict=True)
     )
     across = apart[np.ix_(feet, hands)]
-    foot_to_foot, hand_to_hand = (apart[tuple(pair)] / across.mean() for pair in (feet, hands))
+    foot_to_foot, hand_to_hand = (
+        apart[tuple(pair)] / across.mean() for pair in (feet, hands)
+    )
     if (
         across.min() < LEAST_EQUAL * across.max()
         or legs > THICKEST * arms
@@ -106,7 +113,9 @@ def _ends(vertices: FloatArray, faces: IntArray) -> tuple[IntArray, FloatArray]:
     return np.array(ends, np.int32), np.stack(rows)
 
 
-def body_axes(vertices: FloatArray, faces: IntArray, up: FloatArray | None = None) -> FloatArray:
+def body_axes(
+    vertices: FloatArray, faces: IntArray, up: FloatArray | None = None
+) -> FloatArray:
     """(3, 3) the axes of a camera in front of a surface of positive area, as from `principal_axes`.
 
     If up is not given, people are upright in any pose. People look ahead.
@@ -149,7 +158,9 @@ def principal_axes(
     else:
         level = np.eye(3) - np.outer(up, up)
         # The axis up gets more than the total variance, so that the first axis is perpendicular to it.
-        towards = np.linalg.eigh(level @ covariance @ level + 2 * np.outer(up, up))[1][:, 0]
+        towards = np.linalg.eigh(level @ covariance @ level + 2 * np.outer(up, up))[1][
+            :, 0
+        ]
     right = np.cross(up, towards)
     sides = (
         _skewness(points, weights, right) + TIE * right[0],

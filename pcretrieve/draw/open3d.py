@@ -81,8 +81,14 @@ def open3d_cloud(
 def open3d_mesh(vertices: FloatArray, faces: IntArray, *, tensor: bool = False) -> Any:
     """A triangle mesh of Open3D; of tensors on request."""
     o3d = library()
-    mesh = o3d.geometry.TriangleMesh(_vectors(vertices), o3d.utility.Vector3iVector(faces.copy()))
-    return o3d.t.geometry.TriangleMesh.from_legacy(mesh, o3d.core.float64) if tensor else mesh
+    mesh = o3d.geometry.TriangleMesh(
+        _vectors(vertices), o3d.utility.Vector3iVector(faces.copy())
+    )
+    return (
+        o3d.t.geometry.TriangleMesh.from_legacy(mesh, o3d.core.float64)
+        if tensor
+        else mesh
+    )
 
 
 class RayScene:
@@ -110,15 +116,23 @@ class RayScene:
         Returns face: (k,), numbers of the faces; −1 if there is none.
         """
         length = power_of_two(float(np.abs(directions).max(initial=0)))
-        rays = np.concatenate([self._frame.inward(origins), directions / length], axis=1)  # (k, 6)
+        rays = np.concatenate(
+            [self._frame.inward(origins), directions / length], axis=1
+        )  # (k, 6)
         answer = self._scene.cast_rays(self._tensor(rays.astype(np.float32)))
-        distance = answer["t_hit"].numpy().astype(np.float64) * (self._frame.size / length)
-        face = np.where(np.isfinite(distance), answer["primitive_ids"].numpy().astype(np.int64), -1)
+        distance = answer["t_hit"].numpy().astype(np.float64) * (
+            self._frame.size / length
+        )
+        face = np.where(
+            np.isfinite(distance), answer["primitive_ids"].numpy().astype(np.int64), -1
+        )
         normals = answer["primitive_normals"].numpy().astype(np.float64)
         return distance, normals, face.astype(np.int32)
 
     def distance(self, points: FloatArray) -> FloatArray:
         """(k,) unsigned distances of (k, 3) points to the surface."""
         query = self._tensor(self._frame.inward(points).astype(np.float32))
-        framed: FloatArray = self._scene.compute_distance(query).numpy().astype(np.float64)
+        framed: FloatArray = (
+            self._scene.compute_distance(query).numpy().astype(np.float64)
+        )
         return framed * self._frame.size

@@ -63,13 +63,21 @@ class Camera:
 
 def cameras_around(points: FloatArray, axes: FloatArray | None = None) -> list[Camera]:
     """Cameras on four sides of a body, in front of which `axes` are, with all points in the field of view."""
-    axes = principal_axes(points, np.full(len(points), 1 / len(points))) if axes is None else axes
-    return cameras_framing(points, [rotation(azimuth, ELEVATION) @ axes for azimuth in AZIMUTHS])
+    axes = (
+        principal_axes(points, np.full(len(points), 1 / len(points)))
+        if axes is None
+        else axes
+    )
+    return cameras_framing(
+        points, [rotation(azimuth, ELEVATION) @ axes for azimuth in AZIMUTHS]
+    )
 
 
 def cameras_framing(points: FloatArray, directions: Iterable[FloatArray]) -> list[Camera]:
     """Cameras with given axes, with one scale and all points in the field of view."""
-    size = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0  # the size of equal points
+    size = (
+        float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
+    )  # the size of equal points
     framed = []
     for axes in directions:
         seen = points @ axes.T  # (n, 3)
@@ -104,7 +112,9 @@ def visible_faces(vertices: FloatArray, faces: IntArray, size: int) -> IntArray:
     columns = slice(*np.searchsorted(ticks, [left, right]))
     rows = slice(*np.searchsorted(ticks, [-high, -low]))
     x, y = np.meshgrid(ticks[columns], -ticks[rows])
-    origins = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, max(top, 0) + 1)])  # (k, 3)
+    origins = np.column_stack(
+        [x.ravel(), y.ravel(), np.full(x.size, max(top, 0) + 1)]
+    )  # (k, 3)
     _, _, face = RayScene(vertices, faces).cast(
         origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape)
     )
@@ -132,7 +142,9 @@ def point_picture(
     corners = reach * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     vertices = (camera.seen(points)[:, None] + corners).reshape(-1, 3)  # (4n, 3)
     first = 4 * np.arange(len(points), dtype=np.int32)[:, None]  # (n, 1)
-    faces = np.concatenate([first + np.array(half, np.int32) for half in ([0, 1, 2], [0, 2, 3])])
+    faces = np.concatenate(
+        [first + np.array(half, np.int32) for half in ([0, 1, 2], [0, 2, 3])]
+    )
     return _picture(vertices, faces, np.tile(colours, (2, 1)), size)
 
 
@@ -191,10 +203,16 @@ def rgb(colour: Colour) -> tuple[int, int, int]:
     return red, green, blue
 
 
-def _picture(vertices: FloatArray, faces: IntArray, colours: FloatArray, size: int) -> Image.Image:
+def _picture(
+    vertices: FloatArray, faces: IntArray, colours: FloatArray, size: int
+) -> Image.Image:
     """A picture of (size, size) pixels of the field of view [-1, 1]², with a transparent background."""
-    palette = np.concatenate([np.column_stack([colours, np.ones(len(colours))]), np.zeros((1, 4))])
-    pixels = pooled(palette[visible_faces(vertices, faces, size)])  # face −1, none, is the last row
+    palette = np.concatenate(
+        [np.column_stack([colours, np.ones(len(colours))]), np.zeros((1, 4))]
+    )
+    pixels = pooled(
+        palette[visible_faces(vertices, faces, size)]
+    )  # face −1, none, is the last row
     # The mean over the rays that hit a face, so that edges are not darker.
     pixels[..., :3] /= np.maximum(pixels[..., 3:], 1 / SUPERSAMPLING**2)
     return Image.fromarray(np.round(255 * np.minimum(pixels, 1)).astype(np.uint8), "RGBA")

@@ -48,7 +48,14 @@ def plot_signature(
     if errors is not None:
         bars = [values - values * np.exp(-errors), values * np.exp(errors) - values]
     axes.errorbar(
-        numbers, values, yerr=bars, marker="o", markersize=3, linewidth=1, capsize=2, label=kind
+        numbers,
+        values,
+        yerr=bars,
+        marker="o",
+        markersize=3,
+        linewidth=1,
+        capsize=2,
+        label=kind,
     )
     axes.set(xlabel="number of the value", ylabel=kind)
     if (values > 0).all():
@@ -56,7 +63,9 @@ def plot_signature(
     return axes
 
 
-def draw_places(groups: Sequence[tuple[str | None, FloatArray, str]], *, title: str) -> bytes:
+def draw_places(
+    groups: Sequence[tuple[str | None, FloatArray, str]], *, title: str
+) -> bytes:
     """A picture (PNG) of places in the plane, with a key of the groups.
 
     groups: for each group its name (None: unknown), the (n, 2) places, and a colour.
@@ -71,12 +80,21 @@ def draw_places(groups: Sequence[tuple[str | None, FloatArray, str]], *, title: 
         marker = "os^Dv"[number // 8 % 5]  # of more classes than colours
         x, y = places.T
         axes.scatter(
-            x, y, s=30, c=colour, marker=marker, edgecolors="white", linewidths=0.5, label=label
+            x,
+            y,
+            s=30,
+            c=colour,
+            marker=marker,
+            edgecolors="white",
+            linewidths=0.5,
+            label=label,
         )
     axes.set_aspect("equal")
     axes.set(xticks=[], yticks=[], title=title)
     columns = -(-len(groups) // KEY_ROWS)
-    figure.legend(loc="outside right upper", ncols=columns, fontsize="small", frameon=False)
+    figure.legend(
+        loc="outside right upper", ncols=columns, fontsize="small", frameon=False
+    )
     data = io.BytesIO()
     figure.savefig(data, dpi=150, bbox_inches="tight", format="png")
     return data.getvalue()
@@ -86,7 +104,9 @@ def _pyplot() -> Any:
     try:
         from matplotlib import pyplot
     except ImportError as error:
-        raise InputError("plots need matplotlib: pip install 'pcretrieve[plot]'") from error
+        raise InputError(
+            "plots need matplotlib: pip install 'pcretrieve[plot]'"
+        ) from error
     return pyplot
 
 

@@ -58,7 +58,10 @@ def thumbnail(
     """
     area = float(np.linalg.norm(area_vectors(vertices, faces), axis=1).sum())
     # Rays are cast in single precision, and do not hit thinner surfaces.
-    if not len(faces) or not area > np.finfo(np.float32).eps * bounding_diagonal(vertices) ** 2:
+    if (
+        not len(faces)
+        or not area > np.finfo(np.float32).eps * bounding_diagonal(vertices) ** 2
+    ):
         return None
     axes = body_axes(vertices, faces, up)
     (camera,) = pictures.cameras_framing(
@@ -84,9 +87,9 @@ def cloud_thumbnail(points: FloatArray) -> bytes:
     camera = pictures.cameras_around(shown)[0]
     spacing = 2 * camera.half / np.sqrt(len(shown))
     file = BytesIO()
-    pictures.depth_picture(shown, pictures.CLAY, camera, width=spacing, size=CLOUD_PIXELS).save(
-        file, "PNG", optimize=True
-    )
+    pictures.depth_picture(
+        shown, pictures.CLAY, camera, width=spacing, size=CLOUD_PIXELS
+    ).save(file, "PNG", optimize=True)
     return file.getvalue()
 
 
@@ -107,7 +110,9 @@ def _png(picture: Image.Image) -> bytes:
     )  # (size, size), row of the palette
     levels = np.linspace(0, 255, N_LEVELS)[:, np.newaxis] * pictures.CLAY  # (N_LEVELS, 3)
     colours = np.concatenate([np.zeros((1, 3)), np.tile(levels, (N_COVERAGES, 1))])
-    alphas = np.concatenate([[0], np.repeat(np.linspace(0, 255, N_COVERAGES + 1)[1:], N_LEVELS)])
+    alphas = np.concatenate(
+        [[0], np.repeat(np.linspace(0, 255, N_COVERAGES + 1)[1:], N_LEVELS)]
+    )
     paletted = Image.fromarray(number.astype(np.uint8))
     paletted.putpalette(np.round(colours).astype(np.uint8).tobytes())
     file, transparency = BytesIO(), np.round(alphas).astype(np.uint8).tobytes()

@@ -53,9 +53,13 @@ def rank_shapes(
     if not isinstance(shapes, (str, Path, Catalogue)):
         distances = shapes if isinstance(shapes, DistanceMatrix) else _numbered(shapes)
         classes = _classes_of_rows(distances, labels)
-        return _of_matrix(distances, classes, {}, PipelineOptions.of(options).retrieval.rerank)
+        return _of_matrix(
+            distances, classes, {}, PipelineOptions.of(options).retrieval.rerank
+        )
     if not isinstance(labels, (str, Path, type(None))):
-        raise InputError("labels of a catalogue must be a label file or a layout, not a list")
+        raise InputError(
+            "labels of a catalogue must be a label file or a layout, not a list"
+        )
     with Catalogue.opened(shapes) as store:
         chosen = PipelineOptions.of(options, store.options)
         ranked = _of_catalogue(store, chosen, labels, matrix)
@@ -93,13 +97,17 @@ def _of_catalogue(
         check_known(matrix, catalogue)
         ranked_ids = set(matrix.ids)
         missing = {
-            shape_id: classes[shape_id] for shape_id in records if shape_id not in ranked_ids
+            shape_id: classes[shape_id]
+            for shape_id in records
+            if shape_id not in ranked_ids
         }
         return _of_matrix(matrix, classes, missing, options.retrieval.rerank)
     table = signatures(catalogue, options=options)
     table = replace(table, labels=tuple(classes[shape_id] for shape_id in table.ids))
     failed = {
-        record.id: classes[record.id] for record in records.values() if record.status == "failed"
+        record.id: classes[record.id]
+        for record in records.values()
+        if record.status == "failed"
     }
     retrieval = options.retrieval.without_labels
     whitening = None
@@ -112,7 +120,10 @@ def _of_catalogue(
             table, retrieval, people=people(options.signature)
         )
         reason = whitening.reason
-        if options.retrieval.whitening == "auto" and whitening.kind in ("none", "neighbours"):
+        if options.retrieval.whitening == "auto" and whitening.kind in (
+            "none",
+            "neighbours",
+        ):
             reason += ", without labels"
     rankings = rank_table(table, retrieval, whitening=whitening, failed=failed)
     return RankedShapes(*rankings, table, reason)
@@ -167,14 +178,18 @@ def _classes_of_rows(
         distances = replace(distances, labels=given)
     classes = dict(zip(distances.ids, distances.labels, strict=True))
     if not any(classes.values()):
-        raise BenchmarkError("no row of the distances has a class: give labels, one for each row")
+        raise BenchmarkError(
+            "no row of the distances has a class: give labels, one for each row"
+        )
     return classes
 
 
 def _classes_of_ids(file: str | Path, ids: Set[str]) -> dict[str, str | None]:
     """The classes of shapes by the labels in a file, which names ids or files."""
     named: dict[str, str] = {}
-    for name, label in labels_of(file, (f"/{shape_id}" for shape_id in sorted(ids))).items():
+    for name, label in labels_of(
+        file, (f"/{shape_id}" for shape_id in sorted(ids))
+    ).items():
         shape_id = name if name in ids else Path(name).stem
         if named.setdefault(shape_id if shape_id in ids else name, label) != label:
             raise BenchmarkError(

@@ -60,16 +60,22 @@ class Comparison(Value):
     only_second: tuple[str, ...]
 
 
-def compare_scores(first: measures.QueryScores, second: measures.QueryScores) -> Comparison:
+def compare_scores(
+    first: measures.QueryScores, second: measures.QueryScores
+) -> Comparison:
     """Compare two results query by query."""
     row = {shape_id: number for number, shape_id in enumerate(second.ids)}
-    pairs = [(a, row[shape_id]) for a, shape_id in enumerate(first.ids) if shape_id in row]
+    pairs = [
+        (a, row[shape_id]) for a, shape_id in enumerate(first.ids) if shape_id in row
+    ]
     if not pairs:
         raise InputError(
             f"two results must have queries in common, got none of {len(first.ids)} and {len(second.ids)}: "
             "compare results of the same shapes"
         )
-    if differing := [first.ids[a] for a, b in pairs if first.labels[a] != second.labels[b]]:
+    if differing := [
+        first.ids[a] for a, b in pairs if first.labels[a] != second.labels[b]
+    ]:
         raise InputError(
             f"a query must have the same class in both results, {len(differing)} have another, such as "
             f"{', '.join(differing[:3])}: give both the same labels"
@@ -106,7 +112,9 @@ def write_evaluation(ranked: Rankings, folder: str | Path) -> tuple[Path, ...]:
     files: dict[str, tuple[Sequence[object], Iterable[Sequence[object]]]] = {
         "queries.csv": (
             ("id", "label", *SCORES, "nearest", "nearest_label"),
-            zip(scores.ids, scores.labels, *scores.columns.T.tolist(), *near, strict=True),
+            zip(
+                scores.ids, scores.labels, *scores.columns.T.tolist(), *near, strict=True
+            ),
         ),
         "classes.csv": (
             ("label", "n_queries", *measures.MEASURES),
@@ -125,7 +133,10 @@ def write_evaluation(ranked: Rankings, folder: str | Path) -> tuple[Path, ...]:
         ),
     }
     if rates := measures.verification(ranked.genuine, ranked.impostor):
-        files["det.csv"] = (rates._fields, zip(*(column.tolist() for column in rates), strict=True))
+        files["det.csv"] = (
+            rates._fields,
+            zip(*(column.tolist() for column in rates), strict=True),
+        )
     paths = tuple(folder / name for name in files)
     check_no_links(paths)
     for path, (header, rows) in zip(paths, files.values(), strict=True):

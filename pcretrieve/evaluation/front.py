@@ -75,7 +75,9 @@ class Evaluation(measures.RetrievalMeasures):
     @property
     def verification(self) -> measures.Verification | None:
         """The error rates of pairs of shapes (DET, ROC); None if there are no pairs of two classes."""
-        return measures.verification(self.ranked.plain.genuine, self.ranked.plain.impostor)
+        return measures.verification(
+            self.ranked.plain.genuine, self.ranked.plain.impostor
+        )
 
     def write(self, folder: str | Path) -> tuple[Path, ...]:
         """Write the measures of queries and classes, confusions, precision-recall and DET as CSV files."""
@@ -124,7 +126,9 @@ def evaluate(
         If distances are not square, or labels are not as many as rows.
     """
     ranked = rank_shapes(shapes, options, labels, matrix=matrix, good_only=good_only)
-    return Evaluation(**asdict(measures.evaluate_rankings(ranked.rankings)), ranked=ranked)
+    return Evaluation(
+        **asdict(measures.evaluate_rankings(ranked.rankings)), ranked=ranked
+    )
 
 
 def compare(
@@ -167,7 +171,9 @@ def compare(
     """
     others = options if second_options is None else second_options
     one, two = (
-        result.scores if isinstance(result, Evaluation) else result_scores(result, chosen, labels)
+        result.scores
+        if isinstance(result, Evaluation)
+        else result_scores(result, chosen, labels)
         for result, chosen in ((first, options), (second, others))
     )
     return compare_scores(one, two)
@@ -215,7 +221,9 @@ def calibrate(
             from pcretrieve.shrec.dl import learned_atoms
 
             labels = {
-                one.id: one.label for one in store.records(status="done") if one.label is not None
+                one.id: one.label
+                for one in store.records(status="done")
+                if one.label is not None
             }
             atoms = learned_atoms(
                 map(store.mesh, labels), [*labels.values()], chosen.signature.n_modes
@@ -223,7 +231,9 @@ def calibrate(
             learned = chosen.changed(signature={"atoms": atoms.round(6).tolist()})
             write_file(Path(path), describe_options(learned, "signature").encode())
             return learned
-        labelled = chosen.changed(retrieval={"whitening": "within-class", "calibration": None})
+        labelled = chosen.changed(
+            retrieval={"whitening": "within-class", "calibration": None}
+        )
         known = people(labelled.signature)
         fitted = calibrated_whitening(
             signatures(store, options=labelled), labelled.retrieval, known
@@ -274,5 +284,7 @@ def matrix(
             from pcretrieve.shrec.matcher import known_matcher, match_all
 
             method = known_matcher(matcher)
-            made = match_all(method, [*store], lambda name: store.shape(name, method.needs))
+            made = match_all(
+                method, [*store], lambda name: store.shape(name, method.needs)
+            )
         return replace(made, labels=tuple(map(store.labels().get, made.ids)))

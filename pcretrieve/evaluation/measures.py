@@ -95,7 +95,9 @@ class RetrievalMeasures:
     n_single: int
 
     def _repr_html_(self) -> str:
-        shown = {part.name: getattr(self, part.name) for part in fields(RetrievalMeasures)}
+        shown = {
+            part.name: getattr(self, part.name) for part in fields(RetrievalMeasures)
+        }
         head = "".join(f"<th>{name}</th>" for name in shown)
         cells = "".join(f"<td>{value:.4g}</td>" for value in shown.values())
         return f"<table><tr>{head}</tr><tr>{cells}</tr></table>"
@@ -199,7 +201,9 @@ class Verification(NamedTuple):
     def missed(self, rate: float) -> float:
         """The share of pairs of one class that is refused at a false-match rate."""
         return float(
-            self.false_non_match[np.searchsorted(self.false_match, rate, side="right") - 1]
+            self.false_non_match[
+                np.searchsorted(self.false_match, rate, side="right") - 1
+            ]
         )
 
 
@@ -209,7 +213,8 @@ def verification(genuine: FloatArray, impostor: FloatArray) -> Verification | No
         return None
     limits = np.append(-np.inf, np.unique(genuine))
     within, beside = (
-        np.searchsorted(pairs, limits, side="right") / len(pairs) for pairs in (genuine, impostor)
+        np.searchsorted(pairs, limits, side="right") / len(pairs)
+        for pairs in (genuine, impostor)
     )
     return Verification(beside, 1 - within)
 
@@ -244,7 +249,9 @@ def bootstrap_interval(values: FloatArray, *, level: float = LEVEL) -> FloatArra
     rng, n = np.random.default_rng(0), len(values)
     rows = max(1, CHUNK // n)
     means = [
-        rng.multinomial(n, np.full(n, 1 / n), size=min(rows, N_RESAMPLES - start)) @ values / n
+        rng.multinomial(n, np.full(n, 1 / n), size=min(rows, N_RESAMPLES - start))
+        @ values
+        / n
         for start in range(0, N_RESAMPLES, rows)
     ]
     ends: FloatArray = np.quantile(
@@ -302,7 +309,9 @@ def class_measures(ranked: Rankings) -> tuple[ClassMeasures, ...]:
 def confusion(ranked: Rankings) -> Confusion:
     """The confusion matrix of the nearest neighbour."""
     labels = tuple(sorted(set(ranked.labels)))
-    known = sorted({*labels, *(label for label in ranked.nearest_labels if label is not None)})
+    known = sorted(
+        {*labels, *(label for label in ranked.nearest_labels if label is not None)}
+    )
     nearest = (*known, None)
     counts = np.zeros((len(labels), len(nearest)), dtype=np.intp)
     for label, near, of_class in zip(

@@ -121,13 +121,17 @@ def rank_subsets(
         for members, blocks in subsets:
             m = len(members)
             length = min(N_RERANKED + 1, m) if again else 0  # with the shape itself
-            kept = NeighbourLists(np.empty((m, length), dtype=np.intp), np.empty((m, length)))
+            kept = NeighbourLists(
+                np.empty((m, length), dtype=np.intp), np.empty((m, length))
+            )
             names = [ids[position] for position in members]
             for block in blocks:
                 order = _by_distance(block, names)
                 nearest = order[:, :length]
                 kept.order[block.queries] = nearest
-                kept.distances[block.queries] = np.take_along_axis(block.distances, nearest, axis=1)
+                kept.distances[block.queries] = np.take_along_axis(
+                    block.distances, nearest, axis=1
+                )
                 asked = members[block.queries]
                 some = paired[asked]
                 one = asked[some, np.newaxis]
@@ -141,7 +145,9 @@ def rank_subsets(
             lists.append((members, kept))
 
     plain = _rank_sorted(plain_blocks(), ids, labels, failed)
-    genuine, impostor = (np.sort(np.concatenate([np.zeros(0), *found])) for found in pairs)
+    genuine, impostor = (
+        np.sort(np.concatenate([np.zeros(0), *found])) for found in pairs
+    )
     plain = replace(plain, genuine=genuine, impostor=impostor)
     if not again:
         return plain, plain
@@ -225,7 +231,10 @@ def _rank_sorted(
         hit_rank=hit_rank[order],
         genuine=np.zeros(0),
         impostor=np.zeros(0),
-        nearest=(*(None if near < 0 else ids[near] for near in nearest), *(None for _ in missed)),
+        nearest=(
+            *(None if near < 0 else ids[near] for near in nearest),
+            *(None for _ in missed),
+        ),
         nearest_labels=(
             *(None if near < 0 else labels[near] for near in nearest),
             *(None for _ in missed),
@@ -289,7 +298,8 @@ def within_class_subsets(
         members = queries if among_fold else np.arange(len(table))
         rows = np.arange(len(queries)) if among_fold else queries
         yield Subset(
-            members, pairwise_blocks(options.distance, whitening.apply(logs[members]), rows)
+            members,
+            pairwise_blocks(options.distance, whitening.apply(logs[members]), rows),
         )
 
 

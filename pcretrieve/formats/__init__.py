@@ -6,7 +6,13 @@ together, such as posed range scans, are read as one scan.
 
 from pcretrieve.formats.format import Extra, Format, Part, RawScan
 from pcretrieve.formats.read import ScanLike, as_scan, read_scan
-from pcretrieve.formats.registry import is_scan, members_of, missing_extra, parts_of, split_member
+from pcretrieve.formats.registry import (
+    is_scan,
+    members_of,
+    missing_extra,
+    parts_of,
+    split_member,
+)
 from pcretrieve.formats.write import write_cloud, write_mesh, write_signatures
 
 __all__ = [

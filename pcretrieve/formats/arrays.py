@@ -29,7 +29,17 @@ from pcretrieve.values.base import numbers
 from pcretrieve.values.files import array_header, member_array, opened_archive, read_array
 
 # Names of arrays in .npz files, the first of which is taken.
-POINTS = ("points", "xyz", "vertices", "pos", "positions", "coords", "coordinates", "pc", "v")
+POINTS = (
+    "points",
+    "xyz",
+    "vertices",
+    "pos",
+    "positions",
+    "coords",
+    "coordinates",
+    "pc",
+    "v",
+)
 FACES = ("faces", "triangles", "f")
 NORMALS = ("normals", "normal", "n")
 VIEWPOINTS = ("viewpoints", "viewpoint", "sensors", "sensor")
@@ -113,7 +123,9 @@ def recognise_npz(path: Path) -> bool:
 def _scan_of(array: NDArray[Any]) -> RawScan:
     """The points, and the normals, of an array of numbers or of records."""
     if array.dtype.names:
-        return scan_of_fields(array.dtype.names, lambda name: numbers(name, array[name]).ravel())
+        return scan_of_fields(
+            array.dtype.names, lambda name: numbers(name, array[name]).ravel()
+        )
     if array.ndim not in (2, 3) or not 3 <= array.shape[-1] <= MOST_COLUMNS:
         raise ScanReadError(
             f"an array of points must have the shape (n, c) or (h, w, c), c from 3 to {MOST_COLUMNS}, "

@@ -115,7 +115,9 @@ def _view(path: Path, view: Path, read_view: Callable[[Path], RawScan]) -> RawSc
     """A view in its own frame, with a sensor far along the z axis if it has none: heights over a plane."""
     try:
         if view.suffix.lower() == path.suffix.lower():
-            raise ScanReadError("a view must be a single range scan, not a .conf file of its own")
+            raise ScanReadError(
+                "a view must be a single range scan, not a .conf file of its own"
+            )
         scan = read_view(view)
         if not np.isfinite(scan.points).all(axis=1).any():
             raise ScanReadError("it has no points with finite coordinates")
@@ -153,7 +155,8 @@ def trajectory_file(images: Sequence[Path]) -> Path | None:
     files = [folder.parent / name for name in TRAJECTORIES]
     # Associations of colour with depth images, of four words, have no poses.
     return next(
-        (file for file in files if file.is_file() and any(map(_has_pose, _lines(file)))), None
+        (file for file in files if file.is_file() and any(map(_has_pose, _lines(file)))),
+        None,
     )
 
 
@@ -179,7 +182,9 @@ def image_poses(images: Sequence[Path], file: Path) -> list[FloatArray | None]:
     for image in images:
         time = times.get(image.absolute(), _number(image.stem))
         nearest = int(abs(numbers[:, 0] - time).argmin()) if np.isfinite(time) else 0
-        found.append(poses[nearest] if abs(numbers[nearest, 0] - time) <= MOST_SECONDS else None)
+        found.append(
+            poses[nearest] if abs(numbers[nearest, 0] - time) <= MOST_SECONDS else None
+        )
     return found
 
 

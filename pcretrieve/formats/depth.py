@@ -84,7 +84,9 @@ def camera_of(file: Path) -> Camera:
         return next(camera for key, camera in TUM_CAMERAS.items() if key in name)
     check_file(file)
     if file.stat().st_size > MOST_BYTES:
-        raise ScanReadError(f"the camera file {file.name} must have at most {MOST_BYTES} bytes")
+        raise ScanReadError(
+            f"the camera file {file.name} must have at most {MOST_BYTES} bytes"
+        )
     try:
         text = file.read_text(encoding="utf-8")
         tree = json.loads(text) if file.suffix == ".json" else tomllib.loads(text)
@@ -106,13 +108,20 @@ def camera_of(file: Path) -> Camera:
 def _camera(tree: Any) -> Camera:
     named = next((name for name in MATRICES if name in tree), None)
     if named is None:
-        names = [next((name for name in known if name in tree), known[0]) for known in PARAMETERS]
+        names = [
+            next((name for name in known if name in tree), known[0])
+            for known in PARAMETERS
+        ]
         fx, fy, cx, cy = (float(tree[name]) for name in names)
     else:
         # Nine numbers, by columns or by rows, or three rows: the last row is (0, 0, 1).
         matrix = np.array(tree[named], dtype=np.float64).reshape(3, 3)
-        (fx, _, cx), (_, fy, cy), _ = (matrix.T if matrix[2, :2].any() else matrix).tolist()
-    scale = next((float(tree[name]) for name in SCALES if tree.get(name) is not None), None)
+        (fx, _, cx), (_, fy, cy), _ = (
+            matrix.T if matrix[2, :2].any() else matrix
+        ).tolist()
+    scale = next(
+        (float(tree[name]) for name in SCALES if tree.get(name) is not None), None
+    )
     if not (
         np.isfinite([fx, fy, cx, cy, scale or 1]).all()
         and min(fx, fy) > 0
@@ -121,11 +130,13 @@ def _camera(tree: Any) -> Camera:
         raise ValueError("focal lengths and the depth scale must be positive")
     note = str(tree.get("note", ""))
     if scale is not None and scale < 1:
-        note = (
-            f"read depth_scale {scale:g} as metres per value, not values per metre: it is below 1"
-        )
+        note = f"read depth_scale {scale:g} as metres per value, not values per metre: it is below 1"
         scale = 1 / scale
-    size = (int(tree["width"]), int(tree["height"])) if {"width", "height"} <= tree.keys() else None
+    size = (
+        (int(tree["width"]), int(tree["height"]))
+        if {"width", "height"} <= tree.keys()
+        else None
+    )
     return Camera((fx, fy), (cx, cy), scale, size, note)
 
 
@@ -170,7 +181,9 @@ def depth_scan(path: Path, depth: NDArray[Any]) -> RawScan:
             "camera.json, as Open3D writes it, or camera.toml with fx fy cx cy beside the image"
         )
     if camera.size not in (None, (width, height)):
-        raise ScanReadError(f"the camera has {camera.size} pixels, the image has {(width, height)}")
+        raise ScanReadError(
+            f"the camera has {camera.size} pixels, the image has {(width, height)}"
+        )
     whole = depth.dtype.kind in "iu"
     measured = np.isfinite(depth) & (depth > 0)
     if whole:
@@ -182,7 +195,9 @@ def depth_scan(path: Path, depth: NDArray[Any]) -> RawScan:
     y = (np.arange(height) - camera.center[1]) / camera.focal[1]  # (h,)
     grid = np.stack([x[None] * z, y[:, None] * z, z], axis=2)  # (h, w, 3)
     scan = organised_scan(grid, measured, np.zeros(3))
-    return scan._replace(notes=(camera.note, *scan.notes) if camera.note else scan.notes, unit="m")
+    return scan._replace(
+        notes=(camera.note, *scan.notes) if camera.note else scan.notes, unit="m"
+    )
 
 
 def camera_parts(path: Path) -> tuple[Part, ...]:

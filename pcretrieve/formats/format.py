@@ -246,7 +246,9 @@ def numbers_in(text: str, what: str) -> NDArray[np.float64]:
     """The numbers of a text, between which are blanks and ends of lines."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error", DeprecationWarning)  # before numpy 2.3 it was no error
+            warnings.simplefilter(
+                "error", DeprecationWarning
+            )  # before numpy 2.3 it was no error
             return np.fromstring(NO_NUMBER.sub("nan", text), sep=" ")
     except (ValueError, DeprecationWarning) as error:
         comma = DECIMAL_COMMA.search(text)
@@ -280,7 +282,9 @@ def checked(scan: object) -> RawScan:
     if "faces" in arrays and (arrays["faces"] % 1).any():
         raise ValueError("faces must be whole numbers")
     if scan.unit not in (None, *METRES):
-        raise ValueError(f"the unit must be one of {', '.join(METRES)}, got {scan.unit!r}")
+        raise ValueError(
+            f"the unit must be one of {', '.join(METRES)}, got {scan.unit!r}"
+        )
     if "faces" in arrays:
         arrays["faces"] = arrays["faces"].astype(np.int64)
     return scan._replace(notes=tuple(scan.notes), **arrays)
@@ -341,7 +345,9 @@ def axes_of(names: Sequence[str], pattern: re.Pattern[str]) -> tuple[int, ...] |
     return None
 
 
-def scan_of_fields(names: Sequence[str], column: Callable[[str], NDArray[Any]]) -> RawScan:
+def scan_of_fields(
+    names: Sequence[str], column: Callable[[str], NDArray[Any]]
+) -> RawScan:
     """The scan in the named columns of a table, each of which a function gives as an (n,) array."""
 
     def table(pattern: re.Pattern[str]) -> NDArray[np.float64] | None:
@@ -358,7 +364,9 @@ def scan_of_fields(names: Sequence[str], column: Callable[[str], NDArray[Any]]) 
     return RawScan(points, None, table(NORMAL), table(SENSOR))
 
 
-def fields_of(cloud: PointCloud, normals: str = NORMAL_FIELDS) -> tuple[list[str], FloatArray]:
+def fields_of(
+    cloud: PointCloud, normals: str = NORMAL_FIELDS
+) -> tuple[list[str], FloatArray]:
     """The names of the columns of a table, and the arrays of a cloud as one (n, c) table."""
     arrays = (
         (POINT_FIELDS, cloud.points),

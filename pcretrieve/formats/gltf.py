@@ -68,11 +68,16 @@ def gltf_scene(path: Path) -> Scene:
 
     @cache
     def parts(mesh: int) -> list[RawScan]:
-        return [_primitive(tree, buffers, primitive) for primitive in meshes[mesh]["primitives"]]
+        return [
+            _primitive(tree, buffers, primitive)
+            for primitive in meshes[mesh]["primitives"]
+        ]
 
     def body(mesh: int, motion: FloatArray) -> RawScan:
         empty = RawScan(np.empty((0, 3)))  # of a mesh without primitives
-        return joined([empty, *(moved(part, motion) for part in parts(mesh))])._replace(unit="m")
+        return joined([empty, *(moved(part, motion) for part in parts(mesh))])._replace(
+            unit="m"
+        )
 
     return {name: partial(body, *placed[node]) for name, node in names}
 
@@ -85,7 +90,12 @@ def buffer_files(path: Path) -> tuple[Part, ...]:
     uris = [str(buffer["uri"]) for buffer in tree.get("buffers", [])]
     check_members(len(uris))
     return tuple(
-        map(Part, dict.fromkeys(_file(path, uri) for uri in uris if not uri.startswith("data:")))
+        map(
+            Part,
+            dict.fromkeys(
+                _file(path, uri) for uri in uris if not uri.startswith("data:")
+            ),
+        )
     )
 
 
@@ -118,9 +128,13 @@ def _document(path: Path) -> tuple[Any, list[bytes], int]:
     buffers = []
     for buffer in tree.get("buffers", []):
         if is_glb and not str(buffer.get("uri", "data:")).startswith("data:"):
-            raise Damaged("its values lie outside of it: export it with everything in one file")
+            raise Damaged(
+                "its values lie outside of it: export it with everything in one file"
+            )
         buffers.append(
-            binary if is_glb and "uri" not in buffer else _buffer(path, str(buffer["uri"]))
+            binary
+            if is_glb and "uri" not in buffer
+            else _buffer(path, str(buffer["uri"]))
         )
     return tree, buffers, len(data) + (0 if is_glb else sum(map(len, buffers)))
 
@@ -162,7 +176,12 @@ def _buffer(path: Path, uri: str) -> bytes:
 def _file(path: Path, uri: str) -> Path:
     """The file of a URI, which may not lead out of the folder of the glTF file."""
     name = PurePosixPath(unquote(uri))
-    if urlsplit(uri).scheme or name.is_absolute() or ".." in name.parts or "\0" in str(name):
+    if (
+        urlsplit(uri).scheme
+        or name.is_absolute()
+        or ".." in name.parts
+        or "\0" in str(name)
+    ):
         raise Damaged(f"its buffers must be files below its own folder, got {uri[:80]!r}")
     return path.parent / name
 
@@ -172,7 +191,10 @@ def _placed(tree: Any, n_bytes: int) -> dict[int, tuple[int, FloatArray]]:
     nodes = tree.get("nodes", [])
     placed: dict[int, tuple[int, FloatArray]] = {}
     seen = set()
-    waiting = [(root, np.eye(4)) for root in tree["scenes"][tree.get("scene", 0)].get("nodes", [])]
+    waiting = [
+        (root, np.eye(4))
+        for root in tree["scenes"][tree.get("scene", 0)].get("nodes", [])
+    ]
     while waiting:
         number, motion = waiting.pop()
         if number in seen:
@@ -183,7 +205,10 @@ def _placed(tree: Any, n_bytes: int) -> dict[int, tuple[int, FloatArray]]:
         if "mesh" in nodes[number]:
             placed[number] = nodes[number]["mesh"], motion
     sizes = {
-        mesh: sum(int(tree["accessors"][accessor]["count"]) for accessor in _accessors(tree, mesh))
+        mesh: sum(
+            int(tree["accessors"][accessor]["count"])
+            for accessor in _accessors(tree, mesh)
+        )
         for mesh in {mesh for mesh, _ in placed.values()}
     }
     check_size(sum(sizes[mesh] for mesh, _ in placed.values()), n_bytes)
@@ -195,7 +220,9 @@ def _transform(node: Any) -> FloatArray:
     """The (4, 4) transform from the frame of a node to that of its parent: M T R S."""
     import trimesh
 
-    matrix = np.array(node.get("matrix", np.eye(4).ravel()), dtype=np.float64).reshape(4, 4).T
+    matrix = (
+        np.array(node.get("matrix", np.eye(4).ravel()), dtype=np.float64).reshape(4, 4).T
+    )
     if "translation" in node:
         translation = np.eye(4)
         translation[:3, 3] = node["translation"]
@@ -218,15 +245,17 @@ def _accessors(tree: Any, mesh: int) -> list[int]:
 
 def _primitive(tree: Any, contents: list[bytes], primitive: Any) -> RawScan:
     """The vertices of a primitive, in the frame of its mesh, and its triangles."""
-    vertices = _values(tree, contents, primitive["attributes"]["POSITION"], "VEC3").astype(
-        np.float64
-    )
+    vertices = _values(
+        tree, contents, primitive["attributes"]["POSITION"], "VEC3"
+    ).astype(np.float64)
     mode = primitive.get("mode", TRIANGLES)
     if mode not in (TRIANGLES, STRIP, FAN):
         return RawScan(vertices)
     corners = np.arange(len(vertices))
     if "indices" in primitive:
-        corners = _values(tree, contents, primitive["indices"], "SCALAR")[:, 0].astype(np.int64)
+        corners = _values(tree, contents, primitive["indices"], "SCALAR")[:, 0].astype(
+            np.int64
+        )
         if len(corners) and not 0 <= corners.min() <= corners.max() < len(vertices):
             raise Damaged(f"its faces name vertex {corners.max()}, of {len(vertices)}")
     faces = corners.reshape(-1, 3) if mode == TRIANGLES else corners[None]
@@ -239,10 +268,14 @@ def _values(tree: Any, contents: list[bytes], accessor: int, kind: str) -> NDArr
     if "sparse" in declared or "bufferView" not in declared:
         raise ScanReadError("its values are sparse or compressed: export it plainly")
     if declared["type"] != kind:
-        raise Damaged(f"positions must be VEC3 and indices SCALAR, one is {declared['type']}")
+        raise Damaged(
+            f"positions must be VEC3 and indices SCALAR, one is {declared['type']}"
+        )
     view = tree["bufferViews"][declared["bufferView"]]
     if not 0 <= view["buffer"] < len(contents):
-        raise Damaged("its values lie outside of it: export it with everything in one file")
+        raise Damaged(
+            "its values lie outside of it: export it with everything in one file"
+        )
     binary = contents[view["buffer"]]
     count, width, dtype = (
         declared["count"],

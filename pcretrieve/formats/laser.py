@@ -83,15 +83,21 @@ def read_las(path: Path) -> RawScan:
             _check_points(data, reader.header)
             records = [*reader.chunk_iterator(AT_ONCE)]
     except BaseException as error:
-        if type(error).__name__ == "PanicException":  # of lazrs, which is no Exception of Python
+        if (
+            type(error).__name__ == "PanicException"
+        ):  # of lazrs, which is no Exception of Python
             raise Damaged(str(error)) from error
         raise
     n_points = sum(map(len, records))
     if n_points != reader.header.point_count:
-        raise Cut(f"its header declares {reader.header.point_count} points, it holds {n_points}")
+        raise Cut(
+            f"its header declares {reader.header.point_count} points, it holds {n_points}"
+        )
     if not records:
         return RawScan(np.empty((0, 3)))
-    points = np.concatenate([np.column_stack([part.x, part.y, part.z]) for part in records])
+    points = np.concatenate(
+        [np.column_stack([part.x, part.y, part.z]) for part in records]
+    )
     noise = np.isin(
         np.concatenate([np.asarray(part.classification) for part in records]), NOISE
     )  # (n,)
@@ -126,7 +132,9 @@ def _check_points(data: bytes, header: Any) -> None:
             )
         return
     if LAZRS.missing:
-        raise ScanReadError(f"its points are compressed, which needs lazrs: {LAZRS.command}")
+        raise ScanReadError(
+            f"its points are compressed, which needs lazrs: {LAZRS.command}"
+        )
     records = header.vlrs.get("LasZipVlr")
     if not records:
         raise Damaged("it does not say how its points are compressed")
@@ -138,9 +146,13 @@ def _check_chunks(data: bytes, start: int, record: bytes, n_bytes: int) -> None:
     import lazrs
 
     method, n_items = LASZIP.unpack_from(record)
-    items = [ITEM.unpack_from(record, LASZIP.size + k * ITEM.size) for k in range(n_items)]
+    items = [
+        ITEM.unpack_from(record, LASZIP.size + k * ITEM.size) for k in range(n_items)
+    ]
     if sum(size for _, size, _ in items) != n_bytes:
-        raise Damaged(f"its compressed points do not have the {n_bytes} bytes that its header says")
+        raise Damaged(
+            f"its compressed points do not have the {n_bytes} bytes that its header says"
+        )
     (table,) = struct.unpack_from("<q", data, start)
     if table == -1:  # a file that was written to a stream has the position at its end
         (table,) = struct.unpack_from("<q", data, len(data) - 8)
@@ -153,17 +165,25 @@ def _check_chunks(data: bytes, start: int, record: bytes, n_bytes: int) -> None:
     file.seek(start)
     chunks = [size for _, size in lazrs.read_chunk_table(file, lazrs.LazVlr(record))]
     if start + 8 + sum(chunks) != table:
-        raise Damaged(f"its chunks end at byte {start + 8 + sum(chunks)}, and not at {table}")
+        raise Damaged(
+            f"its chunks end at byte {start + 8 + sum(chunks)}, and not at {table}"
+        )
     if method != LAYERED:
         return
-    n_layers = sum(size if kind == EXTRA_BYTES else LAYERS.get(kind, 0) for kind, size, _ in items)
+    n_layers = sum(
+        size if kind == EXTRA_BYTES else LAYERS.get(kind, 0) for kind, size, _ in items
+    )
     layers = struct.Struct(f"<{n_layers}I")
     at = start + 8
     for chunk in chunks:
         # The first point, the number of points, the sizes of the layers, and the layers.
-        promised = n_bytes + 4 + layers.size + sum(layers.unpack_from(data, at + n_bytes + 4))
+        promised = (
+            n_bytes + 4 + layers.size + sum(layers.unpack_from(data, at + n_bytes + 4))
+        )
         if promised != chunk:
-            raise Damaged(f"the layers of a chunk have {promised} bytes, the chunk has {chunk}")
+            raise Damaged(
+                f"the layers of a chunk have {promised} bytes, the chunk has {chunk}"
+            )
         at += chunk
 
 
@@ -174,7 +194,11 @@ def read_e57(path: Path, name: str | None = None) -> RawScan:
     """Read the scans in an E57 file as one, or the scan of a name."""
     with _opened(path) as (file, names):
         return joined(
-            [_scan(file, number) for number, own in enumerate(names) if name in (None, own)]
+            [
+                _scan(file, number)
+                for number, own in enumerate(names)
+                if name in (None, own)
+            ]
         )
 
 
@@ -200,26 +224,38 @@ def _opened(path: Path) -> Iterator[tuple[Any, list[str]]]:
         for header in headers:
             # A point has at least one bit: its three coordinates cannot all be constant.
             if int(header.point_count) > 8 * n_bytes:
-                raise Damaged(f"it declares {header.point_count} points in {n_bytes} bytes")
+                raise Damaged(
+                    f"it declares {header.point_count} points in {n_bytes} bytes"
+                )
             if header.has_pose() and not np.isfinite(header.translation).all():
                 raise Damaged("the position of a sensor is not finite")
         named = (
-            header["name"].value() if header.node.isDefined("name") else "" for header in headers
+            header["name"].value() if header.node.isDefined("name") else ""
+            for header in headers
         )
         yield file, distinct_names(map(str, named))
 
 
 def _scan(file: Any, number: int) -> RawScan:
     """The points of a scan in the frame of the file, without those that the file marks as invalid."""
-    header, data = file.get_header(number), file.read_scan(number, ignore_missing_fields=True)
-    points = np.column_stack([data[f"cartesian{axis}"] for axis in "XYZ"]).astype(np.float64)
+    header, data = (
+        file.get_header(number),
+        file.read_scan(number, ignore_missing_fields=True),
+    )
+    points = np.column_stack([data[f"cartesian{axis}"] for axis in "XYZ"]).astype(
+        np.float64
+    )
     # The default pose, at the origin, is that of a sensor if the points are the grid that it measured.
     position = (
-        np.asarray(header.translation, dtype=np.float64) if header.has_pose() else np.zeros(3)
+        np.asarray(header.translation, dtype=np.float64)
+        if header.has_pose()
+        else np.zeros(3)
     )
     is_grid = header.has_pose() and {"rowIndex", "columnIndex"} <= {*header.point_fields}
     return without_zeros(
-        RawScan(points, viewpoints=position if is_grid or position.any() else None, unit="m")
+        RawScan(
+            points, viewpoints=position if is_grid or position.any() else None, unit="m"
+        )
     )
 
 

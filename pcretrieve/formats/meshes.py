@@ -39,7 +39,9 @@ OFF = re.compile(r"(ST)?C?N?4?OFF", re.IGNORECASE)
 
 # Bytes of a binary STL file before its triangles, the last four of which are their number; and a triangle.
 STL_HEADER = 84
-STL_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("colour", "<u2")])
+STL_RECORD = np.dtype(
+    [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("colour", "<u2")]
+)
 # A vertex of a text; the other words differ between programs, such as "end loop" and "end solid".
 STL_VERTEX = re.compile(r"\bvertex((?:\s+[-+.\dni]\S*){3})", re.IGNORECASE)
 
@@ -118,7 +120,10 @@ def read_off(path: Path) -> RawScan:
     rows = [words for line in lines if (words := line.split())]
     n_vertices, n_faces = map(int, rows[0][:2])
     corners, polygons = rows[1 : 1 + n_vertices], rows[1 + n_vertices :][:n_faces]
-    if min(n_vertices, n_faces) < 0 or len(corners) + len(polygons) < n_vertices + n_faces:
+    if (
+        min(n_vertices, n_faces) < 0
+        or len(corners) + len(polygons) < n_vertices + n_faces
+    ):
         raise Cut(
             f"it declares {n_vertices} vertices and {n_faces} faces, {len(rows) - 1} lines follow"
         )
@@ -159,7 +164,8 @@ def read_stl(path: Path) -> RawScan:
 def _of_trimesh(mesh: Any) -> RawScan:
     faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
     return RawScan(
-        np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3), faces if len(faces) else None
+        np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3),
+        faces if len(faces) else None,
     )
 
 
@@ -185,7 +191,9 @@ def welded(
         return points, faces
     order = np.lexsort(points.T)
     place = np.empty(n, dtype=np.int64)
-    place[order] = np.cumsum(np.diff(points[order], axis=0, prepend=np.nan).any(axis=1)) - 1
+    place[order] = (
+        np.cumsum(np.diff(points[order], axis=0, prepend=np.nan).any(axis=1)) - 1
+    )
     at = place[ends]  # (s, 2)
     _, edge = np.unique(np.sort(at, axis=1) @ (n, 1), return_inverse=True)  # (s,)
     # A graph of the vertices, and of the two ends of each edge in space, which are theirs.
@@ -206,7 +214,9 @@ def welded(
 Scene: TypeAlias = dict[str, Callable[[], RawScan]]
 
 
-def read_scene(read: Callable[[Path], Scene], path: Path, name: str | None = None) -> RawScan:
+def read_scene(
+    read: Callable[[Path], Scene], path: Path, name: str | None = None
+) -> RawScan:
     """All bodies of a scene as one scan, or the body of a name with all its pieces."""
     bodies = read(path)
     chosen = [*bodies]
@@ -268,7 +278,10 @@ def moved(mesh: RawScan, motion: FloatArray) -> RawScan:
     if faces is not None and np.linalg.det(motion[:3, :3]) < 0:
         faces = faces[:, ::-1]
     return RawScan(
-        trimesh.transform_points(points, motion).reshape(-1, 3) if len(points) else points, faces
+        trimesh.transform_points(points, motion).reshape(-1, 3)
+        if len(points)
+        else points,
+        faces,
     )
 
 
@@ -312,7 +325,9 @@ def _check_instances(file: IO[bytes]) -> None:
     for _, node in etree.iterparse(
         file, tag=SCENES + NODES, resolve_entities=False, huge_tree=True
     ):
-        named = [one.get("objectid") or one.get("url", "")[1:] for one in node.iter(*USES)]
+        named = [
+            one.get("objectid") or one.get("url", "")[1:] for one in node.iter(*USES)
+        ]
         is_scene = node.tag.endswith(("build", "visual_scene"))
         uses.setdefault("" if is_scene else node.get("id"), []).extend(named)
 
@@ -336,15 +351,23 @@ def _markup(
     meshes = [found for found in meshes if len(getattr(found[2], "faces", ()))]
     if not meshes:
         raise Damaged("it holds no triangles")
-    check_size(sum(mesh.vertices.size + mesh.faces.size for _, _, mesh in meshes), n_bytes)
-    if file_type == "dae":  # in which trimesh merges all that coincides, of parts that touch too
+    check_size(
+        sum(mesh.vertices.size + mesh.faces.size for _, _, mesh in meshes), n_bytes
+    )
+    if (
+        file_type == "dae"
+    ):  # in which trimesh merges all that coincides, of parts that touch too
         for *_, mesh in meshes:
             mesh.unmerge_vertices()
     bodies = [(name, moved(_of_trimesh(mesh), motion)) for name, motion, mesh in meshes]
     return bodies, meshes[-1][2].metadata.get("units")
 
 
-def _scene(found: list[tuple[str, RawScan]], unit: str | None, scale: float = 1.0) -> Scene:
+def _scene(
+    found: list[tuple[str, RawScan]], unit: str | None, scale: float = 1.0
+) -> Scene:
     names = distinct_names(name for name, _ in found)
     scans = [scan._replace(points=scale * scan.points, unit=unit) for _, scan in found]
-    return {name: partial(RawScan, *scan) for name, scan in zip(names, scans, strict=True)}
+    return {
+        name: partial(RawScan, *scan) for name, scan in zip(names, scans, strict=True)
+    }

@@ -27,7 +27,9 @@ FEWEST_NEIGHBORS = 3
 MOST_AT_ONCE = 1 << 14
 
 
-def organised_scan(grid: FloatArray, measured: NDArray[np.bool_], sensor: FloatArray) -> RawScan:
+def organised_scan(
+    grid: FloatArray, measured: NDArray[np.bool_], sensor: FloatArray
+) -> RawScan:
     """A cloud of a grid (h, w, 3) of readings, of those that were measured; `sensor` (3,) is its position."""
     n_readings, n_measured = measured.size, int(measured.sum())
     if not n_measured:
@@ -38,10 +40,14 @@ def organised_scan(grid: FloatArray, measured: NDArray[np.bool_], sensor: FloatA
     band = max(1, MOST_AT_ONCE // grid.shape[1])
     planes = np.pad(grid.transpose(2, 0, 1), ((0, 0), (REACH, REACH), (REACH, REACH)))
     answers = np.pad(measured, REACH)
-    rows_of = [slice(start, start + band + 2 * REACH) for start in range(0, len(grid), band)]
+    rows_of = [
+        slice(start, start + band + 2 * REACH) for start in range(0, len(grid), band)
+    ]
     normals = np.concatenate(
         [
-            _normals(planes[:, rows], answers[rows], spacing[rows.start : rows.start + band])
+            _normals(
+                planes[:, rows], answers[rows], spacing[rows.start : rows.start + band]
+            )
             for rows in rows_of
         ]
     )  # (h, w, 3)
@@ -71,7 +77,9 @@ def _span(measured: NDArray[np.bool_], axis: int) -> slice:
     return slice(int(hit[0]), int(hit[-1]) + 1)
 
 
-def _spacing(grid: FloatArray, measured: NDArray[np.bool_], sensor: FloatArray) -> FloatArray:
+def _spacing(
+    grid: FloatArray, measured: NDArray[np.bool_], sensor: FloatArray
+) -> FloatArray:
     """(h, w) distance of readings beside each other on a surface that faces the sensor; grows with range."""
     distance = np.linalg.norm(grid - sensor, axis=2)  # (h, w)
     angles = []
@@ -80,7 +88,8 @@ def _spacing(grid: FloatArray, measured: NDArray[np.bool_], sensor: FloatArray) 
         both = first & second
         (a, b), (near, _) = _shifted(grid, axis), _shifted(distance, axis)
         angles.append(
-            np.linalg.norm(a[both] - b[both], axis=1) / np.maximum(near[both], np.finfo(float).tiny)
+            np.linalg.norm(a[both] - b[both], axis=1)
+            / np.maximum(near[both], np.finfo(float).tiny)
         )
     steps = np.concatenate(angles)
     return np.asarray(distance * (np.median(steps) if len(steps) else 0.0))
@@ -91,7 +100,9 @@ def _shifted(array: NDArray[Any], axis: int) -> tuple[NDArray[Any], NDArray[Any]
     return (array[:-1], array[1:]) if axis == 0 else (array[:, :-1], array[:, 1:])
 
 
-def _normals(planes: FloatArray, measured: NDArray[np.bool_], spacing: FloatArray) -> FloatArray:
+def _normals(
+    planes: FloatArray, measured: NDArray[np.bool_], spacing: FloatArray
+) -> FloatArray:
     """(b, w, 3) unit normals of a band of rows, by the covariance of neighbours; zero where there are few.
 
     planes, measured, spacing: (3, b + 2 REACH, w + 2 REACH), the coordinates with a margin; the answers with
@@ -110,7 +121,9 @@ def _normals(planes: FloatArray, measured: NDArray[np.bool_], spacing: FloatArra
     for down, right in itertools.product(reach, reach):
         apart = beside(planes, down, right) - beside(planes, 0, 0)
         farthest = MOST_APART * np.hypot(down, right) * spacing
-        near = ((apart * apart).sum(axis=0) <= farthest**2) & beside(measured, down, right)
+        near = ((apart * apart).sum(axis=0) <= farthest**2) & beside(
+            measured, down, right
+        )
         count += near  # the reading itself is at zero, and counts too
         apart = np.where(near, apart, 0)
         totals += apart

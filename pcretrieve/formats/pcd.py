@@ -12,7 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.formats.format import Cut, Damaged, RawScan, fields_of, numbers_in, scan_of_fields
+from pcretrieve.formats.format import (
+    Cut,
+    Damaged,
+    RawScan,
+    fields_of,
+    numbers_in,
+    scan_of_fields,
+)
 from pcretrieve.values import PointCloud
 
 HEADER = re.compile(rb"\A(.*?)^DATA[ \t]+(\w+)[ \t]*\r?\n", re.MULTILINE | re.DOTALL)
@@ -44,7 +51,9 @@ def read_pcd(path: Path) -> RawScan:
         raise Damaged("its header has no line DATA")
     record, n_points, viewpoint = _header(found[1].decode("utf-8", "replace"))
     column = _column(record, n_points, found[2].decode(), memoryview(data)[found.end() :])
-    scan = scan_of_fields([name for name in record.names or () if not record[name].shape], column)
+    scan = scan_of_fields(
+        [name for name in record.names or () if not record[name].shape], column
+    )
     if len(scan.points) != n_points:
         raise Cut(f"it declares {n_points} points and holds {len(scan.points)}")
     if scan.viewpoints is None and viewpoint != NO_VIEWPOINT:
@@ -60,15 +69,21 @@ def _header(text: str) -> tuple[np.dtype[np.void], int, tuple[float, ...]]:
     names = [f"_{k}" if name == "_" else name for k, name in enumerate(values["FIELDS"])]
     counts = [int(count) for count in values.get("COUNT", ["1"] * len(names))]
     if sum(counts) > MOST_VALUES:
-        raise Damaged(f"its header declares {sum(counts)} values a point, {MOST_VALUES} may be")
+        raise Damaged(
+            f"its header declares {sum(counts)} values a point, {MOST_VALUES} may be"
+        )
     fields: list[Any] = []
-    for name, kind, size, count in zip(names, values["TYPE"], values["SIZE"], counts, strict=True):
+    for name, kind, size, count in zip(
+        names, values["TYPE"], values["SIZE"], counts, strict=True
+    ):
         if int(size) not in SIZES[kind.upper()] or count < 0:
             raise Damaged(
                 f"its header declares {name} of the type {kind}, {size} bytes, {count} times"
             )
         # A field of no values, by which lidars fill up a row, takes no bytes.
-        fields.append((name, f"<{kind.lower()}{int(size)}", () if count == 1 else (count,)))
+        fields.append(
+            (name, f"<{kind.lower()}{int(size)}", () if count == 1 else (count,))
+        )
     (n_points,) = map(int, values["POINTS"])
     viewpoint = tuple(map(float, values.get("VIEWPOINT", NO_VIEWPOINT)))
     if n_points < 0 or len(viewpoint) != len(NO_VIEWPOINT):
@@ -85,7 +100,9 @@ def _column(
     n_bytes = len(body)
     if encoding == "ascii":
         names = record.names or ()
-        *places, width = np.cumsum([0, *(math.prod(record[name].shape) for name in names)])
+        *places, width = np.cumsum(
+            [0, *(math.prod(record[name].shape) for name in names)]
+        )
         numbers = numbers_in(bytes(body).decode("latin-1"), "lines of points")
         if len(numbers) % width:
             raise Cut("its last line lacks values")

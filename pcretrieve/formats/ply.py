@@ -94,7 +94,9 @@ def read_ply(path: Path) -> RawScan:
     faces: list[NDArray[np.int64]] = []
     for element in elements:
         if order:
-            found, used = _tables(np.frombuffer(data, np.uint8, offset=at), element, order)
+            found, used = _tables(
+                np.frombuffer(data, np.uint8, offset=at), element, order
+            )
             at += used
         else:
             found, at = _of_text(data, at, element)
@@ -103,7 +105,9 @@ def read_ply(path: Path) -> RawScan:
         elif _is_face(element):
             faces.append(_faces(element, found))
     if scan is None:
-        raise ScanReadError("a PLY scan must have an element 'vertex', this file has none")
+        raise ScanReadError(
+            "a PLY scan must have an element 'vertex', this file has none"
+        )
     return scan._replace(faces=np.concatenate(faces) if faces else None)
 
 
@@ -139,7 +143,9 @@ def _header(data: bytes) -> tuple[str, list[Element], int]:
                             f"its header declares {n_rows:.0f} of {name}, {n_bytes} bytes follow"
                         )
                     elements.append(Element(name, int(n_rows), []))
-                case ["property", "list", length, kind, name] if TYPES[length.lower()][0] != "f":
+                case ["property", "list", length, kind, name] if (
+                    TYPES[length.lower()][0] != "f"
+                ):
                     list_of = Property(name, TYPES[kind.lower()], TYPES[length.lower()])
                     elements[-1].properties.append(list_of)
                 case ["property", kind, name]:
@@ -147,31 +153,46 @@ def _header(data: bytes) -> tuple[str, list[Element], int]:
                 case _:
                     raise LookupError
         except LookupError as error:
-            raise Damaged(f"its header has the line '{' '.join(line.split())}'") from error
+            raise Damaged(
+                f"its header has the line '{' '.join(line.split())}'"
+            ) from error
     if order is None:
         raise Damaged("its header has no line 'format'")
-    declared = [(element.name, name) for element in elements for name, *_ in element.properties]
-    if len({*declared}) < len(declared) or len({found.name for found in elements}) < len(elements):
-        raise Damaged("its header declares an element, or a property of an element, twice")
+    declared = [
+        (element.name, name) for element in elements for name, *_ in element.properties
+    ]
+    if len({*declared}) < len(declared) or len({found.name for found in elements}) < len(
+        elements
+    ):
+        raise Damaged(
+            "its header declares an element, or a property of an element, twice"
+        )
     return order, elements, last.end()
 
 
 # --- the rows ---------------------------------------------------------------------------------------------
 
 
-def _tables(body: NDArray[np.uint8], element: Element, order: str) -> tuple[list[Table], int]:
+def _tables(
+    body: NDArray[np.uint8], element: Element, order: str
+) -> tuple[list[Table], int]:
     """The rows of an element in the (b,) bytes from its first row on, and where the next element begins."""
     n = element.n_rows
     if not n:
         return [
             Table(
-                np.arange(0), np.empty(0, _record(element, order, (0,) * len(element.properties)))
+                np.arange(0),
+                np.empty(0, _record(element, order, (0,) * len(element.properties))),
             )
         ], 0
     _, width, lengths = next(_places(body, element, order))
     if n * width <= len(body):
         rows = body[: n * width].view(_record(element, order, lengths))
-        stored = (rows[_length(one.name)] for one in element.properties if one.length is not None)
+        stored = (
+            rows[_length(one.name)]
+            for one in element.properties
+            if one.length is not None
+        )
         if all((column == column[0]).all() for column in stored):
             return [Table(np.arange(n), rows)], n * width
     alike: dict[tuple[int, ...], list[tuple[int, int, int]]] = {}
@@ -194,7 +215,10 @@ def _record(element: Element, order: str, lengths: tuple[int, ...]) -> np.dtype[
         if length is None:
             fields.append((name, order + kind))
         else:
-            fields += [(_length(name), order + length), (name, order + kind, (next(left),))]
+            fields += [
+                (_length(name), order + length),
+                (name, order + kind, (next(left),)),
+            ]
     return np.dtype(fields)
 
 
@@ -221,7 +245,9 @@ def _places(
                     raise Cut(f"it ends in the middle of {element.name}")
                 (value,) = reader.unpack_from(content, stop)
                 if not 0 <= value <= end or value % 1:
-                    raise Damaged(f"a list in {element.name} cannot have {value:g} values")
+                    raise Damaged(
+                        f"a list in {element.name} cannot have {value:g} values"
+                    )
                 length = int(value)
                 lengths.append(length)
                 stop += reader.size
@@ -235,11 +261,17 @@ def _of_text(data: bytes, at: int, element: Element) -> tuple[list[Table], int]:
     """The rows of an element of a text file, one on each line, and the position of the next element."""
     ends = at + 1 + np.flatnonzero(np.frombuffer(data, np.uint8, offset=at) == ord("\n"))
     if element.n_rows > len(ends) + 1:
-        raise Cut(f"it ends after {len(ends)} of {element.n_rows} lines of {element.name}")
+        raise Cut(
+            f"it ends after {len(ends)} of {element.n_rows} lines of {element.name}"
+        )
     stop = int(np.concatenate([[at], ends, [len(data)]])[element.n_rows])
     numbers = numbers_in(data[at:stop].decode("latin-1"), f"lines of {element.name}")
-    doubles = [Property(name, "f8", length and "f8") for name, _, length in element.properties]
-    found, used = _tables(numbers.view(np.uint8), element._replace(properties=doubles), "=")
+    doubles = [
+        Property(name, "f8", length and "f8") for name, _, length in element.properties
+    ]
+    found, used = _tables(
+        numbers.view(np.uint8), element._replace(properties=doubles), "="
+    )
     if used != numbers.nbytes:
         raise Damaged(f"its lines of {element.name} hold more than its header declares")
     return found, stop
@@ -259,11 +291,15 @@ def _in_order(parts: list[tuple[NDArray[np.intp], NDArray[Any]]]) -> NDArray[Any
 def _vertices(element: Element, found: list[Table]) -> RawScan:
     # Numbers of a text file are rounded to the precision of their type.
     types = {
-        one.name: "f4" if one.type == "f4" else "f8" for one in element.properties if not one.length
+        one.name: "f4" if one.type == "f4" else "f8"
+        for one in element.properties
+        if not one.length
     }
 
     def column(name: str) -> NDArray[Any]:
-        return _in_order([(numbers, rows[name].astype(types[name])) for numbers, rows in found])
+        return _in_order(
+            [(numbers, rows[name].astype(types[name])) for numbers, rows in found]
+        )
 
     scan = scan_of_fields([*types], column)
     if not {"opacity", "scale_0"} <= types.keys():
@@ -279,7 +315,9 @@ def _vertices(element: Element, found: list[Table]) -> RawScan:
 def _faces(element: Element, found: list[Table]) -> NDArray[np.int64]:
     """(m, 3) vertex numbers of triangles."""
     lists = {
-        one.name for one in element.properties if one.length is not None and one.type[0] != "f"
+        one.name
+        for one in element.properties
+        if one.length is not None and one.type[0] != "f"
     }
     name = next((name for name in FACE_PROPERTIES if name in lists), None)
     if name is None:

@@ -69,7 +69,9 @@ def _read(path: Path, given: str = "none") -> PointCloud | TriangleMesh:
             if is_free and raw.unit not in (None, given):
                 note = f"scan.unit {given} {UNIT_TAKEN} {raw.unit}"
                 raw = raw._replace(notes=(*raw.notes, note))
-            return _in_metres(_scan(raw, started=started), given if is_free else raw.unit, given)
+            return _in_metres(
+                _scan(raw, started=started), given if is_free else raw.unit, given
+            )
     except ScanReadError as error:
         name = url_of(path) or str(path)
         if name in error.message:
@@ -123,7 +125,11 @@ def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:
     if len(points) < n:
         notes.append(f"dropped {n - len(points)} of {n} points that were NaN or infinite")
     if not len(points):
-        held = f"all {n} of this one are NaN or infinite" if n else "this one has none at all"
+        held = (
+            f"all {n} of this one are NaN or infinite"
+            if n
+            else "this one has none at all"
+        )
         raise ScanReadError(f"a scan must have points with finite coordinates, {held}")
     largest = np.abs(points).max()
     if largest > LARGEST_COORDINATE or 0 < largest < SMALLEST_COORDINATE:
@@ -140,10 +146,14 @@ def _scan(raw: RawScan, *, started: float) -> PointCloud | TriangleMesh:
             return TriangleMesh(points, faces, (step,))
         notes.append("took the vertices as points: no face has three of them")
 
-    normals = None if raw.normals is None else _unit_normals(of_points(raw.normals), notes)
+    normals = (
+        None if raw.normals is None else _unit_normals(of_points(raw.normals), notes)
+    )
     viewpoints = None
     if raw.viewpoints is not None:
-        viewpoints = _finite_viewpoints(of_points(np.broadcast_to(raw.viewpoints, (n, 3))), notes)
+        viewpoints = _finite_viewpoints(
+            of_points(np.broadcast_to(raw.viewpoints, (n, 3))), notes
+        )
     step = Step("read", time.perf_counter() - started, {"points": n}, tuple(notes))
     return PointCloud(points, normals, viewpoints, (step,))
 
@@ -172,7 +182,9 @@ def _unit_normals(normals: FloatArray, notes: list[str]) -> FloatArray | None:
     usable = np.isfinite(length) & (length > 0)
     if usable.all():
         return np.asarray(normals / length)
-    notes.append(f"ignored the file's normals: {int((~usable).sum())} of them have no direction")
+    notes.append(
+        f"ignored the file's normals: {int((~usable).sum())} of them have no direction"
+    )
     return None
 
 

@@ -12,7 +12,13 @@ from typing import Any
 
 from pcretrieve.errors import OptionError, ScanReadError, ShapeError, Stage
 from pcretrieve.formats import meshes
-from pcretrieve.formats.arrays import parts_of_npy, read_npy, read_npz, recognise_npy, recognise_npz
+from pcretrieve.formats.arrays import (
+    parts_of_npy,
+    read_npy,
+    read_npz,
+    recognise_npy,
+    recognise_npz,
+)
 from pcretrieve.formats.conf import conf_views, read_conf
 from pcretrieve.formats.depth import camera_parts, is_depth_image, read_depth
 from pcretrieve.formats.format import (
@@ -151,7 +157,9 @@ def read_raw(path: Path) -> RawScan:
                 names = found.names(file) if found.names is not None else ()
                 if name not in names:
                     quoted = ", ".join(names[:MOST_QUOTED])
-                    raise ScanReadError(f"the file must hold a scan {name!r}, got {quoted}")
+                    raise ScanReadError(
+                        f"the file must hold a scan {name!r}, got {quoted}"
+                    )
                 scan = found.read(file, name)
             return scan if suffix in FORMATS.own else checked(scan)
     except OSError as error:
@@ -244,7 +252,9 @@ _TABLE = Format(read_text, recognise=is_table)
 _IMAGE = Format(read_depth, camera_parts, recognise=is_depth_image)
 _OWN = {
     ".ply": Format(
-        read_ply, write_cloud=ply_bytes, write_mesh=partial(meshes.mesh_bytes, file_type="ply")
+        read_ply,
+        write_cloud=ply_bytes,
+        write_mesh=partial(meshes.mesh_bytes, file_type="ply"),
     ),
     ".pcd": Format(read_pcd, write_cloud=pcd_bytes),
     **dict.fromkeys((".xyz", ".xyzrgb", ".pts"), _POINTS),
@@ -257,9 +267,15 @@ _OWN = {
     ".laz": Format(read_las, extra=LAZRS),
     ".e57": Format(read_e57, names=e57_names, extra=Extra("e57", ("pye57",))),
     **dict.fromkeys((".png", ".tif", ".tiff"), _IMAGE),
-    ".obj": Format(meshes.read_obj, write_mesh=partial(meshes.mesh_bytes, file_type="obj")),
-    ".off": Format(meshes.read_off, write_mesh=partial(meshes.mesh_bytes, file_type="off")),
-    ".stl": Format(meshes.read_stl, write_mesh=partial(meshes.mesh_bytes, file_type="stl")),
+    ".obj": Format(
+        meshes.read_obj, write_mesh=partial(meshes.mesh_bytes, file_type="obj")
+    ),
+    ".off": Format(
+        meshes.read_off, write_mesh=partial(meshes.mesh_bytes, file_type="off")
+    ),
+    ".stl": Format(
+        meshes.read_stl, write_mesh=partial(meshes.mesh_bytes, file_type="stl")
+    ),
     ".glb": _scene(gltf_scene, write_mesh=partial(meshes.mesh_bytes, file_type="glb")),
     ".gltf": _scene(gltf_scene, parts=buffer_files),
     ".3mf": _scene(meshes.three_mf_scene, extra=Extra("meshes", ("lxml", "networkx"))),

@@ -39,7 +39,9 @@ def check_remote(paths: Iterable[str], remote: Remote, location: str) -> None:
     """Check that the URLs among the paths in a catalogue, which may be somebody else's, may be fetched."""
     urls = [url for path in paths if (url := url_of(Path(path))) is not None]
     # Not parsed, because parsers differ in what they take for the host.
-    hosts = {"/".join(url.split("/", 3)[:3]) for url in urls if url.partition(":")[0] != FILE}
+    hosts = {
+        "/".join(url.split("/", 3)[:3]) for url in urls if url.partition(":")[0] != FILE
+    }
     if hosts and not (remote(sorted(hosts)) if callable(remote) else remote):
         raise InputError(
             f"{location} names scans at {', '.join(sorted(hosts))}, which are not fetched unasked, because "
@@ -125,7 +127,9 @@ def _store(
                 own = {"get_client": _client, "skip_instance_cache": True}
             system, place = url_to_fs(url, **own)
         except ImportError as error:
-            raise kind(f"cannot {act} {url}, {error}: pip install 'pcretrieve[remote]'") from error
+            raise kind(
+                f"cannot {act} {url}, {error}: pip install 'pcretrieve[remote]'"
+            ) from error
         yield system, place, url
     except PcretrieveError:
         raise

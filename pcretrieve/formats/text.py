@@ -110,12 +110,19 @@ def _number_rows(
                 "ignore", UserWarning
             )  # an empty table is reported by `read_scan`
             table = np.loadtxt(
-                plain, np.float64, usecols=columns, delimiter=separator, ndmin=2, comments=None
+                plain,
+                np.float64,
+                usecols=columns,
+                delimiter=separator,
+                ndmin=2,
+                comments=None,
             )
     except ValueError as error:
         second = "; a line of one number may begin a second cloud: divide the file"
         said = f"{error}{second if 'with 1 columns' in str(error) else ''}"
-        raise ScanReadError(f"each line must hold {max(columns) + 1} numbers: {said}") from error
+        raise ScanReadError(
+            f"each line must hold {max(columns) + 1} numbers: {said}"
+        ) from error
     return table.reshape(-1, len(columns))
 
 
@@ -190,7 +197,9 @@ def _layout(lines: list[str], encoding: str, n_numbers: int) -> Layout:
             header = line if _names(line, None) else header
     first = next((line.strip()[:MOST_QUOTED] for line in lines if line.strip()), None)
     if first is None:
-        raise ScanReadError("a table of points must have rows of numbers, this one has none at all")
+        raise ScanReadError(
+            "a table of points must have rows of numbers, this one has none at all"
+        )
     raise ScanReadError(
         f"each line must hold {n_numbers} numbers, got {first!r}: give the columns a header such as x y z, "
         "if others stand before them; a list of scans must name a file that is there"
@@ -206,10 +215,14 @@ def _check_first_columns(lines: list[str], layout: Layout) -> None:
 
     n_before = 0 if not whole(0) else 1 if not whole(1) else 2
     steps = (
-        {float(after[0]) - float(row[0]) for row, after in pairwise(rows)} if n_before else set()
+        {float(after[0]) - float(row[0]) for row, after in pairwise(rows)}
+        if n_before
+        else set()
     )
     counts = n_before == 2 or steps == {1}
-    fractions = [layout.decimal in cell for row in rows for cell in row[n_before : n_before + 3]]
+    fractions = [
+        layout.decimal in cell for row in rows for cell in row[n_before : n_before + 3]
+    ]
     if counts and all(fractions) and len(fractions) >= 3 * max(len(rows), FEWEST_POINTS):
         names = ("number", "row column")[n_before - 1]
         raise ScanReadError(
@@ -292,7 +305,9 @@ class Grid(NamedTuple):
 def read_ptx(path: Path, name: str | None = None) -> RawScan:
     """Read the scans in a PTX file as one, or the scan of a number, without readings that are zeros."""
     grids = enumerate(_grids(path), start=1)
-    return joined([_scan(rows, grid) for k, (grid, rows) in grids if name in (None, str(k))])
+    return joined(
+        [_scan(rows, grid) for k, (grid, rows) in grids if name in (None, str(k))]
+    )
 
 
 def ptx_names(path: Path) -> tuple[str, ...]:
@@ -326,7 +341,9 @@ def _header(lines: list[str], size: int) -> Grid:
     pose = np.array(numbers[6:])
     if len(lines) < N_HEADER_LINES or pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise ValueError("it must be ten lines, of which the last four are a matrix")
-    if not (n_columns.is_integer() and n_rows.is_integer() and min(n_columns, n_rows) > 0):
+    if not (
+        n_columns.is_integer() and n_rows.is_integer() and min(n_columns, n_rows) > 0
+    ):
         raise ValueError(
             f"the size of the grid must be whole numbers, got {n_columns:g} {n_rows:g}"
         )
@@ -347,6 +364,10 @@ def _scan(rows: Iterator[str], header: Grid) -> RawScan:
     points = table @ header.rotation + header.translation
     size = header.n_columns, header.n_rows
     try:
-        return organised_scan(points.reshape(*size, 3), measured.reshape(size), header.translation)
+        return organised_scan(
+            points.reshape(*size, 3), measured.reshape(size), header.translation
+        )
     except ScanReadError as error:
-        raise ScanReadError(f"a scan of {size[0]} × {size[1]} readings: {error.message}") from error
+        raise ScanReadError(
+            f"a scan of {size[0]} × {size[1]} readings: {error.message}"
+        ) from error

@@ -105,7 +105,9 @@ def write_signatures(table: SignatureTable, path: str | Path) -> None:
     write_file(path, data)
 
 
-def check_output(path: Path, sources: Sequence[Path] = (), kind: Kind | None = None) -> None:
+def check_output(
+    path: Path, sources: Sequence[Path] = (), kind: Kind | None = None
+) -> None:
     """Check, before a long computation, that its result can be written."""
     if kind is not None:
         _writer(path, kind)
@@ -134,6 +136,8 @@ def _writer(path: Path, kind: Kind) -> Callable[[Any], bytes]:
     if suffix in FORMATS.names.all():
         write = getattr(FORMATS[suffix], name)
     if write is None:
-        known = " ".join(suffix for suffix, found in FORMATS.own.items() if getattr(found, name))
+        known = " ".join(
+            suffix for suffix, found in FORMATS.own.items() if getattr(found, name)
+        )
         raise InputError(f"a {kind} file must end in one of {known}, got {path.name}")
     return write

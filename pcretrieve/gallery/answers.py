@@ -325,7 +325,10 @@ def _answers(
     asked = [each for query in queries for each in _expanded(catalogue, query, question)]
     scans = [query for _, query in asked if isinstance(query, Path)]
     of_scan = partial(
-        described_scan, question.scan_options(catalogue), question.has_picture, question.up
+        described_scan,
+        question.scan_options(catalogue),
+        question.has_picture,
+        question.up,
     )
     described: Iterator[tuple[Path, Described | PcretrieveError]] = map(
         partial(_attempted, of_scan), scans
@@ -335,7 +338,9 @@ def _answers(
         from pcretrieve.ingestion.pool import in_processes
 
         timeout, memory = question.timeout, question.memory
-        described = in_processes(of_scan, scans, workers=1, timeout=timeout, memory=memory)
+        described = in_processes(
+            of_scan, scans, workers=1, timeout=timeout, memory=memory
+        )
     for name, query in asked:
         known = next(described)[1] if isinstance(query, Path) else query
         if isinstance(known, ShapeError):
@@ -358,7 +363,9 @@ def answer_to(catalogue: Catalogue, query: str | Described, question: Question) 
         if shape_id != query and (label := known[shape_id].label) is not None
     ]
     scores = (
-        None if question.matrix is not None else index(catalogue, options=question.options).scores
+        None
+        if question.matrix is not None
+        else index(catalogue, options=question.options).scores
     )
     found = _cut(catalogue, ranked, question)
     records = tuple(known[shape_id] for shape_id in found.ids)
@@ -410,7 +417,11 @@ def _judged(
     others = [one for one in found if one[1] != label]
     # Without another class among the neighbours, the next one is at least as far as the last of them.
     distance, other = min(others) if others else (max(found)[0], None)
-    beyond = f"the next class is {other}, at {distance:.3g}" if other else "no other class is near"
+    beyond = (
+        f"the next class is {other}, at {distance:.3g}"
+        if other
+        else "no other class is near"
+    )
     because = f"the nearest class is {label}, at a distance of {nearest:.3g}; {beyond}; "
     answer = replace(answer, label=label, other=other)
     certainty = None if scores is None else scores.certainty(nearest, distance)
@@ -419,7 +430,10 @@ def _judged(
     verdict: Verdict = "sure" if certainty >= SURE else "between"
     rate = question.false_match_rate
     if rate is not None and nearest > scores.limit(rate):
-        verdict, because = "stranger", f"{because}{rate:g} of pairs of two classes are nearer; "
+        verdict, because = (
+            "stranger",
+            f"{because}{rate:g} of pairs of two classes are nearer; ",
+        )
     elif certainty < UNLIKELY:
         verdict = "stranger"
     because += f"such an answer is right in {certainty:.0%} of cases"
@@ -456,11 +470,15 @@ def _expanded(
     """The queries of a folder, or the one query that is given: their names, and what they name."""
     scans: list[str | Path | Signature] = [query]
     is_folder = not isinstance(query, Signature) and Path(query).is_dir()
-    if is_folder and (isinstance(query, Path) or not catalogue.rows.several([str(query)])):
+    if is_folder and (
+        isinstance(query, Path) or not catalogue.rows.several([str(query)])
+    ):
         from pcretrieve.ingestion.discover import discover
 
         limits = {"timeout": question.timeout, "memory": question.memory}
-        scans = list(discover([str(query)], limits=None if question.timeout is None else limits))
+        scans = list(
+            discover([str(query)], limits=None if question.timeout is None else limits)
+        )
     for scan in scans:
         name = scan.kind if isinstance(scan, Signature) else str(scan)
         try:
@@ -487,15 +505,20 @@ def _query_of(
     return found
 
 
-def _shape_or_scan(catalogue: Catalogue, query: str | Path, question: Question) -> str | Path:
+def _shape_or_scan(
+    catalogue: Catalogue, query: str | Path, question: Question
+) -> str | Path:
     path = Path(query)
     # Readers are imported for files only, because they are not needed to look up an id.
-    if isinstance(query, str) and (path.is_dir() or not (path.exists() or _is_in_a_file(path))):
+    if isinstance(query, str) and (
+        path.is_dir() or not (path.exists() or _is_in_a_file(path))
+    ):
         return _stored(catalogue, query)
-    if question.matrix is None and question.unit not in (None, catalogue.options.scan.unit):
-        return (
-            path  # sizes in another unit: a shape of the same content does not stand for the file
-        )
+    if question.matrix is None and question.unit not in (
+        None,
+        catalogue.options.scan.unit,
+    ):
+        return path  # sizes in another unit: a shape of the same content does not stand for the file
     from pcretrieve.formats.identity import content_hash
 
     done = (
@@ -525,7 +548,9 @@ def _stored(catalogue: Catalogue, shape_id: str) -> str:
     return catalogue[shape_id].id
 
 
-def _ranked(catalogue: Catalogue, query: str | Described, question: Question) -> Neighbors:
+def _ranked(
+    catalogue: Catalogue, query: str | Described, question: Question
+) -> Neighbors:
     """The first results, at least `LOOKED_AT`, without the query if it is to be left out."""
     among = None if question.labels is None else _labelled(catalogue, question.labels)
     # A query that is left out of its results is one of them before.
@@ -534,13 +559,17 @@ def _ranked(catalogue: Catalogue, query: str | Described, question: Question) ->
     if matrix is not None and isinstance(query, str):
         row = matrix.values[position_of(matrix.ids, query)]
         chosen = [
-            number for number, name in enumerate(matrix.ids) if among is None or name in among
+            number
+            for number, name in enumerate(matrix.ids)
+            if among is None or name in among
         ]
         found = nearest_of([matrix.ids[number] for number in chosen], row[chosen], most)
     else:
         compared = query if isinstance(query, str) else query.signature
         made = index(catalogue, options=question.options)
-        found = made.ranked(compared, most, among=among, rerank=question.options.retrieval.rerank)
+        found = made.ranked(
+            compared, most, among=among, rerank=question.options.retrieval.rerank
+        )
     left_out = query if question.exclude_self else None
     return _some(found, [row for row, name in enumerate(found.ids) if name != left_out])
 

@@ -41,7 +41,9 @@ SMALLEST_KEPT = 1_000
 KEPT_AT_ONCE = 100
 
 
-def signatures(catalogue: CatalogueLike, *, options: OptionsLike = None) -> SignatureTable:
+def signatures(
+    catalogue: CatalogueLike, *, options: OptionsLike = None
+) -> SignatureTable:
     """The signatures of all shapes of a catalogue that did not fail, with their classes.
 
     Parameters
@@ -186,7 +188,9 @@ def _table(catalogue: Catalogue, options: PipelineOptions) -> tuple[SignatureTab
         for row, values_now in zip(missing, made, strict=True):
             values[row] = values_now
     made_by = descriptor.name, options.signature_digest
-    table = SignatureTable(tuple(ids), values, *made_by, tuple(labels), descriptor.metric, unit)
+    table = SignatureTable(
+        tuple(ids), values, *made_by, tuple(labels), descriptor.metric, unit
+    )
     return table, revision
 
 
@@ -212,7 +216,9 @@ def _described(
             if unkept and catalogue.rows.database.is_writable:
                 catalogue.rows.keep(digest, unkept)
         if len(unkept) == KEPT_AT_ONCE:
-            logger.info("%s: %d of %d shapes", options.signature.method, len(made), len(ids))
+            logger.info(
+                "%s: %d of %d shapes", options.signature.method, len(made), len(ids)
+            )
     return made
 
 
@@ -244,7 +250,9 @@ def _index_name(options: PipelineOptions, revision: str) -> str:
     retrieval = options.retrieval
     fitted = calibrated(options)
     learnt = "" if fitted is None else hashlib.sha256(fitted.matrix.tobytes()).hexdigest()
-    compared = f"{retrieval.distance} {retrieval.whitening} {retrieval.shrinkage} {learnt}"
+    compared = (
+        f"{retrieval.distance} {retrieval.whitening} {retrieval.shrinkage} {learnt}"
+    )
     made = short_digest(f"{FORMAT} {_signatures_digest(options)} {compared}")
     return f"{made}-{short_digest(revision)}"
 

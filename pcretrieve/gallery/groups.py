@@ -51,7 +51,10 @@ class NearPair(NamedTuple):
 
 
 def places(
-    catalogue: CatalogueLike, ids: Sequence[str] | None = None, *, options: OptionsLike = None
+    catalogue: CatalogueLike,
+    ids: Sequence[str] | None = None,
+    *,
+    options: OptionsLike = None,
 ) -> FloatArray:
     """The places of shapes on a map, near each other where the shapes are similar.
 
@@ -76,10 +79,14 @@ def places(
     """
     with Catalogue.opened(catalogue) as store:
         made = index(store, options=options)
-        points = made.points if ids is None else np.concatenate([*map(made.point_of, ids)])
+        points = (
+            made.points if ids is None else np.concatenate([*map(made.point_of, ids)])
+        )
         # The first number is incremented when maps are drawn otherwise.
         name = f"map-1-{zlib.crc32(points.tobytes())}-{short_digest(store.revision())}"
-        found: FloatArray | None = store.cache.opened(name, lambda arrays: arrays["places"])
+        found: FloatArray | None = store.cache.opened(
+            name, lambda arrays: arrays["places"]
+        )
         if found is None:
             found = plane_map(points)
             if len(points) >= SMALLEST_KEPT:
@@ -88,7 +95,10 @@ def places(
 
 
 def duplicates(
-    catalogue: CatalogueLike, *, options: OptionsLike = None, threshold: float | None = None
+    catalogue: CatalogueLike,
+    *,
+    options: OptionsLike = None,
+    threshold: float | None = None,
 ) -> list[NearPair]:
     """The pairs of shapes that are copies: of other resolutions, mirrored, or scanned twice in one pose.
 
@@ -156,7 +166,9 @@ def cluster(
     # Clusters from the excess of mass (Campello, Moulavi and Sander, 2013); −1 between clusters.
     method = HDBSCAN(min_cluster_size=min_size, cluster_selection_method="eom", copy=True)
     found = method.fit_predict(made.points)
-    numbers, first, sizes = np.unique(found[found >= 0], return_index=True, return_counts=True)
+    numbers, first, sizes = np.unique(
+        found[found >= 0], return_index=True, return_counts=True
+    )
     # Of equally large clusters, that with the first shape comes first.
     ranked = numbers[np.lexsort((first, -sizes))].tolist()
     names = {number: f"cluster-{rank}" for rank, number in enumerate(ranked, 1)}
@@ -168,7 +180,9 @@ def near_pairs(index: SignatureIndex, limit: float) -> list[NearPair]:
     found = []
     for shape_id in index.ids:
         k = 4  # doubled until one is no longer near
-        while (near := index.nearest(shape_id, k)).distances[-1] <= limit and k < len(index):
+        while (near := index.nearest(shape_id, k)).distances[-1] <= limit and k < len(
+            index
+        ):
             k *= 2
         for other, distance in zip(near.ids, near.distances.tolist(), strict=True):
             if other > shape_id and distance <= limit:
@@ -180,7 +194,9 @@ def plane_map(points: FloatArray) -> FloatArray:
     """Places (N, 2) in [0, 1]², near each other where whitened signatures (N, L) are near, by t-SNE."""
     places = _embedding(points)
     # The direction of the largest extent is across, as on screens.
-    places = places @ np.linalg.svd(places - places.mean(axis=0), full_matrices=False)[2].T
+    places = (
+        places @ np.linalg.svd(places - places.mean(axis=0), full_matrices=False)[2].T
+    )
     for along in places.T:
         order = np.argsort(along, kind="stable")
         gaps = np.diff(along[order], prepend=along.min())
@@ -191,7 +207,9 @@ def plane_map(points: FloatArray) -> FloatArray:
 def _framed(places: FloatArray) -> FloatArray:
     """Places in the middle of [0, 1]², which they fill in one direction."""
     low, high = places.min(axis=0), places.max(axis=0)
-    return np.asarray((places - (low + high) / 2) / (float((high - low).max()) or 1.0) + 0.5)
+    return np.asarray(
+        (places - (low + high) / 2) / (float((high - low).max()) or 1.0) + 0.5
+    )
 
 
 def _apart(places: FloatArray, gap: float) -> FloatArray:
@@ -215,7 +233,9 @@ def _apart(places: FloatArray, gap: float) -> FloatArray:
 
 def _embedding(points: FloatArray) -> FloatArray:
     """Places (N, 2) at which near points (N, d) are near, by t-SNE (van der Maaten and Hinton, 2008)."""
-    directions, sizes, _ = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
+    directions, sizes, _ = np.linalg.svd(
+        points - points.mean(axis=0), full_matrices=False
+    )
     principal = np.zeros((len(points), 2))
     principal[:, : min(2, len(sizes))] = (directions * sizes)[:, :2]
     if len(points) < FEWEST or not sizes[0]:
@@ -226,7 +246,11 @@ def _embedding(points: FloatArray) -> FloatArray:
     perplexity = min(PERPLEXITY, (len(points) - 1) / 3)
     start = (1e-4 * principal / principal.std()).astype(np.float32)
     method = TSNE(
-        perplexity=perplexity, init=start, random_state=SEED, max_iter=N_ITERATIONS, angle=ANGLE
+        perplexity=perplexity,
+        init=start,
+        random_state=SEED,
+        max_iter=N_ITERATIONS,
+        angle=ANGLE,
     )
     with threadpool_limits(
         limits=1

@@ -26,7 +26,13 @@ Changes = dict[str, Any]  # of options of the table `surface`
 COARSE_CELL = 0.006
 
 # Errors that may have been caused by the computer, or by earlier scans of the process, not by the scan alone.
-PERHAPS_OF_THE_PROCESS = (StageTimeout, WorkerDied, MemoryExceeded, UnexpectedError, ScanReadError)
+PERHAPS_OF_THE_PROCESS = (
+    StageTimeout,
+    WorkerDied,
+    MemoryExceeded,
+    UnexpectedError,
+    ScanReadError,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +101,9 @@ def next_attempt(
     if isinstance(error, InputError):
         return None
     given = options.surface
-    changes: list[Changes | None] = [{} if isinstance(error, PERHAPS_OF_THE_PROCESS) else None]
+    changes: list[Changes | None] = [
+        {} if isinstance(error, PERHAPS_OF_THE_PROCESS) else None
+    ]
     # In the mode ``keep``, no surface is reconstructed.
     if not isinstance(error, ScanReadError) and given.mode != "keep":
         changes += [
@@ -111,7 +119,9 @@ def next_attempt(
             ]
             tried = ", ".join(words) or "in a new process"
             note = f"{type(error).__name__} ({error.stage}): {error.message}; tried again {tried}"
-            return replace(attempt, changes=change, n_taken=number, notes=(*attempt.notes, note))
+            return replace(
+                attempt, changes=change, n_taken=number, notes=(*attempt.notes, note)
+            )
     return None
 
 

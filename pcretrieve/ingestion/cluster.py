@@ -93,7 +93,9 @@ class DaskExecutor:
         raised if the scheduler does not answer, or its workers have other versions.
         """
         rest, given_up = iter(items), deque[Item]()
-        running: dict[Any, tuple[Item, bool]] = {}  # by future, with whether it is the only one
+        running: dict[
+            Any, tuple[Item, bool]
+        ] = {}  # by future, with whether it is the only one
         with _connected(self) as client:
             from distributed import as_completed
 
@@ -196,7 +198,9 @@ def _connected(executor: DaskExecutor) -> Iterator[Any]:
     file = None if executor.scheduler_file is None else str(executor.scheduler_file)
     with _forwarding():
         try:
-            client = Client(executor.scheduler, scheduler_file=file, timeout=CONNECT_TIMEOUT)
+            client = Client(
+                executor.scheduler, scheduler_file=file, timeout=CONNECT_TIMEOUT
+            )
         # An address, or a file, that is none of a scheduler raises all kinds of errors.
         except Exception as error:
             raise PcretrieveError(

@@ -65,7 +65,9 @@ def discover(
     """
     check_many("paths", arguments)
     groups = [_expand(argument, limits) for argument in arguments]
-    looks = looked_into(dict.fromkeys(file for group in groups for file in group.files), limits)
+    looks = looked_into(
+        dict.fromkeys(file for group in groups for file in group.files), limits
+    )
     found = {
         _absolute(file): looks[file]
         for group in groups
@@ -86,7 +88,9 @@ def discover(
             logger.warning("left unread in %s: %s", group.name, unread)
     whole = {file: look for file, look in found.items() if file not in parts}
     return [
-        scan for file, look in whole.items() for scan in map(_absolute, look.members or (file,))
+        scan
+        for file, look in whole.items()
+        for scan in map(_absolute, look.members or (file,))
     ]
 
 
@@ -122,14 +126,20 @@ def scans_of(shard: str | None, scans: Sequence[Path]) -> Sequence[Path]:
     number, n = int(match[1]), int(match[2])
     if not 1 <= number <= n:
         raise OptionError(f"a shard must be I/N with I from 1 to N, got {number}/{n}")
-    return [scan for scan in scans if int.from_bytes(_shard_key(scan), "big") % n == number - 1]
+    return [
+        scan
+        for scan in scans
+        if int.from_bytes(_shard_key(scan), "big") % n == number - 1
+    ]
 
 
 def unread_files(paths: Iterable[Path]) -> str:
     """Say how many files of which suffix are left unread, and what would read them."""
     counts = Counter(path.suffix.lower() or "without a suffix" for path in paths)
     advice = {suffix: instead(suffix) for suffix in counts}
-    order = sorted(counts, key=lambda suffix: (not advice[suffix], -counts[suffix], suffix))
+    order = sorted(
+        counts, key=lambda suffix: (not advice[suffix], -counts[suffix], suffix)
+    )
     said = [
         f"{counts[suffix]} {suffix}" + (f" ({advice[suffix]})" if advice[suffix] else "")
         for suffix in order[:MOST_NAMED]
@@ -173,7 +183,9 @@ def _expand(argument: str | Path, limits: Mapping[str, Any] | None) -> _Group:
             files = [file for match in matches for file in within(match)]
         else:
             with suppress(OSError):
-                meant = did_you_mean(path.name, (one.name for one in path.parent.iterdir()))
+                meant = did_you_mean(
+                    path.name, (one.name for one in path.parent.iterdir())
+                )
             raise InputError(f"there is no file or folder {path}{meant}")
     except OSError as error:
         raise InputError(f"cannot look into {path}: {error.strerror}") from error
@@ -198,7 +210,9 @@ def _named_by(path: Path) -> list[Path]:
     if path.suffix.lower() not in MANIFESTS or is_scan(path):
         return [path]
     if path.exists() and not path.is_file():  # reading a pipe or a device may never end
-        raise InputError(f"the manifest {path} must be a regular file, not a pipe or a device")
+        raise InputError(
+            f"the manifest {path} must be a regular file, not a pipe or a device"
+        )
     text = read_text(path, "manifest")
     if path.suffix.lower() == ".csv":
         if DECIMALS.search(text.partition("\n")[0]):  # no header, but a row of a table
@@ -206,9 +220,13 @@ def _named_by(path: Path) -> list[Path]:
         names = [name for (name,) in read_table(path, "manifest", text, PATH_COLUMNS)]
     else:
         # Not by splitlines: names may have its other separators, such as U+2028.
-        names = [line.strip() for line in text.split("\n") if not line.lstrip().startswith("#")]
+        names = [
+            line.strip() for line in text.split("\n") if not line.lstrip().startswith("#")
+        ]
     # Missing files are not an error here: reading them fails later, as a failure of one shape.
-    scans = [Path(name) if url_of(Path(name)) else path.parent / name for name in names if name]
+    scans = [
+        Path(name) if url_of(Path(name)) else path.parent / name for name in names if name
+    ]
     # Unless all are: it is a table with a row that is none, of which its reader tells.
     if scans and not any(map(_is_there, scans)):
         return [path]
@@ -232,7 +250,9 @@ def read_text(path: Path, kind: str, names: Iterable[str] = ()) -> str:
         return content.decode("utf-16" if is_utf16 else "utf-8-sig")
     except OSError as error:
         meant = did_you_mean(path.name, names)
-        raise InputError(f"cannot read the {kind} {path}: {error.strerror}{meant}") from error
+        raise InputError(
+            f"cannot read the {kind} {path}: {error.strerror}{meant}"
+        ) from error
     except UnicodeDecodeError as error:
         raise InputError(
             f"cannot read the {kind} {path}: it is not UTF-8 text; save it as CSV UTF-8"
@@ -249,16 +269,22 @@ def read_table(
     text = text[said.end() :] if said else text
     separator = said[1] if said else max(",;\t", key=text.partition("\n")[0].count)
     try:
-        rows = csv.DictReader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
+        rows = csv.DictReader(
+            io.StringIO(text, newline=""), strict=True, delimiter=separator
+        )
         header = {name.strip().lower(): name for name in rows.fieldnames or ()}
         found = [
-            header[known[0]] for names in columns if (known := [n for n in names if n in header])
+            header[known[0]]
+            for names in columns
+            if (known := [n for n in names if n in header])
         ]
         if len(found) < len(columns):
             needed = " and one of ".join(", ".join(names) for names in columns)
             unknown = [name for name in header if header[name] not in found]
             known = [name for names in columns for name in names]
-            meant = next(filter(None, (did_you_mean(name, known) for name in unknown)), "")
+            meant = next(
+                filter(None, (did_you_mean(name, known) for name in unknown)), ""
+            )
             raise InputError(
                 f"the {kind} {path} must have a header with one of {needed}, got "
                 f"{', '.join(header) or 'nothing'}{meant}"
@@ -281,11 +307,15 @@ def _files_below(path: Path) -> list[Path]:
         folder = Path(error.filename)
         if folder == path:
             raise error
-        logger.warning("skipped the folder %s and all scans in it: %s", folder, error.strerror)
+        logger.warning(
+            "skipped the folder %s and all scans in it: %s", folder, error.strerror
+        )
 
     if path.is_dir():
         below = os.walk(path, onerror=skip)
-        found = in_order(Path(folder, name) for folder, _, names in below for name in names)
+        found = in_order(
+            Path(folder, name) for folder, _, names in below for name in names
+        )
     else:
         found = [path]
     return [file for file in found if not file.name.startswith(".")]

@@ -79,7 +79,9 @@ def discover_labelled(
     """Find the files of scans, as by `discover`, and their classes."""
     layout = LAYOUTS.get(str(labels), Layout())
     folders = [Path(argument) for argument in arguments if Path(argument).is_dir()]
-    named = (file for folder in folders for name in layout.files for file in folder.rglob(name))
+    named = (
+        file for folder in folders for name in layout.files for file in folder.rglob(name)
+    )
     files = [*beside, *named, *([] if labels is None else [labels])]
     scans = discover(arguments, files, limits)
     return scans, {} if labels is None else labels_of(labels, scans)
@@ -94,7 +96,10 @@ def labels_of(labels: str | Path, scans: Iterable[str | Path]) -> dict[str, str]
     if layout.files:
         found = _from_files(str(labels), layout, paths)
     else:
-        fits = {path: re.search(f"/{layout.path}$", f"/{file}") for path, file in paths.items()}
+        fits = {
+            path: re.search(f"/{layout.path}$", f"/{file}")
+            for path, file in paths.items()
+        }
         found = {path: fit[1] for path, fit in fits.items() if fit}
     if not found:
         raise BenchmarkError(
@@ -121,7 +126,9 @@ def _label_file(name: str, layout: Layout, folder: Path) -> Path:
         files = sorted(place.glob(pattern))
         if len(files) > 1:
             named = ", ".join(file.name for file in files)
-            raise BenchmarkError(f"the layout {name} needs one label file in {place}, got {named}")
+            raise BenchmarkError(
+                f"the layout {name} needs one label file in {place}, got {named}"
+            )
         if files:
             return files[0]
     raise BenchmarkError(
@@ -138,7 +145,9 @@ def read_labels(path: str | Path) -> dict[str, str]:
         text = read_text(path, "label file", LAYOUTS)
         if text.startswith("PSB"):
             return _princeton(path, text)
-        for shape, its_class in read_table(path, "label file", text, NAME_COLUMNS, LABEL_COLUMNS):
+        for shape, its_class in read_table(
+            path, "label file", text, NAME_COLUMNS, LABEL_COLUMNS
+        ):
             if shape and its_class and labels.setdefault(shape, its_class) != its_class:
                 raise InputError(
                     f"the label file {path} must give each shape one class, {shape!r} has "
@@ -173,7 +182,9 @@ def match_labels(
             by_number.setdefault(str(int(number[1])), set()).add(shape_id)
     matched: dict[str, str] = {}
     unknown = []
-    passed_over: dict[str, str] = {}  # name by the id of a shape that it could stand for too
+    passed_over: dict[
+        str, str
+    ] = {}  # name by the id of a shape that it could stand for too
     for name, label in labels.items():
         plain = name if name in paths else _plain(name, by_path)
         named = by_path.get(plain) or by_number.get(plain) or set()
@@ -230,10 +241,16 @@ def _princeton(path: Path, text: str) -> dict[str, str]:
             count = int(next(rest))
             models = [*islice(rest, count)]
             if len(models) != count:
-                raise ValueError(f"class {name} declares {count} models, {len(models)} follow")
+                raise ValueError(
+                    f"class {name} declares {count} models, {len(models)} follow"
+                )
             labels |= dict.fromkeys(models, name)
         if len(labels) != int(words[3]):
-            raise ValueError(f"its header declares {words[3]} models, {len(labels)} follow")
+            raise ValueError(
+                f"its header declares {words[3]} models, {len(labels)} follow"
+            )
     except (IndexError, StopIteration, ValueError) as error:
-        raise InputError(f"the label file {path} is not a complete .cla file ({error})") from error
+        raise InputError(
+            f"the label file {path} is not a complete .cla file ({error})"
+        ) from error
     return labels

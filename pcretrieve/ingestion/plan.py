@@ -101,18 +101,25 @@ class Plan:
     removed: list[str] = field(default_factory=list)  # paths whose records are removed
     labels: dict[str, str] = field(default_factory=dict)  # by path
     stamps: dict[str, str] = field(default_factory=dict)  # by path
-    held: list[Record] = field(default_factory=list)  # of scans that the catalogue has already
+    held: list[Record] = field(
+        default_factory=list
+    )  # of scans that the catalogue has already
     # Files with the same content as another file, and the record of the other file.
     duplicates: list[tuple[str, Record]] = field(default_factory=list)
     # Scans that must be processed, and their new records; the id may still change.
     process: list[tuple[Path, Record]] = field(default_factory=list)
-    unreadable: list[Record] = field(default_factory=list)  # failures of files that cannot be read
+    unreadable: list[Record] = field(
+        default_factory=list
+    )  # failures of files that cannot be read
 
     def apply(self, catalogue: Catalogue) -> None:
         """Write the changes to the records of a catalogue, and complete those of skipped scans by its own."""
         if self.moved or self.removed or self.labels or self.stamps:
             catalogue.rows.revise(
-                moved=self.moved, removed=self.removed, labels=self.labels, stamps=self.stamps
+                moved=self.moved,
+                removed=self.removed,
+                labels=self.labels,
+                stamps=self.stamps,
             )
         known = [*self.held, *(original for _, original in self.duplicates)]
         stored = catalogue.rows.several({record.id for record in known})
@@ -123,7 +130,9 @@ class Plan:
             return whole.get((record.path, record.content_hash), record)
 
         self.held = [completed(record) for record in self.held]
-        self.duplicates = [(path, completed(original)) for path, original in self.duplicates]
+        self.duplicates = [
+            (path, completed(original)) for path, original in self.duplicates
+        ]
 
 
 class Planner:
@@ -143,16 +152,22 @@ class Planner:
         labels = labels or {}
         self.files = {printable(path): path for path in paths}
         chosen = None if part is None else {*part}
-        self.names = [name for name, path in self.files.items() if chosen is None or path in chosen]
+        self.names = [
+            name for name, path in self.files.items() if chosen is None or path in chosen
+        ]
         n_threads = how.workers or len(os.sched_getaffinity(0))
         self.contents = Contents(self.files, n_threads, how.timeout, records)
         self._retry_failed = how.retry_failed
         self._held = {record.path: record for record in records}
         self._ids = shape_ids(self.files, {record.id: record.path for record in records})
-        matched, unknown = match_labels(labels, {self._ids[name]: name for name in self.files})
+        matched, unknown = match_labels(
+            labels, {self._ids[name]: name for name in self.files}
+        )
         _check_labels(matched, unknown, how, self.files, records)
         self._labels = {
-            name: matched[self._ids[name]] for name in self.files if self._ids[name] in matched
+            name: matched[self._ids[name]]
+            for name in self.files
+            if self._ids[name] in matched
         }
         self._labels_left = {name: labels[name] for name in unknown}
         self._same: dict[Identity, list[Record]] = {}
@@ -207,7 +222,9 @@ class Planner:
             if earlier.status == "done" or not self._retry_failed:
                 if stamp:
                     made.stamps[name] = stamp
-                made.held.append(replace(earlier, label=self._labels.get(name, earlier.label)))
+                made.held.append(
+                    replace(earlier, label=self._labels.get(name, earlier.label))
+                )
                 return
         elif original := self._queued.get(identity) or self._original(identity):
             # The earlier result of a file stays in the catalogue until the original has been processed.
@@ -241,7 +258,9 @@ class Planner:
         """A record with this content; if its file is one of `files`, the file still has the content."""
         for record in self._same.get(identity, ()):
             content = (
-                self.contents.of(record.path) if record.path in self.files else record.content_hash
+                self.contents.of(record.path)
+                if record.path in self.files
+                else record.content_hash
             )
             if isinstance(content, ShapeError) or content == record.content_hash:
                 return record
@@ -256,7 +275,9 @@ def _check_labels(
     records: Sequence[Record],
 ) -> None:
     """Check that a label file names a scan, or an id that a renamed file may keep; warn of a single class."""
-    is_lost = unknown and not matched and {record.id for record in records}.isdisjoint(unknown)
+    is_lost = (
+        unknown and not matched and {record.id for record in records}.isdisjoint(unknown)
+    )
     if is_lost and how.label_file is not None:
         meant = did_you_mean(Path(unknown[0]).name, (Path(name).name for name in names))
         raise BenchmarkError(
@@ -304,12 +325,16 @@ class Contents:
         self._files = {name: split_member(scan)[0] for name, scan in scans.items()}
         self._scans, self._timeout = scans, timeout
         self._records = {
-            record.path: record for record in records if record.stamp and record.content_hash
+            record.path: record
+            for record in records
+            if record.stamp and record.content_hash
         }
         self._stamps_of_records = self._by_file()
         self._turns = Semaphore(n_threads)
         self._is_closed = False
-        self._hashes: dict[Path, Future[str | None]] = {}  # None: the file has not changed
+        self._hashes: dict[
+            Path, Future[str | None]
+        ] = {}  # None: the file has not changed
         self._stamps: dict[Path, str] = {}
 
     def expect(self, names: Iterable[str]) -> None:
@@ -350,7 +375,11 @@ class Contents:
         for name, file in self._files.items() if self._records else ():
             record = self._records.get(name)
             found.setdefault(file, set()).add(record.stamp if record else None)
-        return {file: stamp for file, (stamp, *others) in found.items() if stamp and not others}
+        return {
+            file: stamp
+            for file, (stamp, *others) in found.items()
+            if stamp and not others
+        }
 
     def _read(self, file: Path) -> None:
         # Without a turn too, when threads hang for so long.
@@ -370,6 +399,10 @@ class Contents:
             return None
         content = file_hash(file, partial(alone, file_hash, timeout=self._timeout))
         # A file that was written meanwhile has one of two stamps.
-        if stamp is not None and stamp.changed < now - SETTLED and stamp == stamp_of(file):
+        if (
+            stamp is not None
+            and stamp.changed < now - SETTLED
+            and stamp == stamp_of(file)
+        ):
             self._stamps[file] = stamp.text
         return content

@@ -67,7 +67,9 @@ OF_UNKNOWN_CAUSE = (StageTimeout, WorkerDied, MemoryExceeded, UnexpectedError)
 
 # Longest times; seconds. A killed process cannot end while it waits for a disk or a network; most processes
 # that close their pipe do so by ending, and their own exit code says more than that of a kill.
-START_TIMEOUT = 300.0  # until a worker is ready, which is its first answer; it may have to compile
+START_TIMEOUT = (
+    300.0  # until a worker is ready, which is its first answer; it may have to compile
+)
 KILL_TIMEOUT = 5.0  # until a killed process has ended
 EXIT_TIMEOUT = 2.0  # until a process that has closed its pipe is killed
 
@@ -131,12 +133,16 @@ def in_processes(
     """
     most = workers or len(os.sched_getaffinity(0))
     first = ((item, 1) for item in items)
-    again: deque[tuple[Item, int]] = deque()  # for new workers, with the number of the attempt
+    again: deque[tuple[Item, int]] = (
+        deque()
+    )  # for new workers, with the number of the attempt
     crew: list[Worker[Item, Answer]] = []
     failed_starts = 0
     try:
         while True:
-            while len(crew) < most and (task := again.popleft() if again else next(first, None)):
+            while len(crew) < most and (
+                task := again.popleft() if again else next(first, None)
+            ):
                 if idle and task[1] == 1:
                     crew.append(idle.pop())
                     crew[-1].take(*task, timeout)
@@ -145,7 +151,9 @@ def in_processes(
             if not crew:
                 return
             pause = min(worker.deadline for worker in crew) - time.monotonic()
-            connection.wait([event for worker in crew for event in worker.events], max(0.0, pause))
+            connection.wait(
+                [event for worker in crew for event in worker.events], max(0.0, pause)
+            )
             finished = []
             for worker in tuple(crew):
                 if (news := worker.news()) is None:
@@ -170,7 +178,9 @@ def in_processes(
                 else:
                     if worker.printed:
                         logger.info(
-                            "%s: its libraries printed: %s", _name(worker.item), worker.printed
+                            "%s: its libraries printed: %s",
+                            _name(worker.item),
+                            worker.printed,
                         )
                     finished.append((worker.item, outcome))
                 if not worker.is_gone and (task := next(first, None)):
@@ -197,7 +207,9 @@ def alone(
     """Call a function once, in a process of its own, with limits as of `in_processes`."""
     task: Callable[[partial[Answer]], Answer] = methodcaller("__call__")
     call = partial(function, *arguments)
-    ((_, outcome),) = in_processes(task, [call], workers=1, timeout=timeout, memory=memory)
+    ((_, outcome),) = in_processes(
+        task, [call], workers=1, timeout=timeout, memory=memory
+    )
     if isinstance(outcome, PcretrieveError):
         raise outcome
     return outcome
@@ -237,7 +249,11 @@ class Worker(Generic[Item, Answer]):
     """
 
     def __init__(
-        self, function: Callable[[Item], Answer], memory: float | None, item: Item, attempt: int
+        self,
+        function: Callable[[Item], Answer],
+        memory: float | None,
+        item: Item,
+        attempt: int,
     ) -> None:
         self.item, self.attempt, self.n_items = item, attempt, 0
         # Open3D has threads, so workers must be spawned, not forked.
@@ -269,13 +285,19 @@ class Worker(Generic[Item, Answer]):
     @property
     def events(self) -> tuple[Connection[Any, Any] | int, ...]:
         """The handles to wait for: an answer, output, and the end of the process."""
-        return self._items, self._process.sentinel, *([] if self._is_silent else [self._output])
+        return (
+            self._items,
+            self._process.sentinel,
+            *([] if self._is_silent else [self._output]),
+        )
 
     @property
     def printed(self) -> str:
         """The end of what was printed since the item was taken, with `` | `` between lines; often empty."""
         lines = self._printed.decode("utf-8", "replace").splitlines()
-        words = ("".join(sign for sign in line if sign.isprintable()).strip() for line in lines)
+        words = (
+            "".join(sign for sign in line if sign.isprintable()).strip() for line in lines
+        )
         return " | ".join(word for word in words if word)
 
     def take(self, item: Item, attempt: int, timeout: float) -> None:
@@ -312,7 +334,9 @@ class Worker(Generic[Item, Answer]):
             )
         elif time.monotonic() >= self.deadline:
             self.stop()
-            outcome = StageTimeout(f"not finished within {self._limit:g} s: raise --timeout")
+            outcome = StageTimeout(
+                f"not finished within {self._limit:g} s: raise --timeout"
+            )
         else:
             return None
         if isinstance(outcome, OF_UNKNOWN_CAUSE) and self.printed:
@@ -439,7 +463,9 @@ def _serve(
         raise SystemExit(f"{type(error).__name__}: {error}") from error
     log.removeFilter(passed_on)
     own = os.getpid()
-    with suppress(EOFError, ConnectionError):  # the parent has ended, on a system other than Linux
+    with suppress(
+        EOFError, ConnectionError
+    ):  # the parent has ended, on a system other than Linux
         items.send(True)
         while True:
             item = items.recv()
@@ -450,7 +476,9 @@ def _serve(
             for stream in (sys.stdout, sys.stderr):
                 with suppress(Exception):  # a plug-in may have closed or replaced it
                     stream.flush()
-            ctypes.CDLL(None).fflush(None)  # what C libraries have printed, and hold in memory
+            ctypes.CDLL(None).fflush(
+                None
+            )  # what C libraries have printed, and hold in memory
             if os.getpid() != own:
                 # A child process that the function has forked, and in which the function returned too: its
                 # answer would be taken for that of the next item.
@@ -466,7 +494,10 @@ def _prepare(folder: str | None, memory: float | None) -> bool:
     parent = multiprocessing.parent_process()
     if parent is None or os.getppid() != parent.pid:
         return False
-    with suppress(OSError), Path("/proc/self/oom_score_adj").open("w", encoding="ascii") as file:
+    with (
+        suppress(OSError),
+        Path("/proc/self/oom_score_adj").open("w", encoding="ascii") as file,
+    ):
         file.write(f"{OOM_SCORE}\n")
     if folder is not None:
         # Of Python, and of native code and child processes.

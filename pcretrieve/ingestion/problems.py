@@ -72,7 +72,8 @@ def report_problem(
         parts += [part.path for part in parts_of(file)]
     missing = [part.name for part in parts if not part.is_file()]
     found: dict[str, object] = {
-        "versions": versions() | {"python": platform.python_version(), "sqlite": sqlite_version},
+        "versions": versions()
+        | {"python": platform.python_version(), "sqlite": sqlite_version},
         "computer": platform.platform(),
         "options_digest": options.digest,
         "scan": {
@@ -112,7 +113,10 @@ def _without_folder(text: str, file: Path) -> str:
     """A text in which the path of a file is its name, as it is or as JSON writes it."""
     for folder in (file.absolute().parent, file.parent):
         if folder.name:  # not the current or the root folder
-            for written in (f"{folder}/", json.dumps(f"{folder}/", ensure_ascii=False)[1:-1]):
+            for written in (
+                f"{folder}/",
+                json.dumps(f"{folder}/", ensure_ascii=False)[1:-1],
+            ):
                 text = text.replace(written, "")
     return text
 
@@ -121,7 +125,9 @@ def _measured(scan: Path, options: PipelineOptions) -> tuple[dict[str, object], 
     """What can be measured of a scan, and the log of its processing, in a process of its own."""
     log = io.StringIO()
     handler = logging.StreamHandler(log)
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    handler.setFormatter(
+        logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s")
+    )
     logger = logging.getLogger("pcretrieve")
     logger.addHandler(handler)
     logger.setLevel(logging.DEBUG)

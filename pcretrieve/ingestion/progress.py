@@ -116,7 +116,10 @@ def status(catalogue: CatalogueLike) -> BatchStatus:
     with Catalogue.opened(catalogue) as store:
         counts = _stored(store)
         kinds = Counter(
-            {f"{error} in {stage}": n for (stage, error), n in store.rows.failures().items()}
+            {
+                f"{error} in {stage}": n
+                for (stage, error), n in store.rows.failures().items()
+            }
         )
         n_shapes = len(store)
     is_running = counts.state == "running" and _is_running(counts)
@@ -132,8 +135,12 @@ def status(catalogue: CatalogueLike) -> BatchStatus:
         started=_iso(counts.started),
         updated=_iso(counts.updated),
         scans_per_second=rate,
-        seconds_left=(counts.n_scans - n_finished) / rate if is_running and rate > 0 else None,
-        stages={name: share / total for name, share in counts.stages.items()} if total else {},
+        seconds_left=(counts.n_scans - n_finished) / rate
+        if is_running and rate > 0
+        else None,
+        stages={name: share / total for name, share in counts.stages.items()}
+        if total
+        else {},
         failures=dict(kinds.most_common()),
         n_shapes=n_shapes,
     )
@@ -224,7 +231,10 @@ def _born(pid: int) -> str:
     """When a process of this computer was started, in ticks; empty if it has ended."""
     with suppress(OSError):
         state, *facts = (
-            Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()
+            Path(f"/proc/{pid}/stat")
+            .read_text("utf-8", "replace")
+            .rpartition(")")[2]
+            .split()
         )
         return "" if state in "ZX" else facts[18]
     return ""

@@ -111,12 +111,16 @@ def check(
     """
     with Catalogue.opened(catalogue) as store:
         chosen: list[Record] = []
-        with suppress(CatalogueError):  # which is a defect that the check of the database finds
+        with suppress(
+            CatalogueError
+        ):  # which is a defect that the check of the database finds
             chosen += _sample(store, sample, seed)
         if not _has_meshes(store):
             check_remote([record.path for record in chosen], remote, store.location)
         defects = find_defects(store, repair=repair, on_shapes=on_shapes)
-        is_broken = any(defect.kind == "database" and defect.repair is None for defect in defects)
+        is_broken = any(
+            defect.kind == "database" and defect.repair is None for defect in defects
+        )
         tasks = _tasks(store, [] if is_broken else chosen)
         again, n_recomputed = partial(_again, store.options), 0
         with closing(in_processes(again, tasks, workers=1, timeout=timeout)) as outcomes:
@@ -144,7 +148,9 @@ def _fault(task: _Task, outcome: FloatArray | PcretrieveError) -> str | None:
     if isinstance(outcome, PcretrieveError):
         return f"its signature cannot be computed again: {outcome.message}"
     size = np.maximum(np.abs(task.stored), np.abs(outcome))
-    difference = float((np.abs(task.stored - outcome) / np.where(size > 0, size, 1)).max())
+    difference = float(
+        (np.abs(task.stored - outcome) / np.where(size > 0, size, 1)).max()
+    )
     source = "its stored surfaces" if task.meshes else "its file"
     differs = f"its signature differs from that of {source} by {difference:.1%}"
     return differs if difference > TOLERANCE else None
@@ -153,7 +159,9 @@ def _fault(task: _Task, outcome: FloatArray | PcretrieveError) -> str | None:
 def _sample(store: Catalogue, number: int, seed: int | None) -> Iterator[Record]:
     """Some finished shapes, without those whose records are damaged."""
     n_shapes = len(store)
-    for offset in sorted(random.Random(seed).sample(range(n_shapes), min(number, n_shapes))):
+    for offset in sorted(
+        random.Random(seed).sample(range(n_shapes), min(number, n_shapes))
+    ):
         with suppress(CatalogueError):
             yield from store.records(status="done", offset=offset, limit=1)
 
@@ -210,7 +218,9 @@ def find_defects(
         found.append(Defect("log", None, lost, done))
     # A file with damaged pages is neither read further nor changed, because that may damage it further.
     if all(defect.repair or defect.kind != "database" for defect in found):
-        for (number,) in catalogue.rows.database.execute("SELECT number FROM shapes ORDER BY id"):
+        for (number,) in catalogue.rows.database.execute(
+            "SELECT number FROM shapes ORDER BY id"
+        ):
             found += _shape_defects(catalogue, number, repair=repair)
             on_shapes(1)
     for folder, fault in catalogue.cache.faults():
@@ -227,7 +237,11 @@ def _database_defects(catalogue: Catalogue, *, repair: bool) -> list[Defect]:
     database = catalogue.rows.database
     # Outside of a transaction, because one that has met a damaged page cannot be ended without an error.
     faults = database.faults()
-    done = "SQL indexes made again" if faults and repair and _is_reindexed(catalogue) else None
+    done = (
+        "SQL indexes made again"
+        if faults and repair and _is_reindexed(catalogue)
+        else None
+    )
     found = [Defect("database", None, fault, done) for fault in faults]
     if faults and done is None:
         return found
@@ -240,7 +254,9 @@ def _database_defects(catalogue: Catalogue, *, repair: bool) -> list[Defect]:
             if number:
                 done = "removed" if repair else None
                 found.append(
-                    Defect("orphan", None, f"{number} rows of {table} are of no shape", done)
+                    Defect(
+                        "orphan", None, f"{number} rows of {table} are of no shape", done
+                    )
                 )
     return found
 
@@ -288,7 +304,9 @@ def _faults(catalogue: Catalogue, entry: Entry) -> Iterator[str]:
         yield "its signature is missing"
     reading: list[tuple[str, Callable[[], object]]] = []
     for digest, value in entry.signatures.items():
-        name = "its signature" if digest == OWN else f"its signature by the options {digest}"
+        name = (
+            "its signature" if digest == OWN else f"its signature by the options {digest}"
+        )
         reading.append((name, partial(unpacked_values, value, 1, len(value) // 8 - 1)))
     if "spectra" in stored:
         reading.append(("its arrays", partial(stored_shape, stored, entry.record.steps)))

@@ -148,7 +148,15 @@ def ingest(
     """
     file = labels if isinstance(labels, (str, Path)) else None
     how = Processing(
-        workers, timeout, memory, executor, retry_failed, retries, max_failures, on_shape, file
+        workers,
+        timeout,
+        memory,
+        executor,
+        retry_failed,
+        retries,
+        max_failures,
+        on_shape,
+        file,
     )
     scans, names = discover_labelled(
         [paths] if isinstance(paths, (str, Path)) else paths,
@@ -164,7 +172,9 @@ def ingest(
         is_path = isinstance(catalogue, (str, Path)) and "://" not in str(catalogue)
         is_new = is_path and not Path(str(catalogue)).exists()
         with nullcontext() if is_new else Catalogue.opened(catalogue, chosen) as known:
-            planner = Planner(scans, [] if known is None else known.records(), how, classes, part)
+            planner = Planner(
+                scans, [] if known is None else known.records(), how, classes, part
+            )
         return _planned(planner, on_shape)
     with Catalogue.opened(catalogue, chosen, create=True) as store:
         return process_scans(scans, store, how, labels=classes, part=part)
@@ -213,12 +223,20 @@ def retry(
     how = Processing(workers, timeout, memory, executor, True, retries, None, on_shape)
     with Catalogue.opened(catalogue) as store:
         failures = store.records(status="failed")
-        paths = [Path(record.path) for record in failures if stage in (None, record.stage)]
+        paths = [
+            Path(record.path) for record in failures if stage in (None, record.stage)
+        ]
         if not paths:
-            stages = ", ".join(sorted({str(record.stage) for record in failures})) or "none"
+            stages = (
+                ", ".join(sorted({str(record.stage) for record in failures})) or "none"
+            )
             raise InputError(
                 f"no shape of {store.location} failed"
-                + (f" in the stage {stage}; stages with failures: {stages}" if stage else "")
+                + (
+                    f" in the stage {stage}; stages with failures: {stages}"
+                    if stage
+                    else ""
+                )
             )
         check_remote(map(str, paths), remote, store.location)
         on_start(len(paths))
@@ -271,7 +289,9 @@ def watch(
         If the catalogue was built with other options, or cannot be opened or written.
     """
     chosen = None if options is None else PipelineOptions.of(options)
-    how = Processing(workers, timeout, memory, executor, retries=retries, on_shape=on_shape)
+    how = Processing(
+        workers, timeout, memory, executor, retries=retries, on_shape=on_shape
+    )
     arrivals = Arrivals(Path(folder), how.limits)
     with closing(arrivals), Catalogue.opened(catalogue, chosen, create=True) as store:
         while True:
@@ -318,7 +338,9 @@ def _compare_sizes(done: Sequence[Record], catalogue: Catalogue) -> None:
     """Warn of scans whose unit is probably not that of the catalogue."""
     areas = catalogue.rows.areas() if done else []
     found: dict[str, list[Record]] = {}
-    notes = {note: record for record in done for step in record.steps for note in step.notes}
+    notes = {
+        note: record for record in done for step in record.steps for note in step.notes
+    }
     for note, record in notes.items():
         if UNIT_KEPT in note or UNIT_TAKEN in note:
             logger.warning("%s: %s; perhaps further scans too", record.path, note)
@@ -364,7 +386,9 @@ class _Run:
             else None
         )
         if upcoming is None:
-            self._store(replace(failed(attempt.record, outcome), steps=attempt.steps), None)
+            self._store(
+                replace(failed(attempt.record, outcome), steps=attempt.steps), None
+            )
         else:
             logger.warning("%s: %s", attempt.path.name, printable(upcoming.notes[-1]))
             self.later.append(upcoming)
@@ -377,11 +401,18 @@ class _Run:
         (self.summary.failed if content is None else self.summary.done).append(stored)
         log_steps(Path(stored.path).name, stored.steps)
         for other in (
-            () if content is None else self._catalogue.rows.with_content(stored.content_hash)
+            ()
+            if content is None
+            else self._catalogue.rows.with_content(stored.content_hash)
         ):
-            if other.path != stored.path and Path(other.path).suffix == Path(stored.path).suffix:
+            if (
+                other.path != stored.path
+                and Path(other.path).suffix == Path(stored.path).suffix
+            ):
                 logger.warning(
-                    "%s and %s, of another ingest, are the same scan", stored.path, other.path
+                    "%s and %s, of another ingest, are the same scan",
+                    stored.path,
+                    other.path,
                 )
         if content is None:
             logger.info("failed: [%s / %s] %s", stored.id, stored.stage, stored.message)
@@ -417,7 +448,9 @@ class Arrivals:
 
     def __init__(self, folder: Path, limits: Mapping[str, Any] | None = None) -> None:
         if not folder.is_dir():
-            raise InputError(f"there is no folder {folder} to watch: make it, or name another")
+            raise InputError(
+                f"there is no folder {folder} to watch: make it, or name another"
+            )
         self._folder = folder.absolute()
         self._limits = limits
         self._idle: list[Worker[Path, Look]] = []
@@ -441,11 +474,17 @@ class Arrivals:
             if look.is_scan:
                 owned.update(part.path for part in look.parts)
                 needed = (
-                    part.path for part in look.parts if part.pose is not None or part.path.exists()
+                    part.path
+                    for part in look.parts
+                    if part.pose is not None or part.path.exists()
                 )
-                with suppress(OSError):  # it has vanished meanwhile, or a view is not there yet
+                with suppress(
+                    OSError
+                ):  # it has vanished meanwhile, or a view is not there yet
                     states = (file.stat() for file in (path, *needed))
-                    now[path] = tuple((one.st_ino, one.st_size, one.st_mtime_ns) for one in states)
+                    now[path] = tuple(
+                        (one.st_ino, one.st_size, one.st_mtime_ns) for one in states
+                    )
         found = [
             path
             for path, state in now.items()

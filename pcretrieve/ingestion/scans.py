@@ -76,11 +76,15 @@ def map_scans(
     InputError
         If a path does not exist or names no scans, or the output cannot be written or is among the scans.
     """
-    given = [Path(path) for path in ([paths] if isinstance(paths, (str, Path)) else paths)]
+    given = [
+        Path(path) for path in ([paths] if isinstance(paths, (str, Path)) else paths)
+    ]
     limits: dict[str, Any] = {"workers": workers, "timeout": timeout, "memory": memory}
     scans = discover(given, limits=limits)
     files = (
-        [None] * len(scans) if output is None else _files(given, scans, Path(output), suffix, kind)
+        [None] * len(scans)
+        if output is None
+        else _files(given, scans, Path(output), suffix, kind)
     )
     tasks = [_Task(scan, file) for scan, file in zip(scans, files, strict=True)]
     on_start(len(tasks))
@@ -115,7 +119,9 @@ class _Applied:
 
     def __call__(self, task: _Task) -> Any:
         return (
-            self.function(task.path) if task.file is None else self.function(task.path, task.file)
+            self.function(task.path)
+            if task.file is None
+            else self.function(task.path, task.file)
         )
 
 

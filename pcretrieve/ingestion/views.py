@@ -11,7 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.formats import ScanLike, as_scan, parts_of, read_scan, split_member, write_cloud
+from pcretrieve.formats import (
+    ScanLike,
+    as_scan,
+    parts_of,
+    read_scan,
+    split_member,
+    write_cloud,
+)
 from pcretrieve.formats.conf import image_poses, trajectory_file
 from pcretrieve.formats.identity import printable
 from pcretrieve.formats.write import check_output
@@ -86,7 +93,9 @@ def merge_views(
     elif timeout is None:
         merged = _merged(paths, chosen)
     else:
-        merged = alone(_merged, paths, chosen, timeout=timeout * len(files), memory=memory)
+        merged = alone(
+            _merged, paths, chosen, timeout=timeout * len(files), memory=memory
+        )
     if output is not None:
         write_cloud(merged.cloud, output)
     return replace(merged, names=tuple(map(printable, files)))
@@ -136,7 +145,13 @@ def read_views(paths: Sequence[str | Path]) -> Views:
     """
     files, poses = view_files(paths)
     clouds = [as_cloud(read_scan(file)) for file in files]
-    if poses is None and len(clouds) > 1 and len({split_member(file)[0] for file in files}) == 1:
-        sensors = {tuple(cloud.viewpoints[0]) for cloud in clouds if cloud.viewpoints is not None}
+    if (
+        poses is None
+        and len(clouds) > 1
+        and len({split_member(file)[0] for file in files}) == 1
+    ):
+        sensors = {
+            tuple(cloud.viewpoints[0]) for cloud in clouds if cloud.viewpoints is not None
+        }
         poses = None if len(sensors) == 1 else np.tile(np.eye(4), (len(clouds), 1, 1))
     return Views(clouds, poses)

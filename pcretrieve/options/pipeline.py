@@ -49,12 +49,25 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     # cut. All scans are in the unit of the scanner, so that sizes are comparable too.
     "body-scanner": {"surface": {"genus": "sphere"}, "signature": {"size_weight": 6.0}},
     # A hand-held scanner moved around the body: many outliers, and large holes in places that it missed.
-    "handheld": {"scan": {"outlier_std": 1.5, "flood_gap": 0.03}, "surface": {"gap": 0.03}},
+    "handheld": {
+        "scan": {"outlier_std": 1.5, "flood_gap": 0.03},
+        "surface": {"gap": 0.03},
+    },
     # Frames of a depth sensor: noise of 0.3 % of the diagonal and more, and a room around the body.
     "depth-camera": {
-        "scan": {"voxel": 0.004, "outlier_std": 1.5, "normal_neighbors": 30, "flood_gap": 0.03},
+        "scan": {
+            "voxel": 0.004,
+            "outlier_std": 1.5,
+            "normal_neighbors": 30,
+            "flood_gap": 0.03,
+        },
         "surface": {"cell": 0.006, "gap": 0.03},
-        "merge": {"sensor": "origin", "background": "room", "keep_largest": True, "voxel": 0.003},
+        "merge": {
+            "sensor": "origin",
+            "background": "room",
+            "keep_largest": True,
+            "voxel": 0.003,
+        },
     },
     # Meshes from modelling software, or cleaned by hand: repaired, but not reconstructed.
     "clean-mesh": {"surface": {"mode": "keep"}},
@@ -91,14 +104,20 @@ class PipelineOptions(Options):
     merge: MergeOptions = MergeOptions()
 
     @classmethod
-    def from_toml(cls, path: str | Path, base: PipelineOptions | None = None) -> PipelineOptions:
+    def from_toml(
+        cls, path: str | Path, base: PipelineOptions | None = None
+    ) -> PipelineOptions:
         """Read options from a TOML file with one table for each stage; the rest as in `of`."""
         try:
             values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
         except OSError as error:
-            raise OptionError(f"cannot read the options file {path}: {error.strerror}") from error
+            raise OptionError(
+                f"cannot read the options file {path}: {error.strerror}"
+            ) from error
         except UnicodeDecodeError as error:
-            raise OptionError(f"{path} is not valid TOML: it is not UTF-8 text") from error
+            raise OptionError(
+                f"{path} is not valid TOML: it is not UTF-8 text"
+            ) from error
         except ValueError as error:  # also of an integer of thousands of digits
             raise OptionError(f"{path} is not valid TOML: {error}") from error
         try:
@@ -107,7 +126,9 @@ class PipelineOptions(Options):
             raise OptionError(f"{path}: {error.message}") from error
 
     @classmethod
-    def of(cls, options: OptionsLike, base: PipelineOptions | None = None) -> PipelineOptions:
+    def of(
+        cls, options: OptionsLike, base: PipelineOptions | None = None
+    ) -> PipelineOptions:
         """The options that a value stands for, as public functions take them.
 
         Parameters
@@ -170,13 +191,17 @@ class PipelineOptions(Options):
         """
         values = self.model_dump(exclude={"signature", "retrieval", "catalogue", "merge"})
         values["numbers_version"] = NUMBERS_VERSION
-        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[
+            :16
+        ]
 
     @property
     def signature_digest(self) -> str:
         """Hash of everything that a signature depends on: signatures are comparable only if it is equal."""
         # Without the unit, which a signature that depends on it has itself (`Signature.unit`).
-        unitless = self.model_copy(update={"scan": self.scan.model_copy(update={"unit": "none"})})
+        unitless = self.model_copy(
+            update={"scan": self.scan.model_copy(update={"unit": "none"})}
+        )
         signature = self.signature.model_dump_json(exclude_none=True)
         return hashlib.sha256((unitless.digest + signature).encode()).hexdigest()[:16]
 
@@ -188,7 +213,12 @@ class PipelineOptions(Options):
     @property
     def of_copies(self) -> PipelineOptions:
         """The options by which copies are found: moments and the distance log, without whitening."""
-        plain = {"distance": "log", "whitening": "none", "rerank": "none", "calibration": None}
+        plain = {
+            "distance": "log",
+            "whitening": "none",
+            "rerank": "none",
+            "calibration": None,
+        }
         signature = {"method": "moments", "scale": "area", "size_weight": 0.0}
         return self.changed(signature=signature, retrieval=plain)
 
@@ -210,7 +240,9 @@ def options_difference(stored: PipelineOptions, given: PipelineOptions) -> list[
 def describe_options(options: PipelineOptions, *tables: str) -> str:
     """Options as TOML for `PipelineOptions.from_toml`, or some tables of them, each option explained."""
     names = tables or type(options).model_fields
-    return "\n".join(line for name in names for line in _table(name, getattr(options, name)))
+    return "\n".join(
+        line for name in names for line in _table(name, getattr(options, name))
+    )
 
 
 def _table(name: str, options: Options) -> Iterator[str]:

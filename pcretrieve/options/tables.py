@@ -57,7 +57,9 @@ def _explain(error: ValidationError) -> str:
         elif problem["type"] == "value_error":
             clauses.append(f"{name}: {cause}" if name else str(cause))
         elif problem["type"] == "extra_forbidden":
-            known = [one for table in Options.__subclasses__() for one in table.model_fields]
+            known = [
+                one for table in Options.__subclasses__() for one in table.model_fields
+            ]
             meant = did_you_mean(name.rpartition(".")[2], known)
             clauses.append(
                 f"there is no option {name!r}; `pcretrieve lab options` lists them all{meant}"
@@ -118,8 +120,12 @@ class ScanOptions(Options):
 
     @field_validator("box")
     @classmethod
-    def _has_a_volume(cls, box: tuple[Corner, Corner] | str) -> tuple[Corner, Corner] | str:
-        if not isinstance(box, str) and not all(low < high for low, high in zip(*box, strict=True)):
+    def _has_a_volume(
+        cls, box: tuple[Corner, Corner] | str
+    ) -> tuple[Corner, Corner] | str:
+        if not isinstance(box, str) and not all(
+            low < high for low, high in zip(*box, strict=True)
+        ):
             raise ValueError(
                 "input should be the lowest and the highest corner of a box, got "
                 f"{[list(corner) for corner in box]}"

@@ -88,7 +88,9 @@ def inspect(
     from pcretrieve.pipeline.inspecting import inspect_scan
 
     # Of one of several scans in a file, too: ``file#name``.
-    read = (str(scan), str(scan).partition("#")[0]) if isinstance(scan, (str, Path)) else ()
+    read = (
+        (str(scan), str(scan).partition("#")[0]) if isinstance(scan, (str, Path)) else ()
+    )
     for target in (page, png):
         if target is not None:
             check_target(Path(target), [*map(Path, read)])
@@ -104,7 +106,9 @@ def inspection_html(it: Inspection, served: tuple[str, str] | None = None) -> by
     """The page of an inspection; of a server, with its title and the address that the page leads back to."""
     scene, turns = _scene(it), _turns(it)
     rows = rows_of(it)
-    return page_of("inspection.html", it=it, rows=rows, scene=scene, turns=turns, served=served)
+    return page_of(
+        "inspection.html", it=it, rows=rows, scene=scene, turns=turns, served=served
+    )
 
 
 def _turns(it: Inspection) -> dict[str, str]:
@@ -136,7 +140,9 @@ def _scene(it: Inspection) -> dict[str, Any] | None:
         points, width = thinned(it.cloud.points), SKIN_WIDTH * it.spacing
         more = {"back": AWAY, "normal": encoded(normals.tobytes())}
         layers.append(
-            cube.layer("normals", "which side is outside", points, FACING, width=width, **more)
+            cube.layer(
+                "normals", "which side is outside", points, FACING, width=width, **more
+            )
         )
     if it.mesh is not None:
         for name, label, faces, colour in (
@@ -144,13 +150,17 @@ def _scene(it: Inspection) -> dict[str, Any] | None:
             ("filled", "filled in", it.mesh.faces[it.filled], FILLED),
         ):
             corners = encoded(faces.astype("<u4").tobytes())
-            layers.append(cube.layer(name, label, it.mesh.vertices, colour, width=0, faces=corners))
+            layers.append(
+                cube.layer(name, label, it.mesh.vertices, colour, width=0, faces=corners)
+            )
         for name, places, colour in (
             ("cuts", it.cuts, CUT),
             ("bridges", it.bridges, BRIDGE),
             ("faults", it.rings, FAULT),
         ):
-            layers.append(cube.layer(name, name, places, colour, width=cube.half / 30, over=True))
+            layers.append(
+                cube.layer(name, name, places, colour, width=cube.half / 30, over=True)
+            )
     made = {"surface", "filled", "cuts", "bridges", "faults"}
     on = made if it.mesh is not None else {"points", "dropped"}
     return {
@@ -176,7 +186,9 @@ def _point_layers(it: Inspection, scan: PointCloud, cube: Cube) -> list[dict[str
             f", {n_far:,} of them too far away" if n_far else ""
         )
         layers.append(
-            cube.layer(name, label, thinned(scan.points[chosen & inside]), colour, width=width)
+            cube.layer(
+                name, label, thinned(scan.points[chosen & inside]), colour, width=width
+            )
         )
     return layers
 
@@ -200,10 +212,18 @@ def write_inspection_png(inspection: Inspection, path: str | Path) -> Path:
 
     write(inspection.name, MARGIN, MARGIN, 24)
     y = MARGIN + TITLE
-    write(inspection.summary, MARGIN, y, 16, CUT if inspection.outcome == "failed" else DARK)
+    write(
+        inspection.summary, MARGIN, y, 16, CUT if inspection.outcome == "failed" else DARK
+    )
     for check in lines:
         y += LINE
-        write(f"{check.outcome}: {check.name}: {check.shown}. {check.words}", MARGIN, y, 14, GREY)
+        write(
+            f"{check.outcome}: {check.name}: {check.shown}. {check.words}",
+            MARGIN,
+            y,
+            14,
+            GREY,
+        )
     y += LINE + MARGIN
     for row in rows:
         write(row.title, MARGIN, y, 16)

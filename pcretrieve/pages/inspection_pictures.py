@@ -92,7 +92,11 @@ class Row:
 
 def inspection_cameras(it: Inspection) -> list[Camera]:
     """The cameras of all pictures of an inspection."""
-    axes = None if it.mesh is None else body_axes(it.mesh.vertices, it.mesh.faces, it.mesh.up)
+    axes = (
+        None
+        if it.mesh is None
+        else body_axes(it.mesh.vertices, it.mesh.faces, it.mesh.up)
+    )
     return cameras_around(it.body, axes) if len(it.body) else []
 
 
@@ -116,21 +120,29 @@ def rows_of(it: Inspection) -> list[Row]:
 
 def thinned(points: FloatArray) -> FloatArray:
     """`MOST_POINTS` of (n, 3) points at equal intervals in the order of the file; all if there are fewer."""
-    return points[np.linspace(0, len(points) - 1, min(len(points), MOST_POINTS)).astype(np.intp)]
+    return points[
+        np.linspace(0, len(points) - 1, min(len(points), MOST_POINTS)).astype(np.intp)
+    ]
 
 
 class _Views:
     """An inspection, seen from four sides."""
 
     def __init__(self, it: Inspection) -> None:
-        self.it, self.cameras, self.skin = it, inspection_cameras(it), SKIN_WIDTH / 2 * it.spacing
+        self.it, self.cameras, self.skin = (
+            it,
+            inspection_cameras(it),
+            SKIN_WIDTH / 2 * it.spacing,
+        )
         self.n_dropped, self.n_cut = int(it.dropped.sum()), int(it.cut_away.sum())
 
     def overview(self, scan: PointCloud) -> Row:
         """All points; those too far away are at the edge of each picture, in their direction."""
         low, high = self.it.body.min(axis=0), self.it.body.max(axis=0)
         margin = AROUND * np.linalg.norm(high - low)
-        near = ((scan.points >= low - margin) & (scan.points <= high + margin)).all(axis=1)
+        near = ((scan.points >= low - margin) & (scan.points <= high + margin)).all(
+            axis=1
+        )
         corners = [
             body.centre + body.half * np.array(corner) @ body.axes[:2]
             for body in self.cameras
@@ -139,26 +151,44 @@ class _Views:
         shown = np.concatenate([scan.points[near], corners])
         pictures = []
         for camera, body in zip(
-            cameras_framing(shown, [one.axes for one in self.cameras]), self.cameras, strict=True
+            cameras_framing(shown, [one.axes for one in self.cameras]),
+            self.cameras,
+            strict=True,
         ):
             picture = Image.new("RGBA", (PICTURE_PIXELS, PICTURE_PIXELS))
-            for chosen, colour in ((self.it.cut_away, CUT_AWAY), (self.it.dropped, DROPPED)):
+            for chosen, colour in (
+                (self.it.cut_away, CUT_AWAY),
+                (self.it.dropped, DROPPED),
+            ):
                 seen = camera.seen(thinned(scan.points[chosen]))[:, :2]  # (k, 2)
-                seen /= np.maximum(abs(seen).max(axis=1, keepdims=True) / (1 - REMOVED_WIDTH), 1)
+                seen /= np.maximum(
+                    abs(seen).max(axis=1, keepdims=True) / (1 - REMOVED_WIDTH), 1
+                )
                 at_edge = camera.centre + camera.half * seen @ camera.axes[:2]
                 picture.alpha_composite(self._removed(at_edge, colour, camera))
             picture.alpha_composite(self._kept(scan, camera))
             across, up = camera.seen(body.centre[None])[0, :2]
             x, y, half = across + 1, 1 - up, body.half / camera.half
-            box = [PICTURE_PIXELS / 2 * part for part in (x - half, y - half, x + half, y + half)]
+            box = [
+                PICTURE_PIXELS / 2 * part
+                for part in (x - half, y - half, x + half, y + half)
+            ]
             ImageDraw.Draw(picture).rectangle(box, outline=rgb(FRAME))
             pictures.append(picture)
         key = [self._key_of_kept(scan)]
         key += [(CUT_AWAY, f"{self.n_cut:,} cut away")] if self.n_cut else []
-        key += [(DROPPED, f"{self.n_dropped:,} dropped as outliers")] if self.n_dropped else []
+        key += (
+            [(DROPPED, f"{self.n_dropped:,} dropped as outliers")]
+            if self.n_dropped
+            else []
+        )
         key.append((FRAME, "frame of the pictures below"))
         n_far = int((~near).sum())
-        far = f", {n_far:,} of them at the edge, because they are too far away" if n_far else ""
+        far = (
+            f", {n_far:,} of them at the edge, because they are too far away"
+            if n_far
+            else ""
+        )
         return Row(f"All points that were read{far}", key, pictures)
 
     def points_of_the_body(self, scan: PointCloud) -> Row:
@@ -169,19 +199,29 @@ class _Views:
             return Image.alpha_composite(self._kept(scan, camera), beside)
 
         n_beyond = int(self.beyond(dropped).sum())
-        beyond = f", {n_beyond:,} of them beyond an edge in some pictures" if n_beyond else ""
+        beyond = (
+            f", {n_beyond:,} of them beyond an edge in some pictures" if n_beyond else ""
+        )
         words = f"{self.n_dropped:,} dropped as outliers{beyond}"
-        return self._row("Points of the body", [self._key_of_kept(scan), (DROPPED, words)], drawn)
+        return self._row(
+            "Points of the body", [self._key_of_kept(scan), (DROPPED, words)], drawn
+        )
 
     def sides(self, points: FloatArray, normals: FloatArray) -> Row:
         def drawn(camera: Camera) -> Image.Image:
             facing = (normals @ camera.axes[2])[:, None]  # (n, 1)
-            colours = np.where(facing > 0, FACING, AWAY) * (DARKEST + (1 - DARKEST) * abs(facing))
-            return point_picture(points, colours, camera, width=2 * self.skin, size=PICTURE_PIXELS)
+            colours = np.where(facing > 0, FACING, AWAY) * (
+                DARKEST + (1 - DARKEST) * abs(facing)
+            )
+            return point_picture(
+                points, colours, camera, width=2 * self.skin, size=PICTURE_PIXELS
+            )
 
         inside = "inside faces you: a hole, or normals that point inwards"
         return self._row(
-            "Which side is outside", [(FACING, "outside faces you"), (AWAY, inside)], drawn
+            "Which side is outside",
+            [(FACING, "outside faces you"), (AWAY, inside)],
+            drawn,
         )
 
     def surface(self, mesh: TriangleMesh) -> Row:
@@ -214,17 +254,27 @@ class _Views:
                 (FAULT, f"places of failed checks: {len(it.rings)}"),
             ],
             lambda camera: surface_picture(
-                mesh.vertices, mesh.faces, colours, camera, size=PICTURE_PIXELS, rings=rings
+                mesh.vertices,
+                mesh.faces,
+                colours,
+                camera,
+                size=PICTURE_PIXELS,
+                rings=rings,
             ),
         )
 
     def beyond(self, points: FloatArray) -> NDArray[np.bool_]:
         """(n,) whether each point is not in the field of view of one of the cameras."""
-        outside = [(abs(camera.seen(points)[:, :2]) > 1).any(axis=1) for camera in self.cameras]
+        outside = [
+            (abs(camera.seen(points)[:, :2]) > 1).any(axis=1) for camera in self.cameras
+        ]
         return np.asarray(np.any(outside, axis=0))
 
     def _row(
-        self, title: str, key: list[tuple[Colour, str]], drawn: Callable[[Camera], Image.Image]
+        self,
+        title: str,
+        key: list[tuple[Colour, str]],
+        drawn: Callable[[Camera], Image.Image],
     ) -> Row:
         return Row(title, key, [drawn(camera) for camera in self.cameras])
 
@@ -241,6 +291,8 @@ class _Views:
         colours = np.tile(colour, (len(points), 1))
         picture = point_picture(points, colours, camera, width=width, size=PICTURE_PIXELS)
         picture.putalpha(
-            picture.getchannel("A").point(lambda opacity: round(REMOVED_OPACITY * opacity))
+            picture.getchannel("A").point(
+                lambda opacity: round(REMOVED_OPACITY * opacity)
+            )
         )
         return picture

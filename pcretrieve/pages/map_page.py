@@ -18,7 +18,16 @@ from pcretrieve.values import FloatArray
 from pcretrieve.values.files import write_file
 
 # Colours that colour-blind readers can distinguish, after Okabe and Ito, and darker ones for lines of print.
-COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8a8d00", "#7b3fa0")
+COLOURS = (
+    "#0072b2",
+    "#e69f00",
+    "#009e73",
+    "#cc79a7",
+    "#56b4e9",
+    "#d55e00",
+    "#8a8d00",
+    "#7b3fa0",
+)
 UNKNOWN = "#8a8f98"
 
 # Side of the map, and its margin; pixels.
@@ -93,19 +102,33 @@ def draw_map(
         )
 
 
-def map_drawing(ids: Sequence[str], catalogue: Catalogue, places: FloatArray) -> dict[str, object]:
+def map_drawing(
+    ids: Sequence[str], catalogue: Catalogue, places: FloatArray
+) -> dict[str, object]:
     """What the templates draw of a map; `places`: (n, 2), within [0, 1]²."""
     across, up = (MARGIN + places * (SIDE - 2 * MARGIN)).T
     down = SIDE - up  # the y axis of SVG points down
     groups = []
     for number, (label, rows, colour) in enumerate(class_groups(ids, catalogue)):
         shapes = [
-            {"number": row, "id": ids[row], "x": f"{across[row]:.1f}", "y": f"{down[row]:.1f}"}
+            {
+                "number": row,
+                "id": ids[row],
+                "x": f"{across[row]:.1f}",
+                "y": f"{down[row]:.1f}",
+            }
             for row in rows.tolist()
         ]
-        groups.append({"number": number, "label": label, "colour": colour, "shapes": shapes})
+        groups.append(
+            {"number": number, "label": label, "colour": colour, "shapes": shapes}
+        )
     height = float(np.ptp(down)) + 2 * MARGIN
-    return {"side": SIDE, "top": float(down.min()) - MARGIN, "height": height, "groups": groups}
+    return {
+        "side": SIDE,
+        "top": float(down.min()) - MARGIN,
+        "height": height,
+        "groups": groups,
+    }
 
 
 def class_groups(
@@ -114,7 +137,9 @@ def class_groups(
     """The classes in alphabetical order, then the shapes of unknown class: names, rows and colours."""
     classes = [*map(catalogue.labels().get, ids)]
     names = [*sorted({label for label in classes if label is not None}), None]
-    found = [(name, np.flatnonzero([label == name for label in classes])) for name in names]
+    found = [
+        (name, np.flatnonzero([label == name for label in classes])) for name in names
+    ]
     colours = [*itertools.islice(itertools.cycle(COLOURS), len(names) - 1), UNKNOWN]
     return [
         (name, rows, colour)

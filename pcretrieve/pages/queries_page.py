@@ -28,7 +28,9 @@ def query_page(
     *,
     options: OptionsLike = None,
     up: str | None = None,
-    on_answer: Callable[[str, pr.Answer | pr.ShapeError], None] = lambda name, answer: None,
+    on_answer: Callable[[str, pr.Answer | pr.ShapeError], None] = lambda name, answer: (
+        None
+    ),
     **asked: Any,
 ) -> Path:
     """Answer one or more queries on an HTML page, with pictures.
@@ -67,7 +69,9 @@ def query_page(
     with pr.Catalogue.opened(catalogue) as store:
         chosen = pr.PipelineOptions.of(options, store.options)
         many = [queries] if isinstance(queries, (str, Path)) else [*queries]
-        files = [Path(one) for one in (store.location, *many) if isinstance(one, (str, Path))]
+        files = [
+            Path(one) for one in (store.location, *many) if isinstance(one, (str, Path))
+        ]
         check_target(Path(path), files)
         thumbnails = Thumbnails(store, up)
         pairs = [_paired(store, one) for one in many if isinstance(one, tuple)]
@@ -77,17 +81,23 @@ def query_page(
             "pairs" if pairs else "queries",
             pairs + list(pr.search_many(store, alone, **asked)),
         )
-        matrix, labels, least = (asked.get(name) for name in ("matrix", "labels", "min_score"))
+        matrix, labels, least = (
+            asked.get(name) for name in ("matrix", "labels", "min_score")
+        )
         panels = [
             {"name": name} | _panel(store, one, thumbnails)
             for name, one in outcomes
             if isinstance(one, pr.Answer)
         ]
-        failures = [(name, one) for name, one in outcomes if isinstance(one, pr.ShapeError)]
+        failures = [
+            (name, one) for name, one in outcomes if isinstance(one, pr.ShapeError)
+        ]
         written = write_page(
             path,
             "query.html",
-            title=Path(outcomes[0][0]).name if len(outcomes) == 1 else f"{len(outcomes)} {what}",
+            title=Path(outcomes[0][0]).name
+            if len(outcomes) == 1
+            else f"{len(outcomes)} {what}",
             catalogue=Path(store.location).name,
             panels=panels,
             failures=failures,
@@ -131,12 +141,16 @@ def settings_in_words(
         + (f"with the size, weighted by {size:g}" if size else "of the form alone"),
         "distance": retrieval.distance,
         "whitening": index.whitening.reason,
-        "re-ranking": "none" if retrieval.rerank == "none" else f"by {retrieval.rerank} neighbours",
+        "re-ranking": "none"
+        if retrieval.rerank == "none"
+        else f"by {retrieval.rerank} neighbours",
         "score": index.reason,
     } | least
 
 
-def _panel(catalogue: pr.Catalogue, answer: pr.Answer, thumbnails: Thumbnails) -> dict[str, Any]:
+def _panel(
+    catalogue: pr.Catalogue, answer: pr.Answer, thumbnails: Thumbnails
+) -> dict[str, Any]:
     """One query as the template shows it."""
     record, picture = None, getattr(answer.query, "picture", None)
     if isinstance(answer.query, str):

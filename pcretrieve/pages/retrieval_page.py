@@ -32,7 +32,10 @@ N_CHANGES = 10
 
 # The measures, explained for readers who do not know retrieval benchmarks.
 MEASURES = {
-    "NN": ("nearest neighbour", "How often the first shape found is of the query's class."),
+    "NN": (
+        "nearest neighbour",
+        "How often the first shape found is of the query's class.",
+    ),
     "FT": (
         "first tier",
         "Share of the R other shapes of the class that are among the first R found.",
@@ -129,12 +132,16 @@ def report(
         records = {record.id: record for record in store.rows.several(ranking.ids)}
         if unknown := set(ranking.ids) - records.keys():
             raise store.rows.unknown(min(unknown))
-        sizes = Counter(record.label for record in records.values() if record.label is not None)
+        sizes = Counter(
+            record.label for record in records.values() if record.label is not None
+        )
         measured, comparison, precision = None, None, {}
         if any(size > 1 for size in sizes.values()):
             evaluated = pr.evaluate(store, options=chosen, matrix=matrix)
             measured, scores = _measured(evaluated), evaluated.scores
-            comparison = None if versus is None else _compared(pr.compare(versus, evaluated))
+            comparison = (
+                None if versus is None else _compared(pr.compare(versus, evaluated))
+            )
             precision = dict(zip(scores.ids, scores.ap.tolist(), strict=True))
         elif versus is not None:
             raise InputError(
@@ -152,11 +159,14 @@ def report(
         for one in queries[:n_queries]:
             hits = _near(ranking, one, k, chosen.retrieval.rerank)
             found = [
-                (records[name], thumbnails.of(store, records[name]), gap) for name, gap in hits
+                (records[name], thumbnails.of(store, records[name]), gap)
+                for name, gap in hits
             ]
             query = _Card(records[one], thumbnails.of(store, records[one]))
             panels.append(
-                _Panel(query, _judged(query.record.label, found, sizes), precision.get(one))
+                _Panel(
+                    query, _judged(query.record.label, found, sizes), precision.get(one)
+                )
             )
         drawing = None
         if isinstance(ranking, pr.SignatureIndex) and len(ranking) <= MOST_MAPPED:
@@ -170,7 +180,9 @@ def report(
             facts=facts,
             panels=panels,
             judged=any(card.relevant is not None for card in cards),
-            anchors={panel.query.record.id: f"q{number}" for number, panel in enumerate(panels)},
+            anchors={
+                panel.query.record.id: f"q{number}" for number, panel in enumerate(panels)
+            },
             pictures={picture: number for number, picture in enumerate(shown)},
             measured=measured,
             comparison=comparison,
@@ -190,13 +202,20 @@ def _measured(found: pr.Evaluation) -> dict[str, Any]:
     return {
         "counts": found,
         "rows": [
-            {"short": short, "name": name, "value": mean, "meaning": meaning, "ends": ends}
+            {
+                "short": short,
+                "name": name,
+                "value": mean,
+                "meaning": meaning,
+                "ends": ends,
+            }
             for (short, (name, meaning)), mean, ends in zip(
                 MEASURES.items(), means, found.interval.T.tolist(), strict=True
             )
         ],
         "curve": " ".join(
-            f"{x:.4f},{1 - y:.4f}" for x, y in zip(curve.recall, curve.precision, strict=True)
+            f"{x:.4f},{1 - y:.4f}"
+            for x, y in zip(curve.recall, curve.precision, strict=True)
         ),
         "precision": curve.precision.tolist(),
         "classes": sorted(found.classes, key=lambda one: (one.means[-1], one.label)),
@@ -211,7 +230,9 @@ def _compared(found: pr.Comparison) -> dict[str, Any]:
         *_, low, high = numbers
         outcome = "better" if low > 0 else "worse" if high < 0 else "no difference shown"
         rows.append((short, *numbers, outcome))
-    changes = [change for change in found.changes if change.first != change.second][:N_CHANGES]
+    changes = [change for change in found.changes if change.first != change.second][
+        :N_CHANGES
+    ]
     return {"of": found, "rows": rows, "changes": changes}
 
 
@@ -228,7 +249,9 @@ def _near(
 
 
 def _judged(
-    label: str | None, found: list[tuple[pr.Record, bytes | None, float]], sizes: Mapping[str, int]
+    label: str | None,
+    found: list[tuple[pr.Record, bytes | None, float]],
+    sizes: Mapping[str, int],
 ) -> list[_Card]:
     """The results of a query of a class; `sizes` of the classes."""
     n_others = 0 if label is None else sizes[label] - 1

@@ -41,7 +41,9 @@ class Cube(NamedTuple):
     def around(cls, body: FloatArray) -> Cube:
         """The cube around the (n, 3) points of a body."""
         centre = (body.min(axis=0) + body.max(axis=0)) / 2
-        reach = float(np.linalg.norm(body - centre, axis=1).max()) or 1.0  # if all points are equal
+        reach = (
+            float(np.linalg.norm(body - centre, axis=1).max()) or 1.0
+        )  # if all points are equal
         return cls(centre, VIEWER_SIZE * reach)
 
     def holds(self, points: FloatArray) -> NDArray[np.bool_]:
@@ -59,7 +61,11 @@ class Cube(NamedTuple):
         **more: Any,
     ) -> dict[str, Any]:
         """A layer of those of (n, 3) points that are in the cube, with a width in the unit of the scan."""
-        grid = (points[self.holds(points)] - self.centre + self.half) / (2 * self.half) * FULL_SCALE
+        grid = (
+            (points[self.holds(points)] - self.centre + self.half)
+            / (2 * self.half)
+            * FULL_SCALE
+        )
         at = encoded(np.round(grid).astype("<u2").tobytes())
         facts = {"name": name, "label": label, "colour": colour}
         return facts | {"width": width / self.half, "at": at} | more
@@ -101,7 +107,8 @@ def _places(mesh: TriangleMesh) -> tuple[FloatArray, FloatArray]:
     pairs = eigenpairs(laplace_beltrami(mesh), n_pairs=N_PAIRS)
     lam, phi = pairs.eigenvalues[1:], pairs.eigenvectors[:, 1:]
     heat = np.log(
-        mesh.area * (phi**2 @ np.exp(-np.outer(lam, np.geomspace(8 / lam[-1], 4 / lam[0], 8))))
+        mesh.area
+        * (phi**2 @ np.exp(-np.outer(lam, np.geomspace(8 / lam[-1], 4 / lam[0], 8))))
     )
     corners = mesh.vertices[mesh.faces]  # (m, 3, 3)
     normals = unit_vectors(mesh.area_vectors)
@@ -120,12 +127,22 @@ def measures(mesh: TriangleMesh, up: FloatArray | None) -> dict[str, float]:
     found = {"height": float(np.ptp(along)), "area": mesh.area, "volume": mesh.volume}
     if (person := person_of(mesh.vertices, mesh.faces)) is not None:
         feet, hands = person.from_feet.mean(axis=0), person.from_hands
-        pelvis, chest = person.from_feet.max(axis=0).min(), feet[hands.max(axis=0).argmin()]
-        found["head to foot"] = float(feet[abs(hands[0] - hands[1]) < 0.2 * hands.max()].max())
+        pelvis, chest = (
+            person.from_feet.max(axis=0).min(),
+            feet[hands.max(axis=0).argmin()],
+        )
+        found["head to foot"] = float(
+            feet[abs(hands[0] - hands[1]) < 0.2 * hands.max()].max()
+        )
         found["waist"] = _girth(mesh, feet, (pelvis + chest) / 2)
-        limbs = {"thigh": (person.from_feet, person.feet), "upper arm": (hands, person.hands)}
+        limbs = {
+            "thigh": (person.from_feet, person.feet),
+            "upper arm": (hands, person.hands),
+        }
         for name, (ways, ends) in limbs.items():
-            found[name] = sum(_girth(mesh, way, 0.375 * ways[0, ends[1]]) for way in ways) / 2
+            found[name] = (
+                sum(_girth(mesh, way, 0.375 * ways[0, ends[1]]) for way in ways) / 2
+            )
     return found
 
 

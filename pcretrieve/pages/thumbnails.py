@@ -75,7 +75,9 @@ class Thumbnails:
         kept, up = catalogue.thumbnail(record.id), upward(self.up)
         # Without a stored surface, the picture is left as it is.
         with suppress(ShapeError):
-            if kept is None or (up is not None and not self._shows(catalogue, record, up)):
+            if kept is None or (
+                up is not None and not self._shows(catalogue, record, up)
+            ):
                 drawn = catalogue.mesh(record.id).thumbnail(up)
                 # Not again after a failure, because a lock of another process is waited for.
                 if drawn is not None and self._keeps:

@@ -19,7 +19,9 @@ def log_steps(scan: str | None, steps: Iterable[Step]) -> None:
     name = scan or "scan"
     for step in steps:
         sizes = ", ".join(f"{what} {size:.6g}" for what, size in step.sizes.items())
-        text = f"{name}: {step.stage} in {step.seconds:.2f} s" + (f": {sizes}" if sizes else "")
+        text = f"{name}: {step.stage} in {step.seconds:.2f} s" + (
+            f": {sizes}" if sizes else ""
+        )
         _LOGGER.info("%s", text, extra={"step": step})
         for note in step.notes:
             _LOGGER.warning("%s: %s: %s", name, step.stage, note)

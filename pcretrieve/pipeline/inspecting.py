@@ -13,7 +13,14 @@ from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.formats import ScanLike, is_scan, split_member
 from pcretrieve.formats.identity import printable
 from pcretrieve.options import JUDGED, OptionsLike, PipelineOptions
-from pcretrieve.pipeline.process import Seen, placed, shape_of, signature, signature_of, stages
+from pcretrieve.pipeline.process import (
+    Seen,
+    placed,
+    shape_of,
+    signature,
+    signature_of,
+    stages,
+)
 from pcretrieve.points import outliers
 from pcretrieve.values import Failure, FloatArray, PointCloud
 
@@ -25,7 +32,9 @@ RESCAN_SHARE = 0.9
 DROPPED = 1.1
 
 
-def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int = 4) -> Inspection:
+def inspect_scan(
+    scan: ScanLike, options: OptionsLike = None, *, n_rescans: int = 4
+) -> Inspection:
     """Process a scan, and check the result of each stage.
 
     If a stage fails, the results of the earlier stages are checked. Rescans are simulated by reconstructing
@@ -35,7 +44,9 @@ def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int 
     """
     options = PipelineOptions.of(options).changed(signature=JUDGED)
     if n_rescans == 1 or n_rescans < 0:
-        raise OptionError(f"the error of rescans needs at least 2 rescans, got {n_rescans}")
+        raise OptionError(
+            f"the error of rescans needs at least 2 rescans, got {n_rescans}"
+        )
     path = printable(Path(scan)) if isinstance(scan, (str, Path)) else ""
     name = Path(path).name or "scan"
     seen, shape, described, failure = Seen(), None, None, None
@@ -52,14 +63,24 @@ def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int 
     except ShapeError as error:
         if path and seen.scan is None and not is_scan(split_member(Path(path))[0]):
             raise  # a file of another kind, of which there is nothing to show
-        failure = Failure(name, error.stage or "worker", type(error).__name__, error.message)
+        failure = Failure(
+            name, error.stage or "worker", type(error).__name__, error.message
+        )
     found = findings_of(seen.cloud, seen.mesh, seen.marks, shape, scan=seen.cropped)
     checks = [*found.checks]
     if rescan_error is not None:
-        checks.append(graded("Signature", rescan_error, f"± {rescan_error:.2g} over rescans"))
+        checks.append(
+            graded("Signature", rescan_error, f"± {rescan_error:.2g} over rescans")
+        )
     if failure is not None and described is None:
         checks.append(
-            Check(f"The {failure.stage} stage", "failed", None, failure.error, failure.message)
+            Check(
+                f"The {failure.stage} stage",
+                "failed",
+                None,
+                failure.error,
+                failure.message,
+            )
         )
     elif failure is not None:
         shown = "none for nine tenths of the points"
@@ -85,7 +106,12 @@ def inspect_scan(scan: ScanLike, options: OptionsLike = None, *, n_rescans: int 
         rescan_error=rescan_error,
         failure=failure if described is None else None,
         steps=next(
-            (part.provenance for part in (seen.mesh, seen.cloud, seen.scan) if part is not None), ()
+            (
+                part.provenance
+                for part in (seen.mesh, seen.cloud, seen.scan)
+                if part is not None
+            ),
+            (),
         ),
     )
 
@@ -98,12 +124,18 @@ def _rescan_errors(cloud: PointCloud, options: PipelineOptions, n: int) -> Float
     """
     rng = np.random.default_rng(0)
     size = round(RESCAN_SHARE * len(cloud.points))
-    parts = [np.sort(rng.choice(len(cloud.points), size, replace=False)) for _ in range(n)]
-    logs = np.log([signature(cloud.select(part), options).values for part in parts])  # (n, L)
+    parts = [
+        np.sort(rng.choice(len(cloud.points), size, replace=False)) for _ in range(n)
+    ]
+    logs = np.log(
+        [signature(cloud.select(part), options).values for part in parts]
+    )  # (n, L)
     return np.asarray(logs.std(axis=0))
 
 
-def _removed(seen: Seen, options: PipelineOptions) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _removed(
+    seen: Seen, options: PipelineOptions
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """The points of a scan that the stage crop removed, and those that the stage clean removed, (n,) each."""
     n = 0 if seen.scan is None else len(seen.scan.points)
     cut_away, dropped = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
@@ -121,7 +153,11 @@ def _removed(seen: Seen, options: PipelineOptions) -> tuple[NDArray[np.bool_], N
 
 def _median_spacing(points: FloatArray) -> float:
     """The median distance of points to their nearest neighbours; 0 if there are fewer than two."""
-    return float(np.median(cKDTree(points).query(points, k=[2])[0])) if len(points) > 1 else 0.0
+    return (
+        float(np.median(cKDTree(points).query(points, k=[2])[0]))
+        if len(points) > 1
+        else 0.0
+    )
 
 
 def _distance(cloud: PointCloud, places: FloatArray) -> FloatArray:

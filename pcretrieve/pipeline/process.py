@@ -44,7 +44,15 @@ from pcretrieve.options import OptionsLike, PipelineOptions, ScanOptions, Surfac
 from pcretrieve.pipeline import log_steps
 from pcretrieve.points.neighbors import Neighborhoods, plane_neighborhoods
 from pcretrieve.spectral import eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
-from pcretrieve.surface import SurfaceMarks, defects, reduced, remesh, sampled, sound_mesh, surfaces
+from pcretrieve.surface import (
+    SurfaceMarks,
+    defects,
+    reduced,
+    remesh,
+    sampled,
+    sound_mesh,
+    surfaces,
+)
 from pcretrieve.values import (
     Eigenpairs,
     FloatArray,
@@ -263,11 +271,18 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
         shape = shape_of(last, options)
         started = time.perf_counter()
         found = findings_of(
-            last.cloud, last.mesh, last.marks, shape, scan=last.cropped, around=last.around
+            last.cloud,
+            last.mesh,
+            last.marks,
+            shape,
+            scan=last.cropped,
+            around=last.around,
         )
         grade = grade_of(found.checks)
         notes = () if grade.is_good else (str(grade),)
-        step = Step("checks", time.perf_counter() - started, {"error": grade.error}, notes)
+        step = Step(
+            "checks", time.perf_counter() - started, {"error": grade.error}, notes
+        )
         shape = replace(shape, provenance=(*shape.provenance, step), grade=grade)
         log_steps(scan_name(scan), shape.provenance[-2:])
         return shape
@@ -288,7 +303,9 @@ def remembered(scan: ScanLike, options: PipelineOptions) -> Shape:
         shape = process(scan, options)
         surfaces = tuple(replace(surface, eigenpairs=None) for surface in shape.surfaces)
         if len(_remembered) >= N_REMEMBERED:
-            _remembered.pop(next(iter(_remembered)), None)  # unless another thread was faster
+            _remembered.pop(
+                next(iter(_remembered)), None
+            )  # unless another thread was faster
         _remembered[key] = replace(shape, surfaces=surfaces)
     return _remembered[key]
 
@@ -301,10 +318,14 @@ def signature_of(
 ) -> Signature:
     """The signature of the shape of a scan, by the same options."""
     with placed(scan), in_stage(Stage.SIGNATURE):
-        return replace(describe(shape, options.signature, method), digest=options.signature_digest)
+        return replace(
+            describe(shape, options.signature, method), digest=options.signature_digest
+        )
 
 
-def signature_of_surfaces(meshes: Sequence[TriangleMesh], options: PipelineOptions) -> Signature:
+def signature_of_surfaces(
+    meshes: Sequence[TriangleMesh], options: PipelineOptions
+) -> Signature:
     """Compute the signature of a scan again from its surfaces, on one thread, as `process` does."""
     with threadpool_limits(limits=1):
         return signature_of(
@@ -339,10 +360,13 @@ class Seen:
     def steps(self) -> tuple[Step, ...]:
         """The steps of all stages so far, in order."""
         latest = next(
-            (each for each in (self.mesh, self.cloud, self.scan) if each is not None), None
+            (each for each in (self.mesh, self.cloud, self.scan) if each is not None),
+            None,
         )
         first = () if latest is None else latest.provenance
-        further = (step for mesh in self.others for step in mesh.provenance if step not in first)
+        further = (
+            step for mesh in self.others for step in mesh.provenance if step not in first
+        )
         return (*first, *further)
 
 
@@ -378,7 +402,9 @@ def _stages(scan: ScanLike, options: PipelineOptions) -> Iterator[Seen]:
             yield Seen(mesh=mesh, others=tuple(others))
             return
         with in_stage(Stage.SURFACE):
-            kept = None if options.spectral.of_points else sound_mesh(value, options.surface)
+            kept = (
+                None if options.spectral.of_points else sound_mesh(value, options.surface)
+            )
             used = (
                 sampled(value, options.surface)
                 if kept is None
@@ -458,7 +484,9 @@ def _of_surfaces(
         ignored = f"surface.method = {options.surface.method!r} does not use {', '.join(unused)}"
         mesh = mesh.after(Step("surface", 0.0, notes=(ignored,)))
     seen = replace(
-        seen, mesh=moved(mesh, origin), marks=None if marks is None else marks.moved(origin)
+        seen,
+        mesh=moved(mesh, origin),
+        marks=None if marks is None else marks.moved(origin),
     )
     yield seen
     yield (seen := replace(seen, mesh=moved(_remeshed(mesh, options), origin)))
@@ -469,7 +497,9 @@ def _of_surfaces(
                 yield (seen := replace(seen, others=(*seen.others, further)))
     except ReconstructionError as error:
         # One surface suffices for a signature; only the error bar needs two.
-        note = Step("surface", 0.0, notes=(f"no further surface could be made: {error.message}",))
+        note = Step(
+            "surface", 0.0, notes=(f"no further surface could be made: {error.message}",)
+        )
         yield replace(seen, mesh=seen.surface.after(note))
 
 
@@ -477,7 +507,9 @@ def _remeshed(mesh: TriangleMesh, options: PipelineOptions) -> TriangleMesh:
     with in_stage(Stage.REMESH):
         result = remesh(mesh, options.remesh)
     if wrong := defects(result):
-        raise DegenerateMeshError(f"the surface must be a closed manifold, it has defects: {wrong}")
+        raise DegenerateMeshError(
+            f"the surface must be a closed manifold, it has defects: {wrong}"
+        )
     return result
 
 
@@ -517,7 +549,12 @@ def shape_of(seen: Seen, options: PipelineOptions) -> Shape:
         step = Step("spectrum", time.perf_counter() - started, _sizes(pairs, mesh))
         # Descriptors of vertices are defined by the eigenfunctions of linear elements.
         surfaces = tuple(
-            Surface(mesh.area, _unit_spectrum(pairs), mesh, pairs if element == "linear" else None)
+            Surface(
+                mesh.area,
+                _unit_spectrum(pairs),
+                mesh,
+                pairs if element == "linear" else None,
+            )
             for mesh, pairs in found
         )
         return Shape(surfaces, seen.cloud, (*seen.steps, step))
@@ -545,7 +582,9 @@ def _of_points(cloud: PointCloud, options: PipelineOptions) -> Shape:
     pairs = eigenpairs(unit, options.spectral.n_pairs)
     step = Step("spectrum", time.perf_counter() - started, _sizes(pairs, mesh), notes)
     return Shape(
-        (Surface(operator.area, _unit_spectrum(pairs), mesh),), cloud, (*mesh.provenance, step)
+        (Surface(operator.area, _unit_spectrum(pairs), mesh),),
+        cloud,
+        (*mesh.provenance, step),
     )
 
 
@@ -553,7 +592,9 @@ def _largest_piece(
     cloud: PointCloud, options: PipelineOptions
 ) -> tuple[PointCloud, LaplaceBeltrami, tuple[str, ...]]:
     """The largest connected component of the points, its operator, and a note on removed loose pieces."""
-    operator = laplace_beltrami(moved(cloud, -cloud.points.mean(axis=0)), options.spectral.element)
+    operator = laplace_beltrami(
+        moved(cloud, -cloud.points.mean(axis=0)), options.spectral.element
+    )
     if operator.n_components == 1:
         return cloud, operator, ()
     _, piece = connected_components(operator.stiffness, directed=False)  # (n,)
@@ -568,7 +609,9 @@ def _largest_piece(
     stiffness, mass = (
         csc_array(full[:, kept][kept]) for full in (operator.stiffness, operator.mass)
     )
-    note = f"dropped {len(share) - 1} loose pieces with {1 - share.max():.1%} of the points"
+    note = (
+        f"dropped {len(share) - 1} loose pieces with {1 - share.max():.1%} of the points"
+    )
     return cloud.select(kept), LaplaceBeltrami(stiffness, mass), (note,)
 
 

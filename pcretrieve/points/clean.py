@@ -54,12 +54,18 @@ def clean(cloud: PointCloud, options: ScanOptions) -> tuple[PointCloud, Neighbor
     thinned, voxel = _thinned(cloud, options.voxel)
     check_extent(thinned.points, Stage.CLEAN)
     k = max(options.normal_neighbors, PLANE_NEIGHBORS + 1)
-    neighbors = neighborhoods(thinned.points, max(options.outlier_neighbors, FARTHER + 1, k))
+    neighbors = neighborhoods(
+        thinned.points, max(options.outlier_neighbors, FARTHER + 1, k)
+    )
     is_inlier = _inliers(thinned, voxel, neighbors, options)
     kept = thinned.select(np.flatnonzero(is_inlier))
     check_extent(kept.points, Stage.CLEAN)
     n_outliers = len(voxel) - int(is_inlier[voxel].sum())
-    notes = (f"dropped {n_outliers} of {len(voxel)} points as outliers",) if n_outliers else ()
+    notes = (
+        (f"dropped {n_outliers} of {len(voxel)} points as outliers",)
+        if n_outliers
+        else ()
+    )
     sizes: dict[str, float] = {
         "points_in": len(voxel),
         "points_thinned": len(is_inlier),
@@ -67,7 +73,9 @@ def clean(cloud: PointCloud, options: ScanOptions) -> tuple[PointCloud, Neighbor
         "outliers": n_outliers,
     }
     neighbors = among(kept.points, is_inlier, neighbors, k)
-    return kept.after(Step("clean", time.perf_counter() - started, sizes, notes)), neighbors
+    return kept.after(
+        Step("clean", time.perf_counter() - started, sizes, notes)
+    ), neighbors
 
 
 def outliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.bool_]:
@@ -78,7 +86,10 @@ def outliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.bool_]:
 
 
 def _inliers(
-    cloud: PointCloud, voxel: NDArray[np.intp], neighbors: Neighborhoods, options: ScanOptions
+    cloud: PointCloud,
+    voxel: NDArray[np.intp],
+    neighbors: Neighborhoods,
+    options: ScanOptions,
 ) -> NDArray[np.bool_]:
     """Whether the mean distance of each point to its neighbours is not exceptional, (n,).
 
@@ -101,14 +112,18 @@ def _inliers(
     )
 
 
-def _thinned(cloud: PointCloud, voxel: float | str) -> tuple[PointCloud, NDArray[np.intp]]:
+def _thinned(
+    cloud: PointCloud, voxel: float | str
+) -> tuple[PointCloud, NDArray[np.intp]]:
     """The mean of the points in each voxel, and the voxel of each point, (n,)."""
     if isinstance(voxel, str):
         numbers = np.sort(voxel_numbers(cloud.points, DENSE_VOXEL * cloud.diagonal))
         n_voxels = np.count_nonzero(np.diff(numbers, prepend=-1))
         voxel = DENSE_VOXEL if len(cloud.points) >= DENSE * n_voxels else VOXEL
     return (
-        averaged(cloud, voxel * cloud.diagonal) if voxel else (cloud, np.arange(len(cloud.points)))
+        averaged(cloud, voxel * cloud.diagonal)
+        if voxel
+        else (cloud, np.arange(len(cloud.points)))
     )
 
 
@@ -149,10 +164,18 @@ def check_extent(points: FloatArray, stage: str) -> None:
             stage=stage,
         )
     centred = points - [column.mean() for column in points.T]
-    squares = np.linalg.eigvalsh(centred.T @ centred)[::-1]  # (3,): of the singular values
+    squares = np.linalg.eigvalsh(centred.T @ centred)[
+        ::-1
+    ]  # (3,): of the singular values
     flat = squares < SMALLEST_THICKNESS**2 * squares[0]
     if squares[0] == 0 or flat[2]:
-        what = "are equal" if squares[0] == 0 else "lie on a line" if flat[1] else "lie in a plane"
+        what = (
+            "are equal"
+            if squares[0] == 0
+            else "lie on a line"
+            if flat[1]
+            else "lie in a plane"
+        )
         raise ReconstructionError(
             f"the points must span a body, all {len(points)} {what}: scan it from several sides",
             stage=stage,

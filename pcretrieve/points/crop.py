@@ -116,13 +116,18 @@ def crop(cloud: PointCloud, options: ScanOptions) -> PointCloud:
     sizes: dict[str, float] = {"points_in": len(cloud.points), "points": n}
     if kept.ground is not None:
         sizes |= {
-            f"ground_{axis}": float(x) for axis, x in zip("xyz", kept.ground.place, strict=True)
+            f"ground_{axis}": float(x)
+            for axis, x in zip("xyz", kept.ground.place, strict=True)
         }
-        sizes |= {f"up_{axis}": float(x) for axis, x in zip("xyz", kept.ground.up, strict=True)}
+        sizes |= {
+            f"up_{axis}": float(x) for axis, x in zip("xyz", kept.ground.up, strict=True)
+        }
     return cropped.after(Step("crop", time.perf_counter() - started, sizes, kept.notes))
 
 
-def kept_points(cloud: PointCloud, options: ScanOptions, *, of_view: bool = False) -> Kept:
+def kept_points(
+    cloud: PointCloud, options: ScanOptions, *, of_view: bool = False
+) -> Kept:
     """Find the points of a cloud that a crop keeps, as in `crop`."""
     points, viewpoints = cloud.points, cloud.viewpoints
     kept, notes = np.ones(len(points), dtype=np.bool_), []
@@ -147,9 +152,15 @@ def kept_points(cloud: PointCloud, options: ScanOptions, *, of_view: bool = Fals
     if len(points) >= FEWEST_POINTS:
         remove(_measured(readings), "at one range: readings without an answer")
     if not isinstance(options.min_range, str):
-        remove(ranges[kept] >= options.min_range, f"nearer than min_range = {options.min_range:g}")
+        remove(
+            ranges[kept] >= options.min_range,
+            f"nearer than min_range = {options.min_range:g}",
+        )
     if not isinstance(options.max_range, str):
-        remove(ranges[kept] <= options.max_range, f"farther than max_range = {options.max_range:g}")
+        remove(
+            ranges[kept] <= options.max_range,
+            f"farther than max_range = {options.max_range:g}",
+        )
     if not isinstance(options.box, str):
         low, high = np.asarray(options.box)
         remove(((left >= low) & (left <= high)).all(axis=1), "outside the box")
@@ -243,7 +254,10 @@ def ground_of(points: FloatArray, viewpoints: FloatArray | None = None) -> Groun
     if not (on_plane.mean() >= LEAST_SHARE and body.mean() >= LEAST_SHARE):
         return None
     stands = np.quantile(height[body], LOWEST) <= STANDING * diagonal
-    is_seen = viewpoints is None or ((viewpoints - points) @ up + height > 0)[on_plane].mean() > 0.5
+    is_seen = (
+        viewpoints is None
+        or ((viewpoints - points) @ up + height > 0)[on_plane].mean() > 0.5
+    )
     is_beneath = (height < -thickness).mean() <= MOST_BENEATH
     if not (
         stands
@@ -273,7 +287,9 @@ def _largest_plane(
     on = (abs(heights) <= thickness).mean(axis=1)
     above = (heights > thickness).mean(axis=1)
     # Three collinear points have no plane: all points are on it, and none are on the body.
-    possible = (np.minimum(above, 1 - on - above) <= MOST_BENEATH) & (on <= 1 - LEAST_SHARE)
+    possible = (np.minimum(above, 1 - on - above) <= MOST_BENEATH) & (
+        on <= 1 - LEAST_SHARE
+    )
     best = int(np.where(possible, on, 0).argmax())
     up = normals[best] if above[best] > 0.5 * (1 - on[best]) else -normals[best]
     if not (possible[best] and on[best] >= LEAST_SHARE):
@@ -281,7 +297,9 @@ def _largest_plane(
     return up, few[abs(heights[best]) <= thickness]
 
 
-def _planes(points: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+def _planes(
+    points: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
     """Unit normals (p, 3) and offsets (p,) of planes through three random points that are near each other.
 
     The normal is zero if the three points are collinear.
@@ -325,11 +343,14 @@ def _is_around(
     flat = flat - np.median(flat[body], axis=0)
     radius = np.linalg.norm(flat, axis=1)
     sector = (
-        np.floor((np.arctan2(flat[:, 1], flat[:, 0]) / (2 * np.pi) + 0.5) * N_SECTORS) % N_SECTORS
+        np.floor((np.arctan2(flat[:, 1], flat[:, 0]) / (2 * np.pi) + 0.5) * N_SECTORS)
+        % N_SECTORS
     )
     n_around = 0
     for number in range(N_SECTORS):
         here = sector == number
-        outline = np.quantile(radius[body & here], OUTLINE) if (body & here).any() else 0.0
+        outline = (
+            np.quantile(radius[body & here], OUTLINE) if (body & here).any() else 0.0
+        )
         n_around += int((radius[ground & here] > BEYOND * outline).sum() >= FEWEST_BEYOND)
     return n_around >= N_AROUND

@@ -88,13 +88,17 @@ def sparse_points(neighbors: Neighborhoods, *, cell: float, diagonal: float) -> 
 def _many_sparse(spacings: FloatArray, cell: float, diagonal: float) -> Mask:
     known = spacings < FARTHEST * diagonal
     sparse = known & (spacings > SPARSE * cell)
-    share = (spacings[sparse] ** 2).sum() / max((spacings[known] ** 2).sum(), np.finfo(float).tiny)
+    share = (spacings[sparse] ** 2).sum() / max(
+        (spacings[known] ** 2).sum(), np.finfo(float).tiny
+    )
     return sparse if share > LEAST_SPARSE else np.zeros_like(sparse)
 
 
 def _growth(neighbors: Neighborhoods) -> FloatArray:
     """(n,) exponents a of the distance of neighbour k, which is proportional to k^a."""
-    near, far = (min(k, neighbors.distance.shape[1] - 1) for k in (SPACING_NEIGHBORS, FARTHER))
+    near, far = (
+        min(k, neighbors.distance.shape[1] - 1) for k in (SPACING_NEIGHBORS, FARTHER)
+    )
     ratio = neighbors.distance[:, far] / np.maximum(
         neighbors.distance[:, near], np.finfo(float).tiny
     )
@@ -105,7 +109,9 @@ def _is_surface(neighbors: Neighborhoods, *, least: float) -> bool:
     """Whether the points with at least some spacing are, in the median, on a surface."""
     # By the farther distance: a nearer one would select points whose distances grow slowly.
     sparse = local_spacings(neighbors, FARTHER) > least
-    return bool(sparse.sum() >= FEWEST and np.median(_growth(neighbors)[sparse]) > LEAST_GROWTH)
+    return bool(
+        sparse.sum() >= FEWEST and np.median(_growth(neighbors)[sparse]) > LEAST_GROWTH
+    )
 
 
 def is_of_surface(neighbors: Neighborhoods, *, cell: float) -> Mask:
@@ -123,7 +129,12 @@ def is_of_surface(neighbors: Neighborhoods, *, cell: float) -> Mask:
 
 
 def disks(
-    points: FloatArray, normals: FloatArray, spacings: FloatArray, sparse: Mask, *, step: float
+    points: FloatArray,
+    normals: FloatArray,
+    spacings: FloatArray,
+    sparse: Mask,
+    *,
+    step: float,
 ) -> tuple[FloatArray, NDArray[np.intp]]:
     """Points on disks around sparse points, in their tangent planes.
 
@@ -159,25 +170,37 @@ def interpolated(cloud: PointCloud, some: Neighborhoods, *, cell: float) -> Poin
     ----------
     .. [1] G. Guennebaud and M. Gross, "Algebraic point set surfaces", ACM Transactions on Graphics 26 (2007).
     """
-    if cloud.normals is None or not _many_sparse(local_spacings(some), cell, cloud.diagonal).any():
+    if (
+        cloud.normals is None
+        or not _many_sparse(local_spacings(some), cell, cloud.diagonal).any()
+    ):
         return cloud
     neighbors = neighborhoods(cloud.points, FARTHER + 1)
     spacings = local_spacings(neighbors)
     sparse = sparse_points(neighbors, cell=cell, diagonal=cloud.diagonal)
     if not sparse.any():
         return cloud
-    points, normals, centres = _on_spheres(cloud.points, cloud.normals, spacings, sparse, step=cell)
+    points, normals, centres = _on_spheres(
+        cloud.points, cloud.normals, spacings, sparse, step=cell
+    )
     sensors = cloud.viewpoints
     return replace(
         cloud,
         points=np.concatenate([cloud.points, points]),
         normals=np.concatenate([cloud.normals, normals]),
-        viewpoints=None if sensors is None else np.concatenate([sensors, sensors[centres]]),
+        viewpoints=None
+        if sensors is None
+        else np.concatenate([sensors, sensors[centres]]),
     )
 
 
 def _on_spheres(
-    points: FloatArray, normals: FloatArray, spacings: FloatArray, sparse: Mask, *, step: float
+    points: FloatArray,
+    normals: FloatArray,
+    spacings: FloatArray,
+    sparse: Mask,
+    *,
+    step: float,
 ) -> tuple[FloatArray, FloatArray, NDArray[np.intp]]:
     """Points on spheres around sparse points, their normals, and the indices of the sparse points."""
     placed, centres = disks(points, normals, spacings, sparse, step=step)
@@ -208,15 +231,20 @@ def _sphere(
     summed = np.einsum("nk,nkd->nd", weight, normals)
     squares = np.einsum("nk,nkd,nkd->n", weight, apart, apart)
     turn = (
-        np.einsum("nk,nkd,nkd->n", weight, apart, normals) - (middle * summed).sum(axis=1) / total
+        np.einsum("nk,nkd,nkd->n", weight, apart, normals)
+        - (middle * summed).sum(axis=1) / total
     )
     extent = squares - (middle**2).sum(axis=1) / total
-    q = np.divide(turn, 2 * extent, out=np.zeros_like(turn), where=extent > 1e-9 * squares)
+    q = np.divide(
+        turn, 2 * extent, out=np.zeros_like(turn), where=extent > 1e-9 * squares
+    )
     u = (summed - 2 * q[:, None] * middle) / total[:, None]
     u_0 = -((u * middle).sum(axis=1) + q * squares) / total
     steepness = np.linalg.norm(u, axis=1)
     root = np.sqrt(np.maximum(steepness**2 - 4 * u_0 * q, 0))
-    height = np.divide(2 * u_0, steepness + root, out=np.zeros_like(u_0), where=steepness > 0)
+    height = np.divide(
+        2 * u_0, steepness + root, out=np.zeros_like(u_0), where=steepness > 0
+    )
     return height, u / np.maximum(steepness, np.finfo(float).tiny)[:, None]
 
 

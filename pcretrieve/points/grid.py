@@ -45,7 +45,9 @@ class Grid:
         """
         low, high = bounds(points)
         low = low - np.asarray(shift) * cell
-        n_x, n_y, n_z = (np.ceil((high - low) / cell).astype(int) + 2 * margin + 1).tolist()
+        n_x, n_y, n_z = (
+            np.ceil((high - low) / cell).astype(int) + 2 * margin + 1
+        ).tolist()
         return cls(low - margin * cell, cell, (n_x, n_y, n_z))
 
     def coordinates(self, points: FloatArray) -> FloatArray:
@@ -62,7 +64,9 @@ class Grid:
 
 
 @compiled()
-def components(voxels: Mask, corners: bool) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def components(
+    voxels: Mask, corners: bool
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Label the connected components of a set of voxels, by runs along the last axis [1]_.
 
     scipy.ndimage.label gives the same labels and takes ten times longer.
@@ -88,7 +92,9 @@ def components(voxels: Mask, corners: bool) -> tuple[NDArray[np.int32], NDArray[
                 _join(parent, begins, ends, lines, line, line - 1, apart)
             if x:
                 for other in range(max(0, y - corners), min(n_y, y + corners + 1)):
-                    _join(parent, begins, ends, lines, line, line - n_y - y + other, apart)
+                    _join(
+                        parent, begins, ends, lines, line, line - n_y - y + other, apart
+                    )
     label, n = _numbered(parent)
     labels = np.zeros(voxels.shape, dtype=np.int32)
     sizes = np.zeros(n + 1, dtype=np.int64)
@@ -252,5 +258,7 @@ def _lower(squares: NDArray[Any], most: int) -> None:
                 after = lines[i + k] if i + k < n else nothing
                 square = line.dtype.type(k * k)
                 for z in range(len(line)):
-                    line[z] = min(line[z], line.dtype.type(min(before[z], after[z]) + square))
+                    line[z] = min(
+                        line[z], line.dtype.type(min(before[z], after[z]) + square)
+                    )
                 k += 1

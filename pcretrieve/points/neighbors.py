@@ -40,7 +40,10 @@ def nearest(points: FloatArray, places: FloatArray, k: int) -> tuple[FloatArray,
     Returns distance, near : (m, k): distances, ascending, and numbers of the points.
     """
     # Both read-only, as most are: numba compiles a function for each kind.
-    points, places = np.broadcast_to(points, points.shape), np.broadcast_to(places, places.shape)
+    points, places = (
+        np.broadcast_to(points, points.shape),
+        np.broadcast_to(places, places.shape),
+    )
     cells = _cells(points, k)
     if cells is not None:
         return _nearest(points, *cells, places, k)
@@ -50,7 +53,9 @@ def nearest(points: FloatArray, places: FloatArray, k: int) -> tuple[FloatArray,
     return np.asarray(distance), np.asarray(near)
 
 
-def _cells(points: FloatArray, k: int) -> tuple[FloatArray, float, Shape, Order, Order] | None:
+def _cells(
+    points: FloatArray, k: int
+) -> tuple[FloatArray, float, Shape, Order, Order] | None:
     """The points, sorted by the cells of a grid of a suitable edge; None if there is no such edge.
 
     Returns low, edge and shape of the grid, and `order` and `starts` of `_sorted`.
@@ -85,7 +90,9 @@ def _cell(at: float, n: int) -> int:
 
 
 @compiled(error_model="numpy")
-def _sorted(points: FloatArray, low: FloatArray, edge: float, shape: Shape) -> tuple[Order, Order]:
+def _sorted(
+    points: FloatArray, low: FloatArray, edge: float, shape: Shape
+) -> tuple[Order, Order]:
     """(n,) numbers of the points, grouped by cell; (cells + 1,) position of the first one of each cell."""
     cell = np.empty(len(points), dtype=np.int32)
     # Two cells ahead, so that the entries are the positions when all points have their places.
@@ -93,7 +100,9 @@ def _sorted(points: FloatArray, low: FloatArray, edge: float, shape: Shape) -> t
     for i in range(len(points)):
         a = _cell((points[i, 0] - low[0]) / edge, shape[0])
         b = _cell((points[i, 1] - low[1]) / edge, shape[1])
-        cell[i] = (a * shape[1] + b) * shape[2] + _cell((points[i, 2] - low[2]) / edge, shape[2])
+        cell[i] = (a * shape[1] + b) * shape[2] + _cell(
+            (points[i, 2] - low[2]) / edge, shape[2]
+        )
         starts[cell[i] + 2] += 1
     for i in range(2, len(starts)):
         starts[i] += starts[i - 1]
@@ -161,7 +170,9 @@ def _search(
         ring += 1
         gap = _to_border(place, shape, ring)
         limit = (1 - ROUNDING) * gap * gap
-        n_waiting = _collect(grouped, starts, shape, place, ring, limit, low_bits, waiting)
+        n_waiting = _collect(
+            grouped, starts, shape, place, ring, limit, low_bits, waiting
+        )
         n = _insert(keys, waiting, n_waiting)
 
 
@@ -308,7 +319,9 @@ def _weigh(
 
 
 @compiled(error_model="numpy")
-def _covariance(points: FloatArray, near: NDArray[np.intp], weight: FloatArray) -> Symmetric:
+def _covariance(
+    points: FloatArray, near: NDArray[np.intp], weight: FloatArray
+) -> Symmetric:
     """Σ w (p − m)(p − m)ᵀ of points with the weighted mean m."""
     total = x = y = z = 0.0
     for j in range(len(near)):
@@ -341,7 +354,9 @@ def _smallest_eigenvalue(matrix: Symmetric) -> float:
     size = np.sqrt((a * a + b * b + c * c + 2 * (xy * xy + xz * xz + yz * yz)) / 6)
     if size == 0:
         return mean
-    determinant = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
+    determinant = (
+        a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
+    )
     half = min(max(determinant / (2 * size**3), -1.0), 1.0)
     return float(mean + 2 * size * np.cos((np.arccos(half) + 2 * np.pi) / 3))
 
@@ -416,7 +431,11 @@ class Neighborhoods:
 
 def neighborhoods(points: FloatArray, k: int, *, of_some: bool = False) -> Neighborhoods:
     """The nearest neighbours of all points among themselves, or of some of them."""
-    places = np.ascontiguousarray(points[:: max(1, len(points) // MEASURED)]) if of_some else points
+    places = (
+        np.ascontiguousarray(points[:: max(1, len(points) // MEASURED)])
+        if of_some
+        else points
+    )
     return Neighborhoods(*nearest(points, places, min(k, len(points))))
 
 
@@ -454,7 +473,9 @@ def noise(points: FloatArray, neighbors: Neighborhoods) -> float:
     """
     near = np.ascontiguousarray(neighbors.near[:, : PLANE_NEIGHBORS + 1])
     return float(
-        np.quantile(plane_deviations(np.broadcast_to(points, points.shape), near), FLATTEST)
+        np.quantile(
+            plane_deviations(np.broadcast_to(points, points.shape), near), FLATTEST
+        )
     )
 
 

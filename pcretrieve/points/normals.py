@@ -90,11 +90,15 @@ def oriented_normals(
     if neighbors is None:
         neighbors = plane_neighborhoods(cloud.points, options)
     oriented, notes = orientations[method](cloud, neighbors, options)
-    step = Step("orient", time.perf_counter() - started, {"points": len(cloud.points)}, notes)
+    step = Step(
+        "orient", time.perf_counter() - started, {"points": len(cloud.points)}, notes
+    )
     return oriented.after(step)
 
 
-def _as_given(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions) -> Oriented:
+def _as_given(
+    cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions
+) -> Oriented:
     """The normals of the file, unless the flood fill contradicts them.
 
     Files hold normals without an orientation, and directions of view in place of normals.
@@ -113,10 +117,15 @@ def _as_given(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions)
     if askew <= MOST_OPPOSED:
         return cloud, (OWN,)
     note = f"did not use the file's own normals: the flood fill contradicts {askew:.0%} of them"
-    return replace(cloud, normals=flooded), (*notes, f"{note} (scan.orientation 'given' uses them)")
+    return replace(cloud, normals=flooded), (
+        *notes,
+        f"{note} (scan.orientation 'given' uses them)",
+    )
 
 
-def _by_viewpoint(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions) -> Oriented:
+def _by_viewpoint(
+    cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions
+) -> Oriented:
     """Normals towards the sensors; at grazing incidence the flood fill decides."""
     if cloud.viewpoints is None:
         raise ReconstructionError(
@@ -136,7 +145,8 @@ def _by_viewpoint(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOpti
     # does; by a leak, in and around it.
     seen, everywhere = guided(towards), np.ones(len(towards), dtype=np.bool_)
     by_sensors, by_flood = (
-        _disagreeing(normals, neighbors.near, everywhere)[1] for normals in (seen, flooded)
+        _disagreeing(normals, neighbors.near, everywhere)[1]
+        for normals in (seen, flooded)
     )
     if options.orientation == "auto" and by_flood >= by_sensors:
         note = (
@@ -148,9 +158,13 @@ def _by_viewpoint(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOpti
     return replace(cloud, normals=seen), (*notes, note)
 
 
-def _by_tangent_planes(cloud: PointCloud, _: Neighborhoods, options: ScanOptions) -> Oriented:
+def _by_tangent_planes(
+    cloud: PointCloud, _: Neighborhoods, options: ScanOptions
+) -> Oriented:
     normals = estimate_normals(cloud.points, n_neighbors=options.normal_neighbors)
-    oriented = orient_by_tangent_planes(cloud.points, normals, n_neighbors=options.normal_neighbors)
+    oriented = orient_by_tangent_planes(
+        cloud.points, normals, n_neighbors=options.normal_neighbors
+    )
     # The outward normal of the highest point points upwards.
     top = cloud.points[:, 2].argmax()
     return replace(cloud, normals=-oriented if oriented[top, 2] < 0 else oriented), ()
@@ -172,7 +186,9 @@ def orient_by_tangent_planes(
     ----------
     .. [1] Hoppe et al., "Surface reconstruction from unorganized points", SIGGRAPH 1992.
     """
-    cloud = open3d_cloud(Frame.around(points, offset=DOUBLE_OFFSET).inward(points), normals)
+    cloud = open3d_cloud(
+        Frame.around(points, offset=DOUBLE_OFFSET).inward(points), normals
+    )
     try:
         cloud.orient_normals_consistent_tangent_plane(n_neighbors)
     except RuntimeError as error:  # from Qhull: the points coincide in its precision
@@ -184,7 +200,9 @@ def orient_by_tangent_planes(
     return np.array(cloud.normals)
 
 
-def _by_flood(cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions) -> Oriented:
+def _by_flood(
+    cloud: PointCloud, neighbors: Neighborhoods, options: ScanOptions
+) -> Oriented:
     """Normals towards the nearest outside; by tangent planes, if every flood fill leaks."""
     _, flooded, notes = _tight_flood(cloud, neighbors, options)
     if flooded is None:
@@ -201,7 +219,9 @@ def _tight_flood(
     A leak is detected by the normals towards the outside, which are then inconsistent between neighbours. The
     outside and the normals are None if every flood fill leaked.
     """
-    cell = max(options.flood_cell * cloud.diagonal, FLOOD_CELL * spacing(neighbors.some()))
+    cell = max(
+        options.flood_cell * cloud.diagonal, FLOOD_CELL * spacing(neighbors.some())
+    )
     gap = options.flood_gap
     walled = _with_disks(cloud, neighbors, options, cell / FLOOD_CELL)
     for attempt in range(options.flood_retries + 1):
@@ -210,10 +230,16 @@ def _tight_flood(
         towards = outside.direction_at(cloud.points)
         oriented = _guided_normals(cloud.points, towards, neighbors, options)
         shallow = outside.depth_at(cloud.points) < SHALLOW
-        if shallow.sum() > N_COMPARED and not _has_leaked(oriented, neighbors.near, shallow):
+        if shallow.sum() > N_COMPARED and not _has_leaked(
+            oriented, neighbors.near, shallow
+        ):
             note = f"the flood fill leaked; holes with radii up to {gap:.3f} of the diagonal were closed"
             return outside, oriented, (note,) if attempt else ()
-    return None, None, (f"the flood fill leaked with holes up to {gap:.3f} of the diagonal closed",)
+    return (
+        None,
+        None,
+        (f"the flood fill leaked with holes up to {gap:.3f} of the diagonal closed",),
+    )
 
 
 def _with_disks(
@@ -246,7 +272,9 @@ def _guided_normals(
     return guided_planes(points, guide, near, distance, SAME_SIDE, NEIGHBOR_SPREAD)
 
 
-def _has_leaked(oriented: FloatArray, near: NDArray[np.intp], shallow: NDArray[np.bool_]) -> bool:
+def _has_leaked(
+    oriented: FloatArray, near: NDArray[np.intp], shallow: NDArray[np.bool_]
+) -> bool:
     """Whether the normals of neighbours contradict each other in the whole scan or in one patch of it."""
     disagreeing, agreement = _disagreeing(oriented, near, shallow)
     if agreement < LEAST_AGREEMENT:

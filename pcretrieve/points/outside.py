@@ -41,7 +41,9 @@ class Outside:
         at = self.grid.coordinates(points)
         slope = np.empty((len(points), 3))
         for axis, step in enumerate(np.eye(3)):
-            slope[:, axis] = sampled(self.depth, at - step) - sampled(self.depth, at + step)
+            slope[:, axis] = sampled(self.depth, at - step) - sampled(
+                self.depth, at + step
+            )
         return unit_vectors(slope)
 
 
@@ -79,7 +81,10 @@ def flood(
     # the points have been reached, so that none farther away is nearer to a voxel of the rest.
     held = points if further is None else np.concatenate([points, further])
     grid, rest = _around(held, grid)
-    reached, distance = np.ascontiguousarray(reached[rest]), np.ascontiguousarray(distance[rest])
+    reached, distance = (
+        np.ascontiguousarray(reached[rest]),
+        np.ascontiguousarray(distance[rest]),
+    )
     return Outside(grid, reached, distances(reached, deepest), distance)
 
 
@@ -90,7 +95,8 @@ def _around(points: FloatArray, grid: Grid) -> tuple[Grid, tuple[slice, ...]]:
     high = np.minimum(np.ceil(at[1]).astype(int) + MARGIN + 1, grid.shape)
     a, b, c = (high - low).tolist()
     part = tuple(
-        slice(first, last) for first, last in zip(low.tolist(), high.tolist(), strict=True)
+        slice(first, last)
+        for first, last in zip(low.tolist(), high.tolist(), strict=True)
     )
     return Grid(grid.origin + low * grid.cell, grid.cell, (a, b, c)), part
 
@@ -141,7 +147,9 @@ def sampled(values: Voxels, at: FloatArray) -> FloatArray:
         for a in range(2):
             for b in range(2):
                 for c in range(2):
-                    share = abs(1 - a - (x - u)) * abs(1 - b - (y - v)) * abs(1 - c - (z - w))
+                    share = (
+                        abs(1 - a - (x - u)) * abs(1 - b - (y - v)) * abs(1 - c - (z - w))
+                    )
                     total += share * values[u + a, v + b, w + c]
         found[i] = total
     return found

@@ -117,7 +117,9 @@ class LowerBounds(NamedTuple):
         low, high, step = (np.empty((len(parts), axes.shape[1])) for _ in range(3))
         codes = np.zeros((len(parts), axes.shape[1], size), np.uint8)
         for block, part in enumerate(parts):
-            members = np.sort(part)  # ascending, because that is the order of the points in memory
+            members = np.sort(
+                part
+            )  # ascending, because that is the order of the points in memory
             along = (points[members] - mean) @ axes
             low[block], high[block] = along.min(axis=0), along.max(axis=0)
             # Not the difference by 256, because that of the largest numbers is infinite.
@@ -148,7 +150,9 @@ class LowerBounds(NamedTuple):
             reach = HALF_CELL * np.sqrt((self.step**2).sum(axis=1))
             return self.codes, self.rows, middle, self.step.astype(np.float32), reach
 
-    def candidates(self, point: FloatArray, k: int, radius: Callable[[Rows], float]) -> Positions:
+    def candidates(
+        self, point: FloatArray, k: int, radius: Callable[[Rows], float]
+    ) -> Positions:
         """The rows (n,), ascending, that include the `k` nearest to a point (L,) and all at equal distance.
 
         radius: function of (n,) rows that returns a distance within which at least `k` of them lie.
@@ -162,7 +166,10 @@ class LowerBounds(NamedTuple):
             chosen = order[start : start + n]
             near = np.sort(chosen[to_blocks[chosen] <= limit])  # as they are in memory
             found = scan(*cells, near, np.float32(limit))
-            rows, to_rows = np.concatenate([rows, found[0]]), np.concatenate([to_rows, found[1]])
+            rows, to_rows = (
+                np.concatenate([rows, found[0]]),
+                np.concatenate([to_rows, found[1]]),
+            )
             start, n = start + n, GROWTH * n
             is_last = start >= len(order) or to_blocks[order[start]] > limit
             if is_last and len(rows) <= N_LAST * k:
@@ -235,7 +242,9 @@ def scan(
 
 def _principal_axes(points: FloatArray, mean: FloatArray) -> FloatArray:
     """(L, D) the principal directions, the largest variance first, that have `SHARE` of the variance."""
-    variances, directions = np.linalg.eigh(scatter_matrix(points, mean))  # variances ascend
+    variances, directions = np.linalg.eigh(
+        scatter_matrix(points, mean)
+    )  # variances ascend
     small = np.cumsum(variances) < (1 - SHARE) * variances.sum()
     n_axes = max(N_LEADING, np.count_nonzero(~small))
     return np.ascontiguousarray(directions[:, ::-1][:, :n_axes])

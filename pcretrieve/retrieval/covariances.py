@@ -22,7 +22,12 @@ import numpy as np
 
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import Shrinkage
-from pcretrieve.retrieval.distances import BLOCK_DISTANCES, CHUNK, DistanceBlock, Positions
+from pcretrieve.retrieval.distances import (
+    BLOCK_DISTANCES,
+    CHUNK,
+    DistanceBlock,
+    Positions,
+)
 from pcretrieve.retrieval.reranking import nearest_matrix, neighbour_lists, rerank
 from pcretrieve.values import FloatArray
 
@@ -82,7 +87,9 @@ def covariance_of(logs: FloatArray) -> FloatArray:
     return scatter_matrix(logs, logs.mean(axis=0)) / (len(logs) - 1)
 
 
-def _shrunk(covariance: FloatArray, intensity: float, *, one_unit: bool = True) -> FloatArray:
+def _shrunk(
+    covariance: FloatArray, intensity: float, *, one_unit: bool = True
+) -> FloatArray:
     """A covariance C shrunk towards that of uncorrelated values, (1 − s) C + s T.
 
     one_unit: whether all values have one unit. The target T is then tr(C)/L I, otherwise the diagonal of C.
@@ -90,13 +97,19 @@ def _shrunk(covariance: FloatArray, intensity: float, *, one_unit: bool = True) 
     variances = np.diag(covariance)
     mean = variances.mean()
     target = (
-        np.full(len(variances), mean) if one_unit else np.maximum(variances, LEAST_VARIANCE * mean)
+        np.full(len(variances), mean)
+        if one_unit
+        else np.maximum(variances, LEAST_VARIANCE * mean)
     )
     return np.asarray((1 - intensity) * covariance + intensity * np.diag(target))
 
 
 def within_class_covariance(
-    logs: FloatArray, labels: Sequence[str | None] | None, shrinkage: Shrinkage, *, one_unit: bool
+    logs: FloatArray,
+    labels: Sequence[str | None] | None,
+    shrinkage: Shrinkage,
+    *,
+    one_unit: bool,
 ) -> Fit:
     """Of log-signatures (N, L), those in classes of at least two, and their shrunk pooled covariance."""
     members = _members(labels or ())
@@ -148,7 +161,9 @@ def _pooled(values: FloatArray, classes: Positions) -> FloatArray:
     return np.asarray(values.T @ values / (len(values) - len(np.unique(classes))))
 
 
-def _likeliest_shrinkage(residuals: FloatArray, classes: Positions, *, one_unit: bool) -> float:
+def _likeliest_shrinkage(
+    residuals: FloatArray, classes: Positions, *, one_unit: bool
+) -> float:
     """The shrinkage at which the residuals (n, L) of classes that are left out are most likely."""
     n_classes = int(classes[-1]) + 1
     n_groups = min(N_GROUPS, n_classes)
@@ -158,7 +173,9 @@ def _likeliest_shrinkage(residuals: FloatArray, classes: Positions, *, one_unit:
     likelihood = np.zeros(len(INTENSITIES))
     for left_out in range(n_groups):
         is_out = group[classes] == left_out
-        pooled, tested = (_pooled(residuals[some], classes[some]) for some in (~is_out, is_out))
+        pooled, tested = (
+            _pooled(residuals[some], classes[some]) for some in (~is_out, is_out)
+        )
         if np.trace(pooled) == 0:
             continue
         n_free = is_out.sum() - (group == left_out).sum()
@@ -180,14 +197,14 @@ def neighbour_covariance(logs: FloatArray, shrinkage: Shrinkage) -> Fit:
     pairs = neighbour_pairs(logs)
     n_pairs = len(pairs.weights)
     if n_pairs < LEAST_PAIRS:
-        reason = (
-            f"none, because only {n_pairs} pairs of shapes are mutual neighbours ({LEAST_PAIRS})"
-        )
+        reason = f"none, because only {n_pairs} pairs of shapes are mutual neighbours ({LEAST_PAIRS})"
         return Fit(logs, None, 0.0, reason)
     differences = logs[pairs.first] - logs[pairs.second]  # (P, L)
     covariance = (differences * pairs.weights[:, np.newaxis]).T @ differences
     covariance /= np.trace(covariance)
-    reason = f"neighbours: {n_pairs} pairs, each among the other's {pairs.n_neighbors} nearest"
+    reason = (
+        f"neighbours: {n_pairs} pairs, each among the other's {pairs.n_neighbors} nearest"
+    )
     return Fit(logs, _shrunk(covariance, used), used, reason)
 
 
@@ -230,7 +247,9 @@ def neighbour_pairs(logs: FloatArray) -> NeighbourPairs:
     from scipy.sparse import triu
 
     rows = np.arange(len(logs)) if len(logs) <= LARGEST else near_groups(logs, LARGEST)
-    rows = rows[np.lexsort(logs[rows].T)]  # so that ties do not depend on the order of the table
+    rows = rows[
+        np.lexsort(logs[rows].T)
+    ]  # so that ties do not depend on the order of the table
     points = np.ascontiguousarray(logs[rows])
     lists = neighbour_lists(_blocks(points), len(points))
     order = rerank(lists, parameters=PAIRING)
@@ -257,7 +276,10 @@ def _distinct_number(order: Positions, most: int) -> int:
     """The number of neighbours at which the neighbourhoods of neighbours overlap most; else N_NEIGHBORS."""
     n = len(order)
     # Without the edges from each shape to itself, whose Jaccard index is 1.
-    means = [(_jaccard(nearest_matrix(order, k)).sum() - n) / (n * k) for k in range(1, most + 1)]
+    means = [
+        (_jaccard(nearest_matrix(order, k)).sum() - n) / (n * k)
+        for k in range(1, most + 1)
+    ]
     best = int(np.argmax(means)) + 1 if means else 0
     return best if means and means[best - 1] >= DISTINCT else N_NEIGHBORS
 

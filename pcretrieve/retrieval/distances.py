@@ -85,7 +85,9 @@ class Distance:
 DISTANCES = {
     distance.name: distance
     for distance in (
-        Distance("log", _log, metrics=("logarithms", "values", "histograms"), exceeds_log=True),
+        Distance(
+            "log", _log, metrics=("logarithms", "values", "histograms"), exceeds_log=True
+        ),
         Distance("d1", _d1),
         Distance("d2", _d2, exceeds_log=True),
     )
@@ -97,7 +99,9 @@ def known_distance(distance: str | Distance) -> Distance:
     if isinstance(distance, Distance):
         return distance
     if distance not in DISTANCES:
-        raise OptionError(f"there is no distance {distance!r}; there are {', '.join(DISTANCES)}")
+        raise OptionError(
+            f"there is no distance {distance!r}; there are {', '.join(DISTANCES)}"
+        )
     return DISTANCES[distance]
 
 
@@ -136,7 +140,9 @@ def check_comparable(table: SignatureTable, distance: str | Distance) -> None:
         )
 
 
-def pairwise(distance: str | Distance, queries: FloatArray, gallery: FloatArray) -> FloatArray:
+def pairwise(
+    distance: str | Distance, queries: FloatArray, gallery: FloatArray
+) -> FloatArray:
     """Distances (Q, N) of all queries (Q, L) to all shapes of the gallery (N, L), by their coordinates.
 
     The floating-point result for a pair depends on this pair alone: equal signatures have exactly equal
@@ -163,7 +169,9 @@ def _checked(
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(f"signature values must be an array of numbers, got {values!r}") from error
+        raise InputError(
+            f"signature values must be an array of numbers, got {values!r}"
+        ) from error
     bad = array[~holds(array)]
     if bad.size:
         raise InputError(
@@ -217,7 +225,9 @@ def position_of(ids: Sequence[str], shape_id: str) -> int:
 
 def unknown_shape(ids: Sequence[str], shape_id: str) -> InputError:
     """The error of a shape that is not in a gallery."""
-    return InputError(f"the query must be one of the {len(ids)} ranked shapes, got {shape_id!r}")
+    return InputError(
+        f"the query must be one of the {len(ids)} ranked shapes, got {shape_id!r}"
+    )
 
 
 # --- all distances of a gallery ----------------------------------------------------------------------------
@@ -246,8 +256,12 @@ class DistanceMatrix(Value):
         object.__setattr__(self, "ids", tuple(self.ids))
         n = len(self.ids)
         if len(set(self.ids)) != n:
-            twice = next(one for number, one in enumerate(self.ids) if one in self.ids[:number])
-            raise InputError(f"ids of a distance matrix must be distinct, {twice!r} comes twice")
+            twice = next(
+                one for number, one in enumerate(self.ids) if one in self.ids[:number]
+            )
+            raise InputError(
+                f"ids of a distance matrix must be distinct, {twice!r} comes twice"
+            )
         values = locked("a distance matrix", self.values, (n, n), finite=False)
         if (negative := int((values < 0).sum())) > 0:
             raise InputError(
@@ -257,7 +271,9 @@ class DistanceMatrix(Value):
         object.__setattr__(self, "values", values)
         object.__setattr__(self, "labels", tuple(self.labels) or (None,) * n)
         if len(self.labels) != n:
-            raise InputError(f"labels must be as many as ids ({n}), got {len(self.labels)}")
+            raise InputError(
+                f"labels must be as many as ids ({n}), got {len(self.labels)}"
+            )
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -348,7 +364,9 @@ def read_matrix(path: str | Path) -> DistanceMatrix:
             f"cannot read the distance matrix {path}: {error.strerror or error}"
         ) from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path} is not a distance matrix: it is not UTF-8 text") from error
+        raise InputError(
+            f"{path} is not a distance matrix: it is not UTF-8 text"
+        ) from error
     # NumPy reads the header of a .npy file by parsers of Python, and lets their exceptions pass.
     except (
         ValueError,

@@ -42,7 +42,14 @@ from pcretrieve.retrieval.distances import (
 from pcretrieve.retrieval.reranking import N_NEAR, reranked_neighbors
 from pcretrieve.retrieval.scores import MatchScores
 from pcretrieve.retrieval.whitening import Whitening, table_whitening
-from pcretrieve.values import FloatArray, Metric, Neighbors, Signature, SignatureTable, SizeUnit
+from pcretrieve.values import (
+    FloatArray,
+    Metric,
+    Neighbors,
+    Signature,
+    SignatureTable,
+    SizeUnit,
+)
 from pcretrieve.values.base import check_type
 
 # Largest number of shapes that are all compared with each query, which takes as long as to find a few of them
@@ -95,7 +102,9 @@ class _MadeBy(NamedTuple):
                 f"{self.kind!r} {self.digest!r}, got {query.kind!r} {query.digest!r}"
             )
         if wrong := WRONG_UNITS.get((str(query.unit), str(self.unit))):
-            raise InputError(f"sizes must be in one unit to be compared: {wrong}, {INSTEAD}")
+            raise InputError(
+                f"sizes must be in one unit to be compared: {wrong}, {INSTEAD}"
+            )
 
 
 class SignatureIndex:
@@ -183,7 +192,11 @@ class SignatureIndex:
     @property
     def reason(self) -> str:
         """What the scores are estimated from, in words."""
-        return self.scores.reason if self.scores else "none, because labels and shapes are too few"
+        return (
+            self.scores.reason
+            if self.scores
+            else "none, because labels and shapes are too few"
+        )
 
     def query(self, signature: Signature | ArrayLike, k: int = 10) -> Neighbors:
         """The `k` nearest neighbours of one signature, including the signature itself if it is in the table.
@@ -214,7 +227,9 @@ class SignatureIndex:
         distances = pairwise(self._distance, point, self.points[candidates])[0]
         # Candidates ascend, and so do their ids: a stable sort leaves equal distances in the ids' order.
         first = np.argsort(distances, kind="stable")[:k]
-        return Neighbors(tuple(self.ids[row] for row in candidates[first]), distances[first])
+        return Neighbors(
+            tuple(self.ids[row] for row in candidates[first]), distances[first]
+        )
 
     def nearest(self, shape_id: str, k: int = 10) -> Neighbors:
         """The nearest neighbours of a shape of the table, itself included, as `query` gives them."""
@@ -242,8 +257,12 @@ class SignatureIndex:
             results = reranked_neighbors(found, self.between(found.ids), shape_id)
         if self.scores is None:
             return results
-        score_of = dict(zip(found.ids, self.scores.of(found.distances).tolist(), strict=True))
-        return replace(results, scores=np.array([score_of[shape_id] for shape_id in results.ids]))
+        score_of = dict(
+            zip(found.ids, self.scores.of(found.distances).tolist(), strict=True)
+        )
+        return replace(
+            results, scores=np.array([score_of[shape_id] for shape_id in results.ids])
+        )
 
     def load(self) -> None:
         """Load the compiled code now, so that no later query waits for it."""
@@ -307,7 +326,9 @@ class SignatureIndex:
             "size": np.array(self._size),
             "ids": np.frombuffer(SEPARATOR.join(self.ids).encode(), np.uint8),
         }
-        arrays |= {name: np.array(text or "") for name, text in self._made_by._asdict().items()}
+        arrays |= {
+            name: np.array(text or "") for name, text in self._made_by._asdict().items()
+        }
         arrays |= {} if self._bounds is None else self._bounds._asdict()
         for prefix, value in ((WHITENING, self.whitening), (SCORES, self.scores)):
             stored = {} if value is None else value.to_arrays()
@@ -338,10 +359,14 @@ class SignatureIndex:
             index.scores = MatchScores.from_arrays(scored) if scored else None
             has_bounds = "codes" in arrays
             index._bounds = (
-                LowerBounds(*map(arrays.__getitem__, LowerBounds._fields)) if has_bounds else None
+                LowerBounds(*map(arrays.__getitem__, LowerBounds._fields))
+                if has_bounds
+                else None
             )
         except KeyError as error:
-            raise InputError(f"the arrays of an index must include {error.args[0]!r}") from error
+            raise InputError(
+                f"the arrays of an index must include {error.args[0]!r}"
+            ) from error
         fits = index._bounds is None or index._bounds.fits(index.points)
         if not fits or len(index.ids) != len(index.points):
             raise InputError(

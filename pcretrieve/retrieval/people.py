@@ -73,7 +73,9 @@ class People(NamedTuple):
     def unlikeness(self, coordinates: FloatArray) -> float:
         """The median variance of some scans (N, L) about the mean, in units of that of simulated scans."""
         apart = coordinates[:: max(1, len(coordinates) // COMPARED)] - self.mean
-        return float(np.median((apart * np.linalg.solve(self.total, apart.T).T).mean(axis=1)))
+        return float(
+            np.median((apart * np.linalg.solve(self.total, apart.T).T).mean(axis=1))
+        )
 
     def metric(self, own: FloatArray | None = None, share: float = 0.0) -> FloatArray:
         """M (L, L), positive semidefinite.
@@ -123,8 +125,12 @@ def people(
     scale = np.ones(len(chosen)) if len(names) > 1 else sample["scale"][chosen]
     if options.size_weight:
         chosen, scale = np.append(chosen, -1), np.append(scale, options.size_weight)
-    is_default = names == tuple(BEGINS) and options.n_values == N_VALUES and "network" in sample
+    is_default = (
+        names == tuple(BEGINS) and options.n_values == N_VALUES and "network" in sample
+    )
     network = sample["network"] if is_default else np.zeros((0, 0))
     among = np.ix_(chosen, chosen)
-    within, total = (sample[name][among] * np.outer(scale, scale) for name in ("within", "total"))
+    within, total = (
+        sample[name][among] * np.outer(scale, scale) for name in ("within", "total")
+    )
     return People(sample["mean"][chosen] * scale, within, total, network)

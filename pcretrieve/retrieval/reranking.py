@@ -44,13 +44,17 @@ class NeighbourLists(NamedTuple):
     distances: FloatArray
 
 
-def neighbour_lists(blocks: Iterable[DistanceBlock], n: int, k: int = N_RERANKED) -> NeighbourLists:
+def neighbour_lists(
+    blocks: Iterable[DistanceBlock], n: int, k: int = N_RERANKED
+) -> NeighbourLists:
     """The nearest shapes of all shapes of a gallery."""
     length = min(k + 1, n)
     order, distances = np.empty((n, length), dtype=np.intp), np.empty((n, length))
     for queries, block in blocks:
         columns = block.copy()
-        columns[np.arange(len(queries)), queries] = -np.inf  # a shape is the first in its own list
+        columns[
+            np.arange(len(queries)), queries
+        ] = -np.inf  # a shape is the first in its own list
         nearest = _first_columns(columns, length)
         order[queries] = nearest
         distances[queries] = np.take_along_axis(block, nearest, axis=1)
@@ -93,7 +97,9 @@ def rerank(
     return np.take_along_axis(lists.order[rows], order, axis=1)
 
 
-def reranked_neighbors(found: Neighbors, apart: FloatArray, shape_id: str | None) -> Neighbors:
+def reranked_neighbors(
+    found: Neighbors, apart: FloatArray, shape_id: str | None
+) -> Neighbors:
     """Sort the results of one query again, which is itself the shape of an id, if it has one.
 
     apart: (n, n) float64, the distances of the results from each other.
@@ -106,7 +112,9 @@ def reranked_neighbors(found: Neighbors, apart: FloatArray, shape_id: str | None
     distances[n, :n] = distances[:n, n] = found.distances
     held = [(0.0, shape_id)] if shape_id is not None and shape_id in found.ids else []
     query, size = (found.ids.index(held[0][1]), n) if held else (n, n + 1)
-    lists = neighbour_lists([DistanceBlock(np.arange(size), distances[:size, :size])], size)
+    lists = neighbour_lists(
+        [DistanceBlock(np.arange(size), distances[:size, :size])], size
+    )
     order = lists.order[query][1:]  # without the query
     new = k_reciprocal(lists, np.array([query]))[0, 1:]
     if len(new) > 1:
@@ -117,12 +125,18 @@ def reranked_neighbors(found: Neighbors, apart: FloatArray, shape_id: str | None
     results = sorted([*held, *zip(new.tolist(), names, strict=True)])
     last = results[-1][0]
     later = [number for number in range(n) if number not in {query, *order.tolist()}]
-    results += [(last + float(found.distances[number]), found.ids[number]) for number in later]
-    return Neighbors(tuple(name for _, name in results), np.array([gap for gap, _ in results]))
+    results += [
+        (last + float(found.distances[number]), found.ids[number]) for number in later
+    ]
+    return Neighbors(
+        tuple(name for _, name in results), np.array([gap for gap, _ in results])
+    )
 
 
 def k_reciprocal(
-    lists: NeighbourLists, rows: Positions, parameters: tuple[int, int, float] = K_RECIPROCAL
+    lists: NeighbourLists,
+    rows: Positions,
+    parameters: tuple[int, int, float] = K_RECIPROCAL,
 ) -> FloatArray:
     """Jaccard distances of the k-reciprocal neighbourhoods, plus a share of the original distances.
 
@@ -153,7 +167,9 @@ def _reciprocal_features(lists: NeighbourLists, k1: int) -> csr_array:
     graphs = (nearest_matrix(lists.order, k) for k in (k1, max(1, k1 // 2)))
     mutual, half = (csr_array(graph.multiply(graph.T)) for graph in graphs)
     # A neighbour brings its own closest neighbours, if most of these are in the set already.
-    shared = (mutual @ half.T).multiply(mutual).tocoo()  # (N, N), |R(i) ∩ R½(j)| for j in R(i)
+    shared = (
+        (mutual @ half.T).multiply(mutual).tocoo()
+    )  # (N, N), |R(i) ∩ R½(j)| for j in R(i)
     sizes = np.asarray(half.sum(axis=1))
     brings = shared.data > EXPANDED * sizes[shared.col]
     bringing = csr_array(
@@ -161,17 +177,25 @@ def _reciprocal_features(lists: NeighbourLists, k1: int) -> csr_array:
     )
     members = csr_array(((mutual + bringing @ half) > 0).astype(np.float64))
     # Gaussian-like weights, relative to the scale of each neighbourhood.
-    scale = np.maximum(lists.distances[:, 1 : k1 + 1].mean(axis=1), np.finfo(np.float64).tiny)
+    scale = np.maximum(
+        lists.distances[:, 1 : k1 + 1].mean(axis=1), np.finfo(np.float64).tiny
+    )
     with np.errstate(over="ignore"):  # neighbourhoods of equal shapes have the scale zero
-        near = np.maximum(np.exp(-lists.distances / scale[:, None]), np.finfo(np.float64).tiny)
+        near = np.maximum(
+            np.exp(-lists.distances / scale[:, None]), np.finfo(np.float64).tiny
+        )
     indptr = np.arange(0, n * length + 1, length)
     features = csr_array(
-        members.multiply(csr_array((near.ravel(), lists.order.ravel(), indptr), shape=(n, n)))
+        members.multiply(
+            csr_array((near.ravel(), lists.order.ravel(), indptr), shape=(n, n))
+        )
     )
     return csr_array(features.multiply(1 / np.asarray(features.sum(axis=1))[:, None]))
 
 
-def _jaccard_distances(features: csr_array, near: Positions, rows: Positions) -> FloatArray:
+def _jaccard_distances(
+    features: csr_array, near: Positions, rows: Positions
+) -> FloatArray:
     """(Q, K) Jaccard distances of the features of the queries and of their near shapes (Q, K)."""
     by_column = features.tocsc()
     jaccard = np.empty(near.shape)
@@ -180,7 +204,9 @@ def _jaccard_distances(features: csr_array, near: Positions, rows: Positions) ->
         own = slice(features.indptr[row], features.indptr[row + 1])
         for column, value in zip(features.indices[own], features.data[own], strict=True):
             others = slice(by_column.indptr[column], by_column.indptr[column + 1])
-            overlap[by_column.indices[others]] += np.minimum(by_column.data[others], value)
+            overlap[by_column.indices[others]] += np.minimum(
+                by_column.data[others], value
+            )
         common = overlap[near[number]]
         jaccard[number] = 1 - common / (2 - common)
     return jaccard

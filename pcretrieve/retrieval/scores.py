@@ -89,7 +89,11 @@ class MatchScores(Arrays):
         scores = self._lock("scores", (len(distances),))
         for name in ("coefficients", "limits"):
             self._lock(name, (None,))
-        if not len(distances) or (np.diff(distances) < 0).any() or (np.diff(scores) > 0).any():
+        if (
+            not len(distances)
+            or (np.diff(distances) < 0).any()
+            or (np.diff(scores) > 0).any()
+        ):
             raise InputError(
                 "scores must not ascend with the distance, and be at least one, got others"
             )
@@ -106,14 +110,18 @@ class MatchScores(Arrays):
             1
             / (
                 1
-                + np.exp(-_features(np.array([nearest]), np.array([other])) @ self.coefficients)[0]
+                + np.exp(
+                    -_features(np.array([nearest]), np.array([other])) @ self.coefficients
+                )[0]
             )
         )
 
     def limit(self, false_match_rate: float) -> float:
         """The distance below which a share of the pairs of two classes are, the false-match rate."""
         return (
-            float(np.interp(false_match_rate, RATES, self.limits)) if len(self.limits) else np.inf
+            float(np.interp(false_match_rate, RATES, self.limits))
+            if len(self.limits)
+            else np.inf
         )
 
 
@@ -144,11 +152,14 @@ def fit_scores(
     sample = _sample(table)
     n_classes = len(set(sample.labels))
     why = (
-        "share of pairs of one class among pairs as near, of {} pairs of " + f"{n_classes} classes"
+        "share of pairs of one class among pairs as near, of {} pairs of "
+        + f"{n_classes} classes"
     )
     groups, parts = list[_Group](), list[_Pairs]()
     if n_classes and whitening.kind != "within-class":
-        groups = [_group(sample, np.arange(len(sample.labels)), whitening, options.distance)]
+        groups = [
+            _group(sample, np.arange(len(sample.labels)), whitening, options.distance)
+        ]
     elif n_classes >= 4:
         groups = list(_left_out(sample, options, table))
         why += ", each left out of the whitening"
@@ -164,7 +175,9 @@ def fit_scores(
     reason = why.format(len(pairs.same))
     if not groups:
         return MatchScores(*_shares(pairs), reason)
-    trials = _Trials(*(np.concatenate(part) for part in zip(*map(_trials, groups), strict=True)))
+    trials = _Trials(
+        *(np.concatenate(part) for part in zip(*map(_trials, groups), strict=True))
+    )
     apart = pairs.distances[~pairs.same]
     limits = np.quantile(apart, RATES)
     return MatchScores(*_shares(pairs), reason, _coefficients(trials), limits, len(apart))
@@ -195,7 +208,9 @@ def _sample(table: SignatureTable) -> _Sample:
             kept[label] += 1
             rows_of[row] = label
     return _Sample(
-        coordinates(table.values[list(rows_of)], table.metric), list(rows_of.values()), sizes
+        coordinates(table.values[list(rows_of)], table.metric),
+        list(rows_of.values()),
+        sizes,
     )
 
 
@@ -232,9 +247,9 @@ def _counts(
 ) -> tuple[FloatArray, FloatArray]:
     """The weights of the pairs of one class, and of all pairs, in each interval."""
     n = int(number[-1]) + 1
-    return np.bincount(number, ours, n).astype(np.float64), np.bincount(number, every, n).astype(
-        np.float64
-    )
+    return np.bincount(number, ours, n).astype(np.float64), np.bincount(
+        number, every, n
+    ).astype(np.float64)
 
 
 class _Group(NamedTuple):
@@ -245,7 +260,9 @@ class _Group(NamedTuple):
     names: list[str]
 
 
-def _group(sample: _Sample, rows: Positions, whitening: Whitening, distance: str) -> _Group:
+def _group(
+    sample: _Sample, rows: Positions, whitening: Whitening, distance: str
+) -> _Group:
     points = whitening.apply(sample.logs[rows])
     names, codes = np.unique([sample.labels[row] for row in rows], return_inverse=True)
     return _Group(pairwise(distance, points, points), codes, names.tolist())
@@ -280,13 +297,18 @@ def _class_pairs(sample: _Sample, group: _Group) -> _Pairs:
     here = np.bincount(codes)[codes].astype(
         np.float64
     )  # (n,) shapes of the class, here and in the table
-    there = np.array([sample.sizes[name] for name in group.names], dtype=np.float64)[codes]
+    there = np.array([sample.sizes[name] for name in group.names], dtype=np.float64)[
+        codes
+    ]
     n_table = float(sum(sample.sizes.values()))
     within = (there - 1) / np.maximum(here - 1, 1)
     between = (n_table - there) / np.maximum(len(codes) - here, 1)
     first, second = np.triu_indices(len(codes), k=1)
     same = codes[first] == codes[second]
-    weights = np.where(same, within[first] + within[second], between[first] + between[second]) / 2
+    weights = (
+        np.where(same, within[first] + within[second], between[first] + between[second])
+        / 2
+    )
     return _Pairs(group.distances[first, second], same, weights)
 
 
@@ -319,7 +341,9 @@ def _trials(group: _Group) -> _Trials:
         used = np.isfinite(other) & (is_absent | (same.sum(axis=1) > 1))
         weights = np.full(len(codes), ABSENT if is_absent else 1.0)
         tried.append(
-            _Trials(_features(nearest, other)[used], (found == codes)[used], weights[used])
+            _Trials(
+                _features(nearest, other)[used], (found == codes)[used], weights[used]
+            )
         )
     return _Trials(*(np.concatenate(part) for part in zip(*tried, strict=True)))
 
@@ -336,7 +360,9 @@ def _coefficients(trials: _Trials) -> FloatArray:
     def loss(slopes: FloatArray) -> tuple[float, FloatArray]:
         wrong = signed @ slopes
         value = float(trials.weights @ np.logaddexp(0, wrong) + ridge @ slopes**2)
-        return value, (trials.weights / (1 + np.exp(-wrong))) @ signed + 2 * ridge * slopes
+        return value, (
+            trials.weights / (1 + np.exp(-wrong))
+        ) @ signed + 2 * ridge * slopes
 
     # A nearer shape and a farther next class never make an answer less sure.
     bounds = [(None, None), (None, 0.0), (0.0, None)]

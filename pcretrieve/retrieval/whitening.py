@@ -38,7 +38,14 @@ from pcretrieve.errors import InputError, OptionError, did_you_mean
 from pcretrieve.options import RetrievalOptions, Shrinkage, WhiteningKind
 from pcretrieve.retrieval import covariances
 from pcretrieve.retrieval.distances import table_coordinates
-from pcretrieve.retrieval.people import ALIKE, KNOWN, LEAST_SHARE, People, corrected, row_products
+from pcretrieve.retrieval.people import (
+    ALIKE,
+    KNOWN,
+    LEAST_SHARE,
+    People,
+    corrected,
+    row_products,
+)
 from pcretrieve.values import FloatArray, Metric, SignatureTable
 from pcretrieve.values.base import Value
 from pcretrieve.values.files import member_array, opened_archive, write_file
@@ -65,13 +72,20 @@ class Arrays(Value):
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """The fields as arrays by name."""
-        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}  # type: ignore[arg-type]
+        return {
+            field.name: np.asarray(getattr(self, field.name)) for field in fields(self)
+        }  # type: ignore[arg-type]
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
         """The inverse of `to_arrays`; KeyError if an array is missing."""
         found = {field.name: arrays[field.name] for field in fields(cls)}  # type: ignore[arg-type]
-        return cls(**{name: array if array.ndim else array.item() for name, array in found.items()})
+        return cls(
+            **{
+                name: array if array.ndim else array.item()
+                for name, array in found.items()
+            }
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,7 +153,9 @@ class Whitening(Arrays):
 def write_whitening(whitening: Whitening, path: Path) -> None:
     """Write a whitening that was fitted to labelled shapes, for shapes of other catalogues."""
     packed = io.BytesIO()
-    np.savez(packed, allow_pickle=False, **replace(whitening, kind=CALIBRATED).to_arrays())
+    np.savez(
+        packed, allow_pickle=False, **replace(whitening, kind=CALIBRATED).to_arrays()
+    )
     write_file(path, packed.getvalue())
 
 
@@ -181,9 +197,13 @@ def fit_whitening(
         For ``within-class`` only.
     """
     if kind not in (*WHITENINGS, *AUTOMATIC):
-        raise OptionError(f"whitening must be one of auto, {', '.join(WHITENINGS)}, got {kind!r}")
+        raise OptionError(
+            f"whitening must be one of auto, {', '.join(WHITENINGS)}, got {kind!r}"
+        )
     if logs.ndim != 2 or not np.isfinite(logs).all():
-        raise InputError(f"log-signatures must be finite and have shape (N, L), got {logs.shape}")
+        raise InputError(
+            f"log-signatures must be finite and have shape (N, L), got {logs.shape}"
+        )
     covariances.checked_shrinkage(kind, shrinkage)
     used, unlike = kind, np.inf
     if people is not None and len(logs) and kind in (*AUTOMATIC, "people"):
@@ -209,14 +229,22 @@ def fit_whitening(
         fit = covariances.neighbour_covariance(logs, shrinkage)
     if fit.covariance is None:
         zero, identity = np.zeros(logs.shape[1]), np.eye(logs.shape[1])
-        return Whitening("none", zero, identity, len(logs), 0.0, options_digest, fit.reason)
+        return Whitening(
+            "none", zero, identity, len(logs), 0.0, options_digest, fit.reason
+        )
     total = covariances.covariance_of(fit.shapes)
     variances, directions = np.linalg.eigh(fit.covariance)
     root = (directions / np.sqrt(variances)) @ directions.T  # C^(−1/2)
     scale = np.sqrt(np.trace(total) / np.trace(root @ total @ root))
     mean = fit.shapes.mean(axis=0)
     return Whitening(
-        used, mean, scale * root, len(fit.shapes), fit.shrinkage, options_digest, fit.reason
+        used,
+        mean,
+        scale * root,
+        len(fit.shapes),
+        fit.shrinkage,
+        options_digest,
+        fit.reason,
     )
 
 
@@ -241,9 +269,13 @@ def calibrated_whitening(
     """The whitening by the classes of a table, with the metric of people if the shapes are like people."""
     logs = table_coordinates(table, options.distance)
     if people is None or not len(logs) or (unlike := people.unlikeness(logs)) > ALIKE:
-        return table_whitening(table, options.model_copy(update={"whitening": "within-class"}))
+        return table_whitening(
+            table, options.model_copy(update={"whitening": "within-class"})
+        )
     logs = corrected(logs, people.network)
-    own = covariances.within_class_covariance(logs, table.labels, options.shrinkage, one_unit=True)
+    own = covariances.within_class_covariance(
+        logs, table.labels, options.shrinkage, one_unit=True
+    )
     return replace(_of_people(own, people, unlike), options_digest=table.digest)
 
 
@@ -272,7 +304,9 @@ def _of_people(own: covariances.Fit, people: People, unlike: float) -> Whitening
     reason = f"people: {1 - share:.0%} learned from simulated people"
     reason += f", {share:.0%} from {own.reason}" if share else ""
     n_own = len(own.shapes) if share else 0
-    return Whitening("people", people.mean, root, n_own, own.shrinkage, "", reason, people.network)
+    return Whitening(
+        "people", people.mean, root, n_own, own.shrinkage, "", reason, people.network
+    )
 
 
 def _pca(logs: FloatArray, shrinkage: Shrinkage) -> covariances.Fit:
@@ -281,4 +315,6 @@ def _pca(logs: FloatArray, shrinkage: Shrinkage) -> covariances.Fit:
     used = covariances.checked_shrinkage("pca", shrinkage)
     total = covariances.covariance_of(logs)
     covariance = total + used * np.linalg.eigvalsh(total)[-1] * np.eye(len(total))
-    return covariances.Fit(logs, covariance, used, f"pca: the covariance of {len(logs)} shapes")
+    return covariances.Fit(
+        logs, covariance, used, f"pca: the covariance of {len(logs)} shapes"
+    )

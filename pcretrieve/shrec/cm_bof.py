@@ -40,10 +40,13 @@ def canonical_form(mesh: TriangleMesh) -> TriangleMesh:
     """
     if not mesh.area > 0:
         raise DegenerateMeshError(
-            f"no face of {len(mesh.faces)} has an area: give a surface", stage=Stage.SIGNATURE
+            f"no face of {len(mesh.faces)} has an area: give a surface",
+            stage=Stage.SIGNATURE,
         )
     coarse = coarser(mesh, N_FACES)
-    return _posed(TriangleMesh(scaled_coordinates(geodesic_distances(coarse)), coarse.faces))
+    return _posed(
+        TriangleMesh(scaled_coordinates(geodesic_distances(coarse)), coarse.faces)
+    )
 
 
 def coarser(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
@@ -89,7 +92,9 @@ def geodesic_distances(mesh: TriangleMesh) -> FloatArray:
 def _links(mesh: TriangleMesh) -> tuple[NDArray[np.int64], FloatArray]:
     """Ends (l, 2) and lengths (l,) of edges, once for each face, and of diagonals of adjacent faces."""
     faces, vertices = mesh.faces.astype(np.int64), mesh.vertices
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    edges = np.sort(
+        np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1
+    )
     opposite = np.concatenate([faces[:, 2], faces[:, 0], faces[:, 1]])  # (3m,)
     order = np.lexsort((edges[:, 1], edges[:, 0]))
     edges, opposite = edges[order], opposite[order]
@@ -97,7 +102,9 @@ def _links(mesh: TriangleMesh) -> tuple[NDArray[np.int64], FloatArray]:
     start = vertices[edges[twice, 0]]
     along = vertices[edges[twice, 1]] - start
     length = np.linalg.norm(along, axis=1)  # (t,)
-    twice, start, along, length = (kept[length > 0] for kept in (twice, start, along, length))
+    twice, start, along, length = (
+        kept[length > 0] for kept in (twice, start, along, length)
+    )
     across = np.column_stack([opposite[twice], opposite[twice + 1]])  # (t, 2)
     inside, diagonals = _diagonals(vertices[across] - start[:, np.newaxis], along, length)
     inside &= across[:, 0] != across[:, 1]
@@ -191,7 +198,9 @@ def depth_pictures(mesh: TriangleMesh) -> Iterator[FloatArray]:
     """
     ticks = np.linspace(-1, 1, N_PIXELS) / (1 - MARGIN)
     across, up = np.meshgrid(ticks, ticks)
-    pixels = np.column_stack([across.ravel(), up.ravel(), np.full(across.size, START)])  # (p, 3)
+    pixels = np.column_stack(
+        [across.ravel(), up.ravel(), np.full(across.size, START)]
+    )  # (p, 3)
     scene = RayScene(mesh.vertices, mesh.faces)
     for towards in directions():
         upright = np.eye(3)[2] if abs(towards[2]) < 1 - 1e-9 else np.eye(3)[1]
@@ -240,11 +249,15 @@ def view_descriptors(shape: Shape) -> ViewDescriptors:
     for picture in depth_pictures(canonical_form(shape.mesh)):
         _, found = sift.detectAndCompute(np.round(255 * picture).astype(np.uint8), None)
         # OpenCV gives whole numbers from 0 to 255 in single precision, or None.
-        views.append(np.asarray([] if found is None else found, np.uint8).reshape(-1, SIFT_LENGTH))
+        views.append(
+            np.asarray([] if found is None else found, np.uint8).reshape(-1, SIFT_LENGTH)
+        )
     return views
 
 
-def view_words(gallery: Sequence[ViewDescriptors]) -> Callable[[ViewDescriptors], ViewWords]:
+def view_words(
+    gallery: Sequence[ViewDescriptors],
+) -> Callable[[ViewDescriptors], ViewWords]:
     """Draw the visual words from the descriptors of a gallery, at random, as published."""
     rng = np.random.default_rng(0)
     every = np.concatenate([view for views in gallery for view in views])  # (p, 128)
@@ -257,7 +270,9 @@ def _counted(vocabulary: FloatArray, views: ViewDescriptors) -> ViewWords:
     words, _ = vq(np.concatenate(views).astype(np.float64), vocabulary)
     view = np.repeat(np.arange(len(views)), [len(each) for each in views])
     # Equal places are added up.
-    return csr_array((np.ones(len(words)), (view, words)), shape=(len(views), len(vocabulary)))
+    return csr_array(
+        (np.ones(len(words)), (view, words)), shape=(len(views), len(vocabulary))
+    )
 
 
 def clock_distance(query: ViewWords, other: ViewWords) -> float:

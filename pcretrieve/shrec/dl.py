@@ -22,7 +22,13 @@ from pcretrieve.errors import InputError
 from pcretrieve.options.tables import Atoms
 from pcretrieve.shrec.heat import shipped
 from pcretrieve.spectral import unit_eigenpairs
-from pcretrieve.values import Eigenpairs, FloatArray, Signature, TriangleMesh, unit_vectors
+from pcretrieve.values import (
+    Eigenpairs,
+    FloatArray,
+    Signature,
+    TriangleMesh,
+    unit_vectors,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -47,7 +53,9 @@ class SurfacePoints(NamedTuple):
     shares: FloatArray
 
 
-def dl(pairs: Eigenpairs, *, supervised: bool = False, atoms: Atoms | None = None) -> Signature:
+def dl(
+    pairs: Eigenpairs, *, supervised: bool = False, atoms: Atoms | None = None
+) -> Signature:
     """The mean absolute sparse code of a surface [1]_.
 
     The open settings, and deviations from the article: scale-invariant heat kernel signatures of unit length,
@@ -65,12 +73,13 @@ def dl(pairs: Eigenpairs, *, supervised: bool = False, atoms: Atoms | None = Non
        shape descriptors using sparse coding", Computer Graphics Forum 33 (2014).
     """
     used = np.array(atoms) if supervised and atoms else shipped(ATOMS)[int(supervised)]
-    digest = (
-        f"m={len(pairs.eigenvalues) - 1}, atoms {hashlib.sha256(used.tobytes()).hexdigest()[:16]}"
-    )
+    digest = f"m={len(pairs.eigenvalues) - 1}, atoms {hashlib.sha256(used.tobytes()).hexdigest()[:16]}"
     kind = "dl-supervised" if supervised else "dl"
     return Signature(
-        atom_shares(surface_points(pairs), used), kind=kind, digest=digest, metric="histograms"
+        atom_shares(surface_points(pairs), used),
+        kind=kind,
+        digest=digest,
+        metric="histograms",
     )
 
 
@@ -83,7 +92,9 @@ def surface_points(pairs: Eigenpairs) -> SurfacePoints:
 
 def atom_shares(points: SurfacePoints, atoms: FloatArray) -> FloatArray:
     """(L,) shares of the atoms, ``∫ |z_k| / Σ_l ∫ |z_l|`` for codes z; equal if every code is zero."""
-    pooled = points.shares @ np.abs(sparse_codes(points.features, atoms))  # (L,): ∫ |z| / A
+    pooled = points.shares @ np.abs(
+        sparse_codes(points.features, atoms)
+    )  # (L,): ∫ |z| / A
     total = pooled.sum()
     return np.asarray(pooled / total if total else np.full(len(atoms), 1 / len(atoms)))
 
@@ -104,7 +115,9 @@ def sparse_codes(
     momentum = 1.0
     for _ in range(n_iterations):
         moved = ahead - (ahead @ gram - correlation) / lipschitz
-        after = moved - np.clip(moved, -PENALTY / lipschitz, PENALTY / lipschitz)  # soft threshold
+        after = moved - np.clip(
+            moved, -PENALTY / lipschitz, PENALTY / lipschitz
+        )  # soft threshold
         following = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
         ahead = after + (momentum - 1) / following * (after - codes)
         codes, momentum = after, following
@@ -181,17 +194,25 @@ def supervised_dictionary(
         logger.info("step %d of %d", step, N_STEPS)
         chosen = np.concatenate(
             [
-                rng.choice(classes[number], min(PER_CLASS, len(classes[number])), replace=False)
-                for number in rng.choice(len(classes), min(N_CLASSES, len(classes)), replace=False)
+                rng.choice(
+                    classes[number], min(PER_CLASS, len(classes[number])), replace=False
+                )
+                for number in rng.choice(
+                    len(classes), min(N_CLASSES, len(classes)), replace=False
+                )
             ]
         )
         drawn = np.array([_drawn(surfaces[number], rng, N_POINTS) for number in chosen])
         _, gradient = triplet_loss(drawn, names[chosen], atoms, margin)
-        gradient -= (gradient * atoms).sum(axis=1, keepdims=True) * atoms  # along the sphere
+        gradient -= (gradient * atoms).sum(
+            axis=1, keepdims=True
+        ) * atoms  # along the sphere
         mean = DECAY * mean + (1 - DECAY) * gradient
         squares = SQUARED_DECAY * squares + (1 - SQUARED_DECAY) * gradient**2
         size = np.sqrt(squares / (1 - SQUARED_DECAY**step)) + np.finfo(float).tiny
-        atoms = unit_vectors(atoms - rate * (1 - step / N_STEPS) * mean / (1 - DECAY**step) / size)
+        atoms = unit_vectors(
+            atoms - rate * (1 - step / N_STEPS) * mean / (1 - DECAY**step) / size
+        )
     return atoms
 
 
@@ -215,7 +236,9 @@ def triplet_loss(
     shares = np.abs(codes) * (1 / n_points)
     pooled = shares.reshape(n_surfaces, n_points, -1).sum(axis=1)  # (S, L)
     loss, by_pooled = _loss_of_shares(pooled, labels, margin)
-    by_codes = np.sign(codes) / n_points * np.repeat(by_pooled, n_points, axis=0)  # (n, L)
+    by_codes = (
+        np.sign(codes) / n_points * np.repeat(by_pooled, n_points, axis=0)
+    )  # (n, L)
     solved = _active_solutions(codes, atoms, by_codes)
     gradient = solved.T @ (features - codes @ atoms) - codes.T @ (solved @ atoms)
     return loss, gradient
@@ -231,22 +254,30 @@ def _loss_of_shares(
     loss, weights = _hinges(_squares_apart(roots), labels, margin)
     by_roots = 2 * (weights.sum(axis=1, keepdims=True) * roots - weights @ roots)
     by_shares = by_roots / (2 * roots)
-    by_pooled = (by_shares - (by_shares * pooled / totals).sum(axis=1, keepdims=True)) / totals
+    by_pooled = (
+        by_shares - (by_shares * pooled / totals).sum(axis=1, keepdims=True)
+    ) / totals
     return loss, by_pooled
 
 
-def _hinges(apart: FloatArray, labels: NDArray[np.str_], margin: float) -> tuple[float, FloatArray]:
+def _hinges(
+    apart: FloatArray, labels: NDArray[np.str_], margin: float
+) -> tuple[float, FloatArray]:
     """The loss of squared distances (S, S), and its derivative (S, S) by them."""
     alike = labels[:, np.newaxis] == labels  # (S, S)
     hinges = margin + apart[:, :, np.newaxis] - apart[:, np.newaxis]  # (q, p, n)
-    counted = (alike & ~np.eye(len(labels), dtype=bool))[:, :, np.newaxis] & ~alike[:, np.newaxis]
+    counted = (alike & ~np.eye(len(labels), dtype=bool))[:, :, np.newaxis] & ~alike[
+        :, np.newaxis
+    ]
     active = (hinges > 0) & counted
     weights = active.sum(axis=2) - active.sum(axis=1)
     loss = float((hinges * active).sum() / counted.sum())
     return loss, (weights + weights.T) / counted.sum()
 
 
-def _active_solutions(codes: FloatArray, atoms: FloatArray, right: FloatArray) -> FloatArray:
+def _active_solutions(
+    codes: FloatArray, atoms: FloatArray, right: FloatArray
+) -> FloatArray:
     """(n, L) β: solutions of (D Dᵀ)_ΛΛ β_Λ = right_Λ for the active atoms Λ of each code, else zero."""
     # The k active atoms of each code come first, and those behind them are left out of the equations.
     most = (codes != 0).sum(axis=1).max()

@@ -51,7 +51,11 @@ SAMPLE = "hks_sample.npy"
 
 
 def hks_bow(
-    pairs: Eigenpairs, n_words: int = 23, *, spatial: bool = False, scale_invariant: bool = False
+    pairs: Eigenpairs,
+    n_words: int = 23,
+    *,
+    spatial: bool = False,
+    scale_invariant: bool = False,
 ) -> Signature:
     """Bag of features of heat kernel signatures, with soft vector quantisation [1]_, sections 3 and 4.
 
@@ -79,13 +83,17 @@ def hks_bow(
     in_modes = (pairs.mass @ pairs.eigenvectors).T @ belongs  # (m + 1, L): ∫ φ_k θ_w
     if spatial:
         heat = np.exp(-SPATIAL_TIME * pairs.eigenvalues)  # (m + 1,)
-        shares = ((in_modes.T * heat) @ in_modes)[np.triu_indices(n_words)]  # (L (L + 1) / 2,)
+        shares = ((in_modes.T * heat) @ in_modes)[
+            np.triu_indices(n_words)
+        ]  # (L (L + 1) / 2,)
     else:
         shares = in_modes[0]  # (L,): ∫ θ_w, since φ_0 = 1 on unit area
     kind = f"{'si-' * scale_invariant}hks-bow{'-spatial' * spatial}"
     # The heat kernel truncated at m modes may have small negative values.
     values = np.maximum(shares, 0) + SMALLEST_SHARE
-    return Signature(values, kind=kind, digest=f"L={n_words} m={len(pairs.eigenvalues) - 1}")
+    return Signature(
+        values, kind=kind, digest=f"L={n_words} m={len(pairs.eigenvalues) - 1}"
+    )
 
 
 def heat_features(pairs: Eigenpairs, *, scale_invariant: bool = False) -> FloatArray:
@@ -146,7 +154,9 @@ class Vocabulary(NamedTuple):
         """
         squared = cdist(features, self.words, "sqeuclidean")  # (n, L)
         # Subtracting the smallest distance keeps the sum from underflowing to zero far from all words.
-        nearness = np.exp(-(squared - squared.min(axis=1, keepdims=True)) / (2 * width**2))
+        nearness = np.exp(
+            -(squared - squared.min(axis=1, keepdims=True)) / (2 * width**2)
+        )
         return np.asarray(nearness / nearness.sum(axis=1, keepdims=True))
 
 
@@ -169,7 +179,9 @@ def clustered(sample: FloatArray, n_words: int) -> Vocabulary:
 @cache
 def shipped(name: str) -> FloatArray:
     """An array that is stored beside this file, in double precision."""
-    return np.asarray(np.load(str(resources.files(__package__).joinpath(name))), dtype=np.float64)
+    return np.asarray(
+        np.load(str(resources.files(__package__).joinpath(name))), dtype=np.float64
+    )
 
 
 # --- pairs of surfaces ---------------------------------------------------------------------------------
@@ -248,7 +260,9 @@ def word_frequencies(gallery: Sequence[HeatPoints]) -> Callable[[HeatPoints], Fl
     number = max(N_POINTS, -(-fewest // len(gallery)))
     sample = np.concatenate(
         [
-            features[rng.choice(len(shares), min(number, len(shares)), replace=False, p=shares)]
+            features[
+                rng.choice(len(shares), min(number, len(shares)), replace=False, p=shares)
+            ]
             for features, shares in gallery
         ]
     )  # (s, 6)
@@ -262,4 +276,6 @@ def word_frequencies(gallery: Sequence[HeatPoints]) -> Callable[[HeatPoints], Fl
 
 def _frequencies(vocabulary: Vocabulary, points: HeatPoints) -> FloatArray:
     """(48,) shares of the area of a surface that the words have."""
-    return np.asarray(points.shares @ vocabulary.weights(points.features, 2 * vocabulary.gap))
+    return np.asarray(
+        points.shares @ vocabulary.weights(points.features, 2 * vocabulary.gap)
+    )

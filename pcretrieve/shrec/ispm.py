@@ -55,14 +55,18 @@ def ispm(pairs: Eigenpairs, n_words: int = 59, n_modes: int = 60) -> Signature:
        International Journal of Multimedia Information Retrieval 2 (2013).
     """
     vocabulary = _vocabulary(n_words)
-    belongs = vocabulary.weights(wavelet_signatures(pairs, n_modes), vocabulary.gap)  # (n, W)
+    belongs = vocabulary.weights(
+        wavelet_signatures(pairs, n_modes), vocabulary.gap
+    )  # (n, W)
     shares = _parts(pairs, 2 ** (N_LEVELS - 1)) @ belongs  # (8, W)
     levels = [_sorted_pairs(shares).ravel()]
     while len(shares) > 1:
         shares = shares[::2] + shares[1::2]
         levels.append(_sorted_pairs(shares).ravel())
     values = np.concatenate(levels[::-1]) / N_LEVELS
-    return Signature(values, kind="ispm", digest=f"L={n_words} m={n_modes}", metric="histograms")
+    return Signature(
+        values, kind="ispm", digest=f"L={n_words} m={n_modes}", metric="histograms"
+    )
 
 
 def wavelet_signatures(pairs: Eigenpairs, n_modes: int = 60) -> FloatArray:
@@ -85,7 +89,9 @@ def wavelet_signatures(pairs: Eigenpairs, n_modes: int = 60) -> FloatArray:
     lam = lowest.eigenvalues  # (m + 1,)
     largest, smallest = lam[-1], lam[-1] / EIGENVALUE_RATIO
     scaling = KERNEL_MAXIMUM * np.exp(-((lam / (0.6 * smallest)) ** 4))
-    kernels = np.array([scaling, _spline(2 / smallest * lam), _spline(lam / largest)])  # (3, m + 1)
+    kernels = np.array(
+        [scaling, _spline(2 / smallest * lam), _spline(lam / largest)]
+    )  # (3, m + 1)
     return unit_vectors(lowest.eigenvectors**2 @ kernels.T)  # (n, 3)
 
 
@@ -102,8 +108,12 @@ def _parts(pairs: Eigenpairs, n_parts: int) -> FloatArray:
     after = np.empty_like(areas)
     after[order] = np.cumsum(areas[order])
     before = after - areas
-    cuts = np.linspace(0, after[order[-1]], n_parts + 1)[:, np.newaxis]  # (n_parts + 1, 1)
-    return np.asarray(np.clip(after, cuts[:-1], cuts[1:]) - np.clip(before, cuts[:-1], cuts[1:]))
+    cuts = np.linspace(0, after[order[-1]], n_parts + 1)[
+        :, np.newaxis
+    ]  # (n_parts + 1, 1)
+    return np.asarray(
+        np.clip(after, cuts[:-1], cuts[1:]) - np.clip(before, cuts[:-1], cuts[1:])
+    )
 
 
 def _sorted_pairs(shares: FloatArray) -> FloatArray:

@@ -44,7 +44,9 @@ class Matcher:
     def __post_init__(self) -> None:
         known = [need for need in get_args(Need) if need != "eigenvectors"]
         if wrong := sorted(set(self.needs).difference(known)):
-            raise OptionError(f"needs of a matcher must be of {', '.join(known)}, got {wrong[0]!r}")
+            raise OptionError(
+                f"needs of a matcher must be of {', '.join(known)}, got {wrong[0]!r}"
+            )
 
 
 #: The matchers of pcretrieve by name.
@@ -52,8 +54,20 @@ MATCHERS = {
     matcher.name: matcher
     for matcher in (
         Matcher("heat-hausdorff", heat_set, heat_distance, needs=("mesh",)),
-        Matcher("hks-bow-gallery", heat_points, cityblock, needs=("mesh",), learn=word_frequencies),
-        Matcher("mds-cm-bof", view_descriptors, clock_distance, needs=("mesh",), learn=view_words),
+        Matcher(
+            "hks-bow-gallery",
+            heat_points,
+            cityblock,
+            needs=("mesh",),
+            learn=word_frequencies,
+        ),
+        Matcher(
+            "mds-cm-bof",
+            view_descriptors,
+            clock_distance,
+            needs=("mesh",),
+            learn=view_words,
+        ),
         Matcher("meshsift", mesh_features, match_distance, needs=("mesh",)),
     )
 }
@@ -64,7 +78,9 @@ def known_matcher(matcher: str | Matcher) -> Matcher:
     if isinstance(matcher, Matcher):
         return matcher
     if matcher not in MATCHERS:
-        raise OptionError(f"there is no matcher {matcher!r}; there are {', '.join(MATCHERS)}")
+        raise OptionError(
+            f"there is no matcher {matcher!r}; there are {', '.join(MATCHERS)}"
+        )
     return MATCHERS[matcher]
 
 
@@ -77,7 +93,9 @@ def match_all(
     features: dict[str, Any] = {}
     for shape_id in ids:
         try:
-            features[shape_id] = _called(matcher.name, matcher.prepare, shape_of(shape_id))
+            features[shape_id] = _called(
+                matcher.name, matcher.prepare, shape_of(shape_id)
+            )
             _log.info("prepared: %d shapes", len(features))
         except ShapeError as error:
             _log.warning("left out %s: %s", shape_id, error.message)
@@ -106,5 +124,6 @@ def _called(name: str, function: Callable[..., Any], *arguments: Any) -> Any:
         raise
     except Exception as error:
         raise ShapeError(
-            f"the matcher {name!r} failed, {type(error).__name__}: {error}", stage=Stage.SIGNATURE
+            f"the matcher {name!r} failed, {type(error).__name__}: {error}",
+            stage=Stage.SIGNATURE,
         ) from error

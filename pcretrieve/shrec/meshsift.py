@@ -19,7 +19,14 @@ from scipy.sparse.csgraph import dijkstra
 from pcretrieve.errors import DegenerateMeshError, Stage
 from pcretrieve.shrec.cm_bof import coarser
 from pcretrieve.surface.fairing import vertex_normals
-from pcretrieve.values import FloatArray, IntArray, Shape, TriangleMesh, tangent_axes, unit_vectors
+from pcretrieve.values import (
+    FloatArray,
+    IntArray,
+    Shape,
+    TriangleMesh,
+    tangent_axes,
+    unit_vectors,
+)
 from pcretrieve.values.geometry import adjacency, edge_graph
 
 _log = logging.getLogger(__name__)
@@ -45,7 +52,8 @@ CIRCLE = 1.5
 
 # Centres of the nine patches, in units of `CIRCLE`: the middle, four on the axes and four on the diagonals.
 CENTRES = np.array(
-    [(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)], dtype=np.float64
+    [(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)],
+    dtype=np.float64,
 )
 
 # Number of bins of the histograms of a patch, of the histogram of directions, and the width of the Gauss
@@ -87,12 +95,14 @@ def mesh_features(shape: Shape) -> MeshFeatures:
     """
     if not shape.mesh.area > 0:
         raise DegenerateMeshError(
-            f"no face of {len(shape.mesh.faces)} has an area: give a surface", stage=Stage.SIGNATURE
+            f"no face of {len(shape.mesh.faces)} has an area: give a surface",
+            stage=Stage.SIGNATURE,
         )
     if len(shape.mesh.faces) < FEWEST_FACES:
         _warn_once()
     mesh = coarser(
-        TriangleMesh(shape.mesh.vertices / np.sqrt(shape.mesh.area), shape.mesh.faces), N_FACES
+        TriangleMesh(shape.mesh.vertices / np.sqrt(shape.mesh.area), shape.mesh.faces),
+        N_FACES,
     )
     scale_space = levels(mesh)
     vertices, levels_of = keypoints(scale_space, mesh, MOST_KEYPOINTS)
@@ -112,7 +122,9 @@ def mesh_features(shape: Shape) -> MeshFeatures:
             apart = dijkstra(graph, directed=False, indices=chosen, limit=reach)  # (k, n)
             for vertex, distances in zip(chosen, apart, strict=True):
                 near = np.flatnonzero(np.isfinite(distances))
-                described += _described(int(vertex), near, distances[near], level, areas[near])
+                described += _described(
+                    int(vertex), near, distances[near], level, areas[near]
+                )
     return np.array(described, dtype=np.float32)
 
 
@@ -151,7 +163,11 @@ def _warn_once() -> None:
 
 
 def _described(
-    vertex: int, near: NDArray[np.intp], distances: FloatArray, level: Level, areas: FloatArray
+    vertex: int,
+    near: NDArray[np.intp],
+    distances: FloatArray,
+    level: Level,
+    areas: FloatArray,
 ) -> list[FloatArray]:
     """The descriptors (144,) of a keypoint, one for each main direction."""
     unit = 3 * level.scale
@@ -162,16 +178,20 @@ def _described(
     tilt = np.linalg.norm(tilts, axis=1)
     slants = np.arctan2(tilts[:, 1], tilts[:, 0])
     offsets = (level.vertices[near] - level.vertices[vertex]) @ plane.T
-    offsets *= (distances / np.maximum(np.linalg.norm(offsets, axis=1), 1e-12))[:, np.newaxis] / (
-        CIRCLE * unit
-    )
+    offsets *= (distances / np.maximum(np.linalg.norm(offsets, axis=1), 1e-12))[
+        :, np.newaxis
+    ] / (CIRCLE * unit)
     bins = _shape_bins(level.curvatures[near])
     made = []
     for angle in _directions(slants[disc], (weights * tilt)[disc]):
         by_slant = np.floor((slants - angle) / (2 * np.pi) * N_BINS).astype(int) % N_BINS
         share = _in_patches(offsets, angle) * areas[:, np.newaxis]  # (v, 9)
-        shapes = np.array([np.bincount(bins, column, N_BINS) for column in share.T])  # (9, 8)
-        turns = np.array([np.bincount(by_slant, column * tilt, N_BINS) for column in share.T])
+        shapes = np.array(
+            [np.bincount(bins, column, N_BINS) for column in share.T]
+        )  # (9, 8)
+        turns = np.array(
+            [np.bincount(by_slant, column * tilt, N_BINS) for column in share.T]
+        )
         made.append(_joined(shapes, turns))
     return made
 
@@ -206,9 +226,13 @@ def _directions(angles: FloatArray, weights: FloatArray) -> FloatArray:
     for _ in range(N_SMOOTHINGS):
         smooth = gaussian_filter1d(smooth, SMOOTHING, radius=SMOOTHING // 2, mode="wrap")
     before, after = np.roll(smooth, 1), np.roll(smooth, -1)
-    top = np.flatnonzero((smooth > before) & (smooth >= after) & (smooth >= HIGH * smooth.max()))
+    top = np.flatnonzero(
+        (smooth > before) & (smooth >= after) & (smooth >= HIGH * smooth.max())
+    )
     bend = before[top] - 2 * smooth[top] + after[top]
-    shift = np.where(bend < 0, (before[top] - after[top]) / np.where(bend < 0, 2 * bend, 1), 0)
+    shift = np.where(
+        bend < 0, (before[top] - after[top]) / np.where(bend < 0, 2 * bend, 1), 0
+    )
     return np.asarray(np.radians(top + 0.5 + shift))
 
 
@@ -239,7 +263,9 @@ def levels(mesh: TriangleMesh) -> list[Level]:
     average = diags_array(1 / average.sum(axis=1)) @ average
     starts = np.repeat(np.arange(len(mesh.vertices)), np.diff(links.indptr))
     edge = float(
-        np.linalg.norm(mesh.vertices[starts] - mesh.vertices[links.indices], axis=1).mean()
+        np.linalg.norm(
+            mesh.vertices[starts] - mesh.vertices[links.indices], axis=1
+        ).mean()
     )
     made = []
     smooth, done = mesh.vertices, 0
@@ -248,11 +274,15 @@ def levels(mesh: TriangleMesh) -> list[Level]:
             smooth = average @ smooth
         done = n
         normals, curvatures = _curvatures(TriangleMesh(smooth, mesh.faces), links)
-        made.append(Level(edge * float(np.sqrt(MEAN_SQUARE * n)), smooth, normals, curvatures))
+        made.append(
+            Level(edge * float(np.sqrt(MEAN_SQUARE * n)), smooth, normals, curvatures)
+        )
     return made
 
 
-def keypoints(scale_space: list[Level], mesh: TriangleMesh, most: int) -> tuple[IntArray, IntArray]:
+def keypoints(
+    scale_space: list[Level], mesh: TriangleMesh, most: int
+) -> tuple[IntArray, IntArray]:
     """Vertices (k,) and levels (k,) at which the change of the mean curvature with the scale is an extremum.
 
     The strongest extrema come first.
@@ -270,8 +300,12 @@ def keypoints(scale_space: list[Level], mesh: TriangleMesh, most: int) -> tuple[
     for row in range(1, len(change) - 1):
         around = slice(row - 1, row + 2)
         others = change[[row - 1, row + 1]]
-        found[row] = change[row] > np.maximum(high[around].max(axis=0), others.max(axis=0))
-        found[row] |= change[row] < np.minimum(low[around].min(axis=0), others.min(axis=0))
+        found[row] = change[row] > np.maximum(
+            high[around].max(axis=0), others.max(axis=0)
+        )
+        found[row] |= change[row] < np.minimum(
+            low[around].min(axis=0), others.min(axis=0)
+        )
     level, vertex = np.nonzero(found)
     strongest = np.argsort(-np.abs(change[level, vertex]), kind="stable")[:most]
     return vertex[strongest].astype(np.int32), level[strongest].astype(np.int32)
@@ -290,7 +324,9 @@ def _curvatures(mesh: TriangleMesh, links: csr_array) -> tuple[FloatArray, Float
     u, v = (np.einsum("ij,ij->i", along, plane[starts]) for plane in (first, second))
     du, dv = (np.einsum("ij,ij->i", turn, plane[starts]) for plane in (first, second))
     products = (u * u, u * v, v * v, u * du, v * du + u * dv, v * dv)
-    return normals, _fitted_curvatures([np.bincount(starts, each, n) for each in products])
+    return normals, _fitted_curvatures(
+        [np.bincount(starts, each, n) for each in products]
+    )
 
 
 def _fitted_curvatures(sums: list[NDArray[Any]]) -> FloatArray:
@@ -301,7 +337,9 @@ def _fitted_curvatures(sums: list[NDArray[Any]]) -> FloatArray:
     """
     uu, uv, vv, *right = sums
     zero = np.zeros(len(uu))
-    matrix = np.array([[uu, uv, zero], [uv, uu + vv, uv], [zero, uv, vv]]).transpose(2, 0, 1)
+    matrix = np.array([[uu, uv, zero], [uv, uu + vv, uv], [zero, uv, vv]]).transpose(
+        2, 0, 1
+    )
     matrix = matrix + 1e-9 * np.eye(3)  # regular for a vertex with one edge, too
     a, b, c = np.linalg.solve(matrix, np.column_stack(right)[:, :, np.newaxis])[:, :, 0].T
     middle, spread = (a + c) / 2, np.hypot((a - c) / 2, b)

@@ -15,7 +15,14 @@ from pcretrieve.descriptors.r_bihdm import leading
 from pcretrieve.descriptors.shape_dna import shape_dna
 from pcretrieve.errors import DegenerateMeshError, OptionError
 from pcretrieve.options import Scale, SignatureOptions
-from pcretrieve.values import Eigenpairs, FloatArray, ModalSpectrum, Shape, Signature, TriangleMesh
+from pcretrieve.values import (
+    Eigenpairs,
+    FloatArray,
+    ModalSpectrum,
+    Shape,
+    Signature,
+    TriangleMesh,
+)
 
 
 def bihdm_sampled(
@@ -37,7 +44,11 @@ def bihdm_sampled(
 def _bihdm_sampled(shape: Shape, o: SignatureOptions) -> Signature:
     made = bihdm_sampled(shape.eigenpairs, o.n_values, o.n_modes, scale=o.scale)
     # The eigenpairs of a shape are those at unit area, and the matrix scales as length⁴.
-    return replace(made, values=made.values * shape.area**2) if o.scale == "absolute" else made
+    return (
+        replace(made, values=made.values * shape.area**2)
+        if o.scale == "absolute"
+        else made
+    )
 
 
 BIHDM_SAMPLED = Descriptor(
@@ -71,7 +82,11 @@ N_FACES = 1000
 
 
 def sd_gdm(
-    mesh: TriangleMesh, n_values: int = 23, *, scale: Scale = "area", weighted: bool = True
+    mesh: TriangleMesh,
+    n_values: int = 23,
+    *,
+    scale: Scale = "area",
+    weighted: bool = True,
 ) -> Signature:
     """The SD-GDM signature of a surface [1]_; requires the extra ``pcretrieve[geodesic]``.
 
@@ -85,7 +100,9 @@ def sd_gdm(
     .. [1] D. Smeets, J. Hermans, D. Vandermeulen and P. Suetens, "Isometric deformation invariant 3D shape
        recognition", Pattern Recognition 45 (2012).
     """
-    mu = np.sort(np.abs(np.linalg.eigvalsh(geodesic_matrix(mesh, weighted=weighted))))[::-1]
+    mu = np.sort(np.abs(np.linalg.eigvalsh(geodesic_matrix(mesh, weighted=weighted))))[
+        ::-1
+    ]
     if not 1 <= n_values < len(mu):
         raise DegenerateMeshError(
             f"{n_values} values need a surface of at least {n_values + 1} vertices, got {len(mu)}: "
@@ -100,7 +117,9 @@ def sd_gdm(
 def _sd_gdm(name: str, spread: float, *, weighted: bool) -> Descriptor:
     return Descriptor(
         name=name,
-        make=lambda shape, o: sd_gdm(shape.mesh, o.n_values, scale=o.scale, weighted=weighted),
+        make=lambda shape, o: sd_gdm(
+            shape.mesh, o.n_values, scale=o.scale, weighted=weighted
+        ),
         needs=("mesh",),
         spread=spread,
     )
@@ -139,7 +158,9 @@ def geodesic_matrix(mesh: TriangleMesh, *, weighted: bool = True) -> FloatArray:
     coarse = simplified(mesh, N_FACES) if len(mesh.faces) > N_FACES else mesh
     solver = MeshHeatMethodDistanceSolver(coarse.vertices, coarse.faces)
     n = len(coarse.vertices)
-    distances = np.array([solver.compute_distance(vertex) for vertex in range(n)])  # (n, n)
+    distances = np.array(
+        [solver.compute_distance(vertex) for vertex in range(n)]
+    )  # (n, n)
     corners = np.repeat(coarse.face_areas / 3, 3)  # (3m,)
     areas = np.bincount(coarse.faces.ravel(), corners, n)  # (n,)
     weights = np.sqrt(areas if weighted else np.full_like(areas, areas.mean()))  # (n,)
@@ -160,7 +181,9 @@ def shape_dna_values(pairs: Eigenpairs | ModalSpectrum, n_values: int = 23) -> S
     """
     made = shape_dna(pairs, n_values, normalized_by="first")
     values = 1 / (made.values * np.arange(2, n_values + 2))
-    return Signature(values, kind="shape-dna-norm1-values", digest=made.digest, metric="values")
+    return Signature(
+        values, kind="shape-dna-norm1-values", digest=made.digest, metric="values"
+    )
 
 
 SHAPE_DNA_NORM1 = Descriptor(

@@ -83,7 +83,9 @@ def _plus(row: Row, factor: float, other: Row) -> Row:
 
 
 @compiled(fastmath={"contract"})
-def product(indptr: Index, columns: Index, entries: FloatArray, block: FloatArray) -> FloatArray:
+def product(
+    indptr: Index, columns: Index, entries: FloatArray, block: FloatArray
+) -> FloatArray:
     """The product of a CSR matrix and an (n, BLOCK) block."""
     product = np.empty_like(block)
     for i in range(len(block)):
@@ -178,7 +180,11 @@ def substitute(
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _forward(
-    block: FloatArray, indptr: Index, rows: Index, lower: FloatArray, paired: NDArray[np.bool_]
+    block: FloatArray,
+    indptr: Index,
+    rows: Index,
+    lower: FloatArray,
+    paired: NDArray[np.bool_],
 ) -> None:
     """Solve L Y = B in place, from the first row to the last."""
     column = 0

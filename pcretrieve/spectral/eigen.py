@@ -112,7 +112,9 @@ def _check_question(operator: LaplaceBeltrami, n_pairs: int, tolerance: float) -
         )
     n_massless = int((operator.mass.diagonal() <= 0).sum())
     if n_massless:
-        raise SpectrumError(f"every unknown must have mass, got {n_massless} of {n} without")
+        raise SpectrumError(
+            f"every unknown must have mass, got {n_massless} of {n} without"
+        )
 
 
 def _krylov(
@@ -121,7 +123,10 @@ def _krylov(
     """By a shift amid the wanted eigenvalues, 4πk / area by Weyl's law; else by one below all of them."""
     try:
         return block_krylov(
-            operator, n_pairs, shift=2 * np.pi * n_pairs / operator.area, tolerance=tolerance
+            operator,
+            n_pairs,
+            shift=2 * np.pi * n_pairs / operator.area,
+            tolerance=tolerance,
         )
     except (SpectrumError, LinAlgError, RuntimeError):
         return block_krylov(
@@ -137,7 +142,9 @@ def _dense(operator: LaplaceBeltrami, n_pairs: int) -> tuple[FloatArray, FloatAr
     return eigenvalues, vectors, 0
 
 
-def _check_answer(operator: LaplaceBeltrami, eigenvalues: FloatArray, vectors: FloatArray) -> float:
+def _check_answer(
+    operator: LaplaceBeltrami, eigenvalues: FloatArray, vectors: FloatArray
+) -> float:
     """The largest relative residual of the pairs with λ > 0."""
     scaled = eigenvalues * operator.area  # dimensionless
     if not (np.isfinite(scaled).all() and np.isfinite(vectors).all()):

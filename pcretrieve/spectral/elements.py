@@ -65,7 +65,9 @@ class Element:
 
     def __post_init__(self) -> None:
         if self.needs not in ("mesh", "points"):
-            raise OptionError(f"needs of an element must be 'mesh' or 'points', got {self.needs!r}")
+            raise OptionError(
+                f"needs of an element must be 'mesh' or 'points', got {self.needs!r}"
+            )
         if not self.masses or not set(self.masses) <= set(get_args(Mass)):
             known = ", ".join(get_args(Mass))
             raise OptionError(
@@ -99,7 +101,10 @@ class ReferenceElement(NamedTuple):
 
 def edge_keys(mesh: TriangleMesh) -> NDArray[np.int64]:
     """(m, 3) the edge at each side of a face: ascending with its lower, then its higher vertex number."""
-    tail, head = mesh.faces.astype(np.int64), np.roll(mesh.faces, -1, axis=1)  # (m, 3) each
+    tail, head = (
+        mesh.faces.astype(np.int64),
+        np.roll(mesh.faces, -1, axis=1),
+    )  # (m, 3) each
     return np.minimum(tail, head) * len(mesh.vertices) + np.maximum(tail, head)
 
 
@@ -119,7 +124,9 @@ def assembled(mesh: TriangleMesh, nodes: Index, element: ReferenceElement) -> As
     edges = np.roll(corners, -1, axis=1) - corners
     area = mesh.face_areas  # (m,)
     # The angle opposite to side k is at corner k + 2, between sides k + 1 and k + 2.
-    opposite = (np.roll(edges, -1, axis=1) * np.roll(edges, -2, axis=1)).sum(axis=0)  # (3, m)
+    opposite = (np.roll(edges, -1, axis=1) * np.roll(edges, -2, axis=1)).sum(
+        axis=0
+    )  # (3, m)
     half_cotangents = np.ascontiguousarray((-opposite / (4 * area)).T)  # (m, 3)
 
     boundary, lone = np.zeros(int(nodes.max()) + 1, dtype=bool), lone_sides(mesh)
@@ -128,7 +135,9 @@ def assembled(mesh: TriangleMesh, nodes: Index, element: ReferenceElement) -> As
         boundary[nodes[lone[:, k]][:, side]] = True
         along.append(along[k][np.ix_(back, back)])
         side = element.turn[side]
-    stiffness, mass = _summed(nodes, half_cotangents, np.array(along[:3]), area, element.mass)
+    stiffness, mass = _summed(
+        nodes, half_cotangents, np.array(along[:3]), area, element.mass
+    )
     return Assembled(stiffness, mass, boundary)
 
 

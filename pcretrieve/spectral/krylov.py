@@ -88,7 +88,9 @@ def block_krylov(
     # The last rows of QᵀMT block. The rows before them contain rounding errors and the effect of `lost` only.
     # They are set to zero, as they are for T projected onto an orthonormal basis of the same space [2]_.
     known = np.empty((0, BLOCK))
-    block, mapped, left, drift = _orthonormal(start, space.vectors, factor.mass, known, known)
+    block, mapped, left, drift = _orthonormal(
+        start, space.vectors, factor.mass, known, known
+    )
     norm = 0.0  # of T, about
     look_at = int(VECTORS_PER_PAIR_AT_FIRST_LOOK * n_pairs) + SPARE_VECTORS_AT_FIRST_LOOK
     for n_blocks in range(1, LONGEST_RUN * space.size // BLOCK + 1):
@@ -99,7 +101,9 @@ def block_krylov(
         norm = max(norm, float(np.linalg.norm(known)))
         drift += np.finfo(float).eps * norm * random.standard_normal(drift.shape)
         # T Q_new = Q_rows known + block left
-        block, mapped, left, drift = _orthonormal(image, space.vectors, factor.mass, known, drift)
+        block, mapped, left, drift = _orthonormal(
+            image, space.vectors, factor.mass, known, drift
+        )
         known = left.T
         if space.width < look_at and not space.is_full:
             continue
@@ -183,7 +187,8 @@ class KrylovSpace:
         self.projected[rows, new] = known
         self.projected[new, rows] = known.T
         return np.asarray(
-            self.projected[used, used] @ self.lost[used, new] - self.lost[used, rows] @ known
+            self.projected[used, used] @ self.lost[used, new]
+            - self.lost[used, rows] @ known
         )
 
     def ritz(self, left: FloatArray) -> Ritz:
@@ -207,7 +212,9 @@ class KrylovSpace:
         self.projected[:kept, :kept] = np.diag(ritz.theta[:kept])
         self.width = kept
 
-    def combined(self, ritz: Ritz, n_pairs: int, block: FloatArray, order: Index) -> FloatArray:
+    def combined(
+        self, ritz: Ritz, n_pairs: int, block: FloatArray, order: Index
+    ) -> FloatArray:
         """(n, n_pairs) eigenvectors, each row at its place in the operator.
 
         T φ / θ instead of φ: it is available, and more accurate by one iteration. It has components along the
@@ -215,7 +222,9 @@ class KrylovSpace:
         """
         self.basis[self.width : self.width + BLOCK] = block.T
         outside = ritz.outside[:, :n_pairs]
-        parts = np.concatenate([ritz.mixing[:, :n_pairs], outside])  # (width + BLOCK, n_pairs)
+        parts = np.concatenate(
+            [ritz.mixing[:, :n_pairs], outside]
+        )  # (width + BLOCK, n_pairs)
         parts -= parts @ (outside.T @ outside) / 2  # M-orthonormal again, to first order
         vectors = np.empty((self.basis.shape[1], n_pairs))
         for first in range(0, len(vectors), CHUNK):
@@ -225,7 +234,11 @@ class KrylovSpace:
 
 
 def _orthonormal(
-    block: FloatArray, basis: FloatArray, mass: BlockMap, known: FloatArray, drift: FloatArray
+    block: FloatArray,
+    basis: FloatArray,
+    mass: BlockMap,
+    known: FloatArray,
+    drift: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Orthogonalise an (n, BLOCK) block against a basis, in the inner product of M: block = Q known + X left.
 
@@ -260,7 +273,9 @@ def _orthonormal(
         blocks.times(mapped, inverse)
         left = lower.T @ left
         condition = np.linalg.norm(lower) * np.linalg.norm(inverse) / BLOCK
-        loss = np.sqrt(((error**2).sum(axis=0) / gram.diagonal()).max()) if n_rounds else 0.0
+        loss = (
+            np.sqrt(((error**2).sum(axis=0) / gram.diagonal()).max()) if n_rounds else 0.0
+        )
         if max(condition, loss) <= LARGEST_LOSS:
             return block, mapped, left, lost
     raise LinAlgError("the space has no room for another block")
@@ -276,7 +291,12 @@ class Factor:
         # Minimum degree ordering of the symmetric pattern causes less fill-in than the default ordering. With
         # relaxed supernodes, regularly refined meshes may take ten times as long; narrow panels gain a tenth.
         factor = splu(
-            matrix, "MMD_AT_PLUS_A", 0.0, relax=1, panel_size=4, options={"SymmetricMode": True}
+            matrix,
+            "MMD_AT_PLUS_A",
+            0.0,
+            relax=1,
+            panel_size=4,
+            options={"SymmetricMode": True},
         )
         if not np.array_equal(factor.perm_r, factor.perm_c):
             raise LinAlgError("a pivot is zero")
@@ -306,7 +326,9 @@ class Factor:
 def _factor(operator: LaplaceBeltrami, n_pairs: int, shift: float) -> Factor:
     factor = Factor(operator.stiffness - shift * operator.mass, operator.mass)
     if shift < 0 < factor.n_negative:
-        raise SpectrumError("S − σM must be positive definite for a σ below 0, got one that is not")
+        raise SpectrumError(
+            "S − σM must be positive definite for a σ below 0, got one that is not"
+        )
     if factor.n_negative > n_pairs:
         raise SpectrumError(
             f"at most {n_pairs} eigenvalues must be below the shift, got {factor.n_negative}"

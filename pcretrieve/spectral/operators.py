@@ -8,7 +8,13 @@ import numpy as np
 from scipy.sparse import csc_array, diags_array
 from scipy.sparse.csgraph import connected_components
 
-from pcretrieve.errors import DegenerateMeshError, InputError, OptionError, Stage, in_stage
+from pcretrieve.errors import (
+    DegenerateMeshError,
+    InputError,
+    OptionError,
+    Stage,
+    in_stage,
+)
 from pcretrieve.spectral.eigen import eigenpairs
 from pcretrieve.spectral.elements import CUBIC, INTRINSIC_DELAUNAY, LINEAR, Element, Mass
 from pcretrieve.spectral.points import POINTS
@@ -16,7 +22,9 @@ from pcretrieve.values import Eigenpairs, LaplaceBeltrami, TriangleMesh
 from pcretrieve.values.conversion import GeometryLike, as_geometry
 
 #: The elements of pcretrieve by name.
-ELEMENTS = {element.name: element for element in (LINEAR, CUBIC, INTRINSIC_DELAUNAY, POINTS)}
+ELEMENTS = {
+    element.name: element for element in (LINEAR, CUBIC, INTRINSIC_DELAUNAY, POINTS)
+}
 
 
 def laplace_beltrami(
@@ -72,13 +80,17 @@ def laplace_beltrami(
     _one_of("boundary", boundary, ("neumann", "dirichlet"))
     name = element.name
     if mass not in (None, *element.masses):
-        raise OptionError(f"element {name!r} has {element.masses[0]} mass only, got mass={mass!r}")
+        raise OptionError(
+            f"element {name!r} has {element.masses[0]} mass only, got mass={mass!r}"
+        )
     if element.needs == "points" and boundary == "dirichlet":
         raise OptionError(
             f"element {name!r} has boundary='neumann' only: a cloud does not say where it ends"
         )
     if element.needs == "mesh" and not isinstance(geometry, TriangleMesh):
-        raise InputError(f"element {name!r} needs a TriangleMesh, got {type(geometry).__name__}")
+        raise InputError(
+            f"element {name!r} needs a TriangleMesh, got {type(geometry).__name__}"
+        )
     if element.needs == "points" and isinstance(geometry, TriangleMesh):
         raise InputError(
             f"element {name!r} needs a PointCloud or an (n, 3) array, got a TriangleMesh"
@@ -97,7 +109,9 @@ def laplace_beltrami(
     if (mass or element.masses[0]) == "lumped":
         matrix = csc_array(diags_array(matrix.sum(axis=1)))
     if boundary == "neumann":
-        return LaplaceBeltrami(assembled.stiffness, matrix, n_components=int(n_components))
+        return LaplaceBeltrami(
+            assembled.stiffness, matrix, n_components=int(n_components)
+        )
 
     closed = n_components - len(np.unique(component[assembled.boundary]))
     if closed:
@@ -110,20 +124,28 @@ def laplace_beltrami(
         raise DegenerateMeshError(
             "boundary='dirichlet' needs nodes inside, got all on the boundary: refine it"
         )
-    stiffness, matrix = (csc_array(full[:, nodes][nodes]) for full in (assembled.stiffness, matrix))
+    stiffness, matrix = (
+        csc_array(full[:, nodes][nodes]) for full in (assembled.stiffness, matrix)
+    )
     return LaplaceBeltrami(stiffness, matrix, n_components=0, nodes=nodes)
 
 
 def _one_of(name: str, given: object, allowed: tuple[object, ...]) -> None:
     if given not in allowed:
         names = [repr(value) for value in allowed if value is not None]
-        raise OptionError(f"{name} must be {', '.join(names[:-1])} or {names[-1]}, got {given!r}")
+        raise OptionError(
+            f"{name} must be {', '.join(names[:-1])} or {names[-1]}, got {given!r}"
+        )
 
 
-def unit_eigenpairs(mesh: TriangleMesh, n_pairs: int, element: str = "linear") -> Eigenpairs:
+def unit_eigenpairs(
+    mesh: TriangleMesh, n_pairs: int, element: str = "linear"
+) -> Eigenpairs:
     """The lowest eigenpairs of a surface scaled to unit area, as all descriptors take them.
 
     At unit area tolerances mean the same for every surface: the matrix of R-BiHDM scales as length⁴.
     """
     vertices = (mesh.vertices - mesh.vertices.mean(axis=0)) / np.sqrt(mesh.area)
-    return eigenpairs(laplace_beltrami(TriangleMesh(vertices, mesh.faces), element), n_pairs)
+    return eigenpairs(
+        laplace_beltrami(TriangleMesh(vertices, mesh.faces), element), n_pairs
+    )

@@ -51,7 +51,9 @@ def points(cloud: PointCloud) -> Assembled:
     """
     n = len(cloud.points)
     if n <= NEIGHBORS:
-        raise DegenerateMeshError(f"a cloud must have at least {NEIGHBORS + 1} points, got {n}")
+        raise DegenerateMeshError(
+            f"a cloud must have at least {NEIGHBORS + 1} points, got {n}"
+        )
     mesh = TriangleMesh(cloud.points, stars(cloud.points, cloud.normals))
     mesh = TriangleMesh(cloud.points, mesh.faces[~mesh.flat_faces])
     lone = n - len(np.unique(mesh.faces))
@@ -61,7 +63,9 @@ def points(cloud: PointCloud) -> Assembled:
             "are no surface"
         )
     stiffness, mass, _ = assembled(mesh, mesh.faces, LINEAR_REFERENCE)
-    return Assembled(csc_array(stiffness / 3), csc_array(mass / 3), np.zeros(n, dtype=bool))
+    return Assembled(
+        csc_array(stiffness / 3), csc_array(mass / 3), np.zeros(n, dtype=bool)
+    )
 
 
 # Lumped mass is more accurate.
@@ -98,7 +102,9 @@ def stars(positions: FloatArray, normals: FloatArray | None = None) -> IntArray:
     from scipy.spatial import KDTree
 
     # (n, 1 + k); the first column is the point itself
-    distance, neighbors = map(np.asarray, KDTree(positions).query(positions, NEIGHBORS + 1))
+    distance, neighbors = map(
+        np.asarray, KDTree(positions).query(positions, NEIGHBORS + 1)
+    )
     double = int((distance[:, 1] == 0).sum())
     if double:
         raise DegenerateMeshError(

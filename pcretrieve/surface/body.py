@@ -133,7 +133,9 @@ def body_surfaces(
     del neighbors
     for number in range(options.reconstructions):
         cell = max(CELLS[number % len(CELLS)] * size, least)
-        mesh, marks, step = _body_surface(cloud, coarse, cell, number * SHIFT % 1, options)
+        mesh, marks, step = _body_surface(
+            cloud, coarse, cell, number * SHIFT % 1, options
+        )
         step = replace(step, seconds=time.perf_counter() - started)
         if n_continued:
             note = f"continued a limb across a gap by {n_continued} points"
@@ -146,7 +148,11 @@ def body_surfaces(
 
 
 def _body_surface(
-    cloud: PointCloud, coarse: Capped, cell: float, shift: FloatArray, options: SurfaceOptions
+    cloud: PointCloud,
+    coarse: Capped,
+    cell: float,
+    shift: FloatArray,
+    options: SurfaceOptions,
 ) -> tuple[TriangleMesh, SurfaceMarks, Step]:
     notes: list[str] = []
     deepest = hidden_below(cloud.diagonal, cell) + 1  # interpolated between voxels
@@ -156,7 +162,12 @@ def _body_surface(
     further = coarse.surface.vertices
     for gap in (options.gap, *(options.gap * wider for wider in WIDER)):
         outside = flood(
-            walled, further, cell=cell, gap=gap * cloud.diagonal, shift=shift, deepest=deepest
+            walled,
+            further,
+            cell=cell,
+            gap=gap * cloud.diagonal,
+            shift=shift,
+            deepest=deepest,
         )
         coarse_inside = filled(coarse.surface, outside.grid)
         cloud = _turned(cloud, caps, outside)
@@ -167,10 +178,14 @@ def _body_surface(
             break
     else:
         outside = replace(
-            outside, reached=np.zeros_like(outside.reached), depth=np.zeros_like(outside.depth)
+            outside,
+            reached=np.zeros_like(outside.reached),
+            depth=np.zeros_like(outside.depth),
         )
         distance = distance_field(cloud, outside)
-        notes.append("the flood fill of the outside leaked into the body and was not used")
+        notes.append(
+            "the flood fill of the outside leaked into the body and was not used"
+        )
     grid = outside.grid
     inside = (coarse_inside & np.isnan(distance) | (distance < 0)) & ~outside.reached
     to_points, parted = outside.distance, np.zeros_like(inside)
@@ -251,7 +266,9 @@ def _continued(cloud: PointCloud, grid: Grid, to_points: Voxels) -> Mask:
     """The links that cross a wall continued inwards from the rim of a contact, if sensors left it unseen."""
     if cloud.viewpoints is None:
         return np.zeros((3, 1, 1, 1), dtype=bool)
-    middles, directions = rims(grid.coordinates(cloud.points), normals_of(cloud), to_points)
+    middles, directions = rims(
+        grid.coordinates(cloud.points), normals_of(cloud), to_points
+    )
     return walls(middles, directions, grid.shape, CONTINUED)
 
 
@@ -278,11 +295,17 @@ def _surface(
         high = low + int(np.prod(body.shape[axis + 1 :]))
         at_low, at_high = distance[low], distance[high]
         changes = inside[low] != inside[high]
-        believed = changes & ((at_low < 0) == inside[low]) & ((at_high < 0) == inside[high])
+        believed = (
+            changes & ((at_low < 0) == inside[low]) & ((at_high < 0) == inside[high])
+        )
         believed &= np.isfinite(at_low) & np.isfinite(at_high)
-        share = np.divide(at_low, at_low - at_high, out=np.full(len(here), 0.5), where=believed)
+        share = np.divide(
+            at_low, at_low - at_high, out=np.full(len(here), 0.5), where=believed
+        )
         crossing = crossings(coarse.surface, grid, axis).ravel()[low]
-        share = np.where(believed, share, np.where(changes & np.isfinite(crossing), crossing, 0.5))
+        share = np.where(
+            believed, share, np.where(changes & np.isfinite(crossing), crossing, 0.5)
+        )
         placed.append(Crossings(here, np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE)))
         invented.append(~believed)
         unseen.append(~believed & ~parted[low] & ~parted[high])

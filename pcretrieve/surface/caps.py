@@ -190,7 +190,9 @@ def slope_of(
     if near.sum() < 3:
         return 1.0, 0.0
     # The flood fill may have come in by the hole, and have turned normals at its rim inwards.
-    outwards = np.sign(np.einsum("ij,ij->i", normals[near], offsets[near] + radius * axis))
+    outwards = np.sign(
+        np.einsum("ij,ij->i", normals[near], offsets[near] + radius * axis)
+    )
     tilt, along = outwards * (normals[near] @ axis), along[near]
     # The slope of the regression line; np.polyfit warns where all points have one height.
     centred = along - along.mean()
@@ -203,7 +205,9 @@ def ends_a_part(tilt: float, steepness: float) -> bool:
     return tilt < LEAST_TILT and steepness < LEAST_STEEPNESS
 
 
-def base_of(surface: TriangleMesh, cap: NDArray[np.intp], is_end: Mask, cloud: PointCloud) -> Mask:
+def base_of(
+    surface: TriangleMesh, cap: NDArray[np.intp], is_end: Mask, cloud: PointCloud
+) -> Mask:
     """(m,) mask of the faces of a base: caps of ends of the body that face down, and are nearly flat.
 
     Down is away from the ground, if the stage `crop` has removed it. Otherwise it is the normal of the
@@ -247,10 +251,14 @@ def _stands(base: FloatArray, down: FloatArray, cloud: PointCloud) -> bool:
         return False
     axes = np.linalg.svd(down[None])[2][1:]  # (2, 3), perpendicular to `down`
     try:
-        outline = ConvexHull(np.concatenate([base, cloud.points[touching]]) @ axes.T).equations
+        outline = ConvexHull(
+            np.concatenate([base, cloud.points[touching]]) @ axes.T
+        ).equations
     except QhullError:  # fewer than three points, or all on a line
         return False
-    return bool((outline[:, :2] @ (axes @ cloud.points.mean(axis=0)) + outline[:, 2] <= 0).all())
+    return bool(
+        (outline[:, :2] @ (axes @ cloud.points.mean(axis=0)) + outline[:, 2] <= 0).all()
+    )
 
 
 class End(NamedTuple):
@@ -276,7 +284,9 @@ class End(NamedTuple):
         least = FACING * distance
         is_facing = across @ self.axis > least and across @ other.axis < -least
         alike = max(self.radius, other.radius) < ALIKE * min(self.radius, other.radius)
-        return 2 * distance / (self.radius + other.radius) if is_facing and alike else np.inf
+        return (
+            2 * distance / (self.radius + other.radius) if is_facing and alike else np.inf
+        )
 
 
 def limbs_continued(cloud: PointCloud, spacing: float) -> PointCloud:
@@ -327,7 +337,10 @@ def _bridged(cloud: PointCloud, one: End, other: End, spacing: float) -> PointCl
         return np.asarray(offsets - np.outer(offsets @ along, along))
 
     rims = [across(each.rim, each.middle) / each.radius for each in (one, other)]
-    opposite = nearest(rims[1], rims[0], 1)[1][:, 0], nearest(rims[0], rims[1], 1)[1][:, 0]
+    opposite = (
+        nearest(rims[1], rims[0], 1)[1][:, 0],
+        nearest(rims[0], rims[1], 1)[1][:, 0],
+    )
     starts = np.concatenate([one.rim, one.rim[opposite[1]]])
     ends = np.concatenate([other.rim[opposite[0]], other.rim])
     longest = np.linalg.norm(ends - starts, axis=1).max()
@@ -339,7 +352,10 @@ def _bridged(cloud: PointCloud, one: End, other: End, spacing: float) -> PointCl
     # The flood fill may have come in by the gap, and have turned normals at the rims inwards.
     for each in (one, other):
         near = nearest(each.rim, cloud.points, 1)[0][:, 0] < BESIDE_END * each.radius
-        inwards = np.einsum("ij,ij->i", known[near], across(cloud.points[near], each.middle)) < 0
+        inwards = (
+            np.einsum("ij,ij->i", known[near], across(cloud.points[near], each.middle))
+            < 0
+        )
         known[np.flatnonzero(near)[inwards]] *= -1
     return replace(
         cloud,
@@ -351,7 +367,9 @@ def _bridged(cloud: PointCloud, one: End, other: End, spacing: float) -> PointCl
 def points_on(surface: TriangleMesh, faces: Mask, spacing: float) -> FloatArray:
     """(p, 3) points on some faces of a surface, on a regular grid of each face, at most a spacing apart."""
     corners = surface.vertices[surface.faces[faces]]  # (f, 3, 3)
-    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(initial=0.0)
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(
+        initial=0.0
+    )
     n = int(np.ceil(longest / spacing)) + 1
     return grid_points(corners, n)
 

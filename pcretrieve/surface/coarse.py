@@ -25,7 +25,9 @@ from pcretrieve.values.compiled import compiled
 FILTER = 0.6
 
 
-def indicator(points: FloatArray, normals: FloatArray, spacings: FloatArray, grid: Grid) -> Voxels:
+def indicator(
+    points: FloatArray, normals: FloatArray, spacings: FloatArray, grid: Grid
+) -> Voxels:
     """The indicator function of a body, smoothed, from oriented points of its surface [1]_.
 
     The gradient of the indicator function χ is concentrated on the surface, where it is −n. It is known at
@@ -48,14 +50,20 @@ def indicator(points: FloatArray, normals: FloatArray, spacings: FloatArray, gri
     """
     from scipy import fft
 
-    shares = np.minimum(spacings / grid.cell, 1) ** 2  # of the area of the face of a voxel
+    shares = (
+        np.minimum(spacings / grid.cell, 1) ** 2
+    )  # of the area of the face of a voxel
     field = _splatted(grid.coordinates(points), shares[:, None] * normals, grid.shape)
     n_x, n_y, n_z = grid.shape
     frequencies = np.ix_(fft.fftfreq(n_x), fft.fftfreq(n_y), fft.rfftfreq(n_z))
-    x, y, z = (np.asarray(2 * np.pi * frequency, dtype=np.float32) for frequency in frequencies)
+    x, y, z = (
+        np.asarray(2 * np.pi * frequency, dtype=np.float32) for frequency in frequencies
+    )
     squares = x**2 + y**2 + z**2
     squares[0, 0, 0] = 1  # the divergence is zero there
-    divergence = x * fft.rfftn(field[0]) + y * fft.rfftn(field[1]) + z * fft.rfftn(field[2])
+    divergence = (
+        x * fft.rfftn(field[0]) + y * fft.rfftn(field[1]) + z * fft.rfftn(field[2])
+    )
     smooth = np.exp(np.float32(-(FILTER**2) / 2) * squares) / squares
     values = fft.irfftn(np.complex64(1j) * smooth * divergence, grid.shape)
     return np.asarray(values - values[0, 0, 0], dtype=np.float32)
@@ -166,7 +174,11 @@ def _lines(
 
 @compiled(inline="always")
 def _meeting(
-    at: FloatArray, face: NDArray[np.int32], axes: tuple[int, int, int], x: float, y: float
+    at: FloatArray,
+    face: NDArray[np.int32],
+    axes: tuple[int, int, int],
+    x: float,
+    y: float,
 ) -> float:
     """Where a line meets a face, along the last of the axes; NaN if it does not.
 
@@ -185,7 +197,9 @@ def _meeting(
         return np.nan
     s = ((x - at[p, i]) * second_y - second_x * (y - at[p, j])) / area
     t = (first_x * (y - at[p, j]) - (x - at[p, i]) * first_y) / area
-    along = at[p, axis] + s * (at[q, axis] - at[p, axis]) + t * (at[r, axis] - at[p, axis])
+    along = (
+        at[p, axis] + s * (at[q, axis] - at[p, axis]) + t * (at[r, axis] - at[p, axis])
+    )
     return float(along)
 
 
@@ -221,7 +235,11 @@ LEAST_PIECE = 0.005
 
 
 def coarse_surface(
-    cloud: PointCloud, options: SurfaceOptions, neighbors: Neighborhoods, *, spacing: float
+    cloud: PointCloud,
+    options: SurfaceOptions,
+    neighbors: Neighborhoods,
+    *,
+    spacing: float,
 ) -> tuple[Capped, PointCloud]:
     """Reconstruct a coarse surface, which decides far from the points.
 
@@ -234,7 +252,11 @@ def coarse_surface(
     """
     # See docs/decisions.md, LEVEL, for scans with sensor positions.
     n = 2**options.fill_depth
-    surface = _level_set(cloud, local_spacings(neighbors), n) if cloud.viewpoints is None else None
+    surface = (
+        _level_set(cloud, local_spacings(neighbors), n)
+        if cloud.viewpoints is None
+        else None
+    )
     if surface is None:
         surface = _poisson_surface(cloud, options.fill_depth)
     elif (components(surface) > 0).mean() > LEAST_PIECE:
@@ -253,7 +275,9 @@ def _level_set(cloud: PointCloud, spacings: FloatArray, n: int) -> TriangleMesh 
     at_points = float(sampled(values, grid.coordinates(cloud.points)).mean())
     level = np.float32(LEVEL * at_points)
     body = values > level
-    is_open = any(np.take(body, side, axis).any() for axis in range(3) for side in (0, -1))
+    is_open = any(
+        np.take(body, side, axis).any() for axis in range(3) for side in (0, -1)
+    )
     if is_open or not body.any():
         return None
     vertices, faces = level_set(values, level)

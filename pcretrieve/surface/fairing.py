@@ -65,7 +65,11 @@ def faired(vertices: FloatArray, faces: IntArray, free: Mask) -> FloatArray:
     stiffness, areas, normals = _operators(at, patch)
     # Integrated over the rim, S x = −∫ Δx = ∫ 2 H n.
     along_normals = np.einsum("ij,ij->i", stiffness @ at, normals)
-    twice_h = max(0.0, along_normals[is_rim].sum() / areas[is_rim].sum()) if is_rim.any() else 0.0
+    twice_h = (
+        max(0.0, along_normals[is_rim].sum() / areas[is_rim].sum())
+        if is_rim.any()
+        else 0.0
+    )
     for _ in range(ROUNDS):
         root = np.sqrt(areas[is_bent])
         rows = diags_array(1 / root) @ stiffness.tocsr()[is_bent]  # (b, k)
@@ -115,7 +119,9 @@ def membrane(vertices: FloatArray, faces: IntArray, free: Mask) -> FloatArray:
     joined = joined + joined.T
     laplacian = (diags_array(joined.sum(axis=1)) - joined).tocsr()[free]  # (k, n)
     moved: FloatArray = vertices.copy()
-    moved[free] = splu(laplacian[:, free].tocsc()).solve(-(laplacian[:, ~free] @ vertices[~free]))
+    moved[free] = splu(laplacian[:, free].tocsc()).solve(
+        -(laplacian[:, ~free] @ vertices[~free])
+    )
     return moved
 
 
@@ -138,7 +144,9 @@ def faces_at(chosen: Mask, faces: IntArray) -> IntArray:
     return np.asarray(faces[a | b | c])
 
 
-def _operators(at: FloatArray, faces: IntArray) -> tuple[csc_array, FloatArray, FloatArray]:
+def _operators(
+    at: FloatArray, faces: IntArray
+) -> tuple[csc_array, FloatArray, FloatArray]:
     """The cotangent stiffness matrix S (k, k), the areas (k,) and the unit normals (k, 3) of vertices."""
     n = len(at)
     rows, columns, weights = [], [], []
@@ -148,7 +156,9 @@ def _operators(at: FloatArray, faces: IntArray) -> tuple[csc_array, FloatArray, 
         to_a, to_b = at[a] - at[here], at[b] - at[here]
         twice_area = np.linalg.norm(np.cross(to_a, to_b), axis=1)
         product = np.einsum("ij,ij->i", to_a, to_b)
-        cotangents = product / np.maximum(twice_area, np.abs(product) / LARGEST_COTANGENT + TINY)
+        cotangents = product / np.maximum(
+            twice_area, np.abs(product) / LARGEST_COTANGENT + TINY
+        )
         rows.append(a)
         columns.append(b)
         weights.append(np.maximum(cotangents, LEAST_COTANGENT) / 2)
@@ -157,11 +167,17 @@ def _operators(at: FloatArray, faces: IntArray) -> tuple[csc_array, FloatArray, 
     half = coo_array(entries, (n, n))
     links = csc_array(half + half.T)
     stiffness = csc_array(diags_array(links.sum(axis=1)) - links)
-    return stiffness, np.maximum(areas, LEAST_AREA * areas.mean()), vertex_normals(at, faces)
+    return (
+        stiffness,
+        np.maximum(areas, LEAST_AREA * areas.mean()),
+        vertex_normals(at, faces),
+    )
 
 
 def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """(n, 3) unit normals: of the sum of the area vectors of the faces of a vertex; zero where that is."""
     vectors = np.repeat(area_vectors(vertices, faces), 3, axis=0)
-    sums = [np.bincount(faces.ravel(), each, minlength=len(vertices)) for each in vectors.T]
+    sums = [
+        np.bincount(faces.ravel(), each, minlength=len(vertices)) for each in vectors.T
+    ]
     return unit_vectors(np.transpose(sums))

@@ -58,7 +58,9 @@ def distance_field(cloud: PointCloud, outside: Outside) -> Voxels:
 def normals_of(cloud: PointCloud) -> FloatArray:
     """The (n, 3) normals of a cloud, which must have normals."""
     if cloud.normals is None:
-        raise ReconstructionError("reconstruction needs points with normals, these have none")
+        raise ReconstructionError(
+            "reconstruction needs points with normals, these have none"
+        )
     return cloud.normals
 
 
@@ -157,7 +159,10 @@ def _to_sphere(sums: FloatArray, x: int, y: int, z: int) -> float:
     # Relative to the centre of the voxel: Σ w p, Σ w p·p and Σ w p·n.
     offset = sums[1] - x * weight, sums[2] - y * weight, sums[3] - z * weight
     squares = (
-        sums[7] - x * (sums[1] + offset[0]) - y * (sums[2] + offset[1]) - z * (sums[3] + offset[2])
+        sums[7]
+        - x * (sums[1] + offset[0])
+        - y * (sums[2] + offset[1])
+        - z * (sums[3] + offset[2])
     )
     along = sums[8] - x * normal[0] - y * normal[1] - z * normal[2]
     extent = squares - _dot(offset, offset) / weight
@@ -183,7 +188,9 @@ def _dot(a: Vector, b: Vector) -> float:
 
 
 @compiled(error_model="numpy")
-def _summed(points: FloatArray, normals: FloatArray, number: IntArray, n: int) -> FloatArray:
+def _summed(
+    points: FloatArray, normals: FloatArray, number: IntArray, n: int
+) -> FloatArray:
     """(n, 9) sums of the weights w, and of w p, w n, w p·p, w p·n over the points p near each voxel.
 
     The Gaussian weight is a product of factors for the axes. The terms that a point adds to one line of
@@ -206,7 +213,9 @@ def _reached(place: float, n: int) -> tuple[int, int]:
 
 
 @compiled(inline="always")
-def _set_terms(terms: FloatArray, point: FloatArray, normal: FloatArray, n_z: int) -> None:
+def _set_terms(
+    terms: FloatArray, point: FloatArray, normal: FloatArray, n_z: int
+) -> None:
     """Set the nine terms of a point for each voxel that it reaches on a line along z."""
     x, y, z = point
     square = x * x + y * y + z * z
@@ -228,7 +237,11 @@ def _set_terms(terms: FloatArray, point: FloatArray, normal: FloatArray, n_z: in
 
 @compiled(inline="always")
 def _add_terms(
-    sums: FloatArray, terms: FloatArray, of_y: FloatArray, point: FloatArray, number: IntArray
+    sums: FloatArray,
+    terms: FloatArray,
+    of_y: FloatArray,
+    point: FloatArray,
+    number: IntArray,
 ) -> None:
     """Add the terms of a point, by the weights of the lines of voxels, to the sums of voxels in its reach."""
     x, y, z = point

@@ -45,8 +45,17 @@ _OFF = [
 FACES = sum(1 << k for k in range(27) if _OFF[k] == 1)
 NEAR = sum(1 << k for k in range(27) if _OFF[k] in (1, 2))
 EVERYTHING = sum(1 << k for k in range(27) if _OFF[k])
-Y_LOW, Y_HIGH = (sum(1 << k for k in range(27) if _AROUND[k][1] != side) for side in (2, 0))
-Z_LOW, Z_HIGH = (sum(1 << k for k in range(27) if _AROUND[k][2] != side) for side in (2, 0))
+
+
+def _without(axis: int, side: int) -> int:
+    """The voxels of the neighbourhood that are not on one side, 0 or 2, along an axis."""
+    return sum(1 << k for k in range(27) if _AROUND[k][axis] != side)
+
+
+Y_LOW = _without(axis=1, side=2)
+Y_HIGH = _without(axis=1, side=0)
+Z_LOW = _without(axis=2, side=2)
+Z_HIGH = _without(axis=2, side=0)
 
 # The state of a voxel, as a set of bits: whether it may be added, was added, is adjacent to the region, is
 # adjacent to it by a link without a surfel, and waits in the queue 0 (the next bit is for the queue 1).
@@ -70,14 +79,20 @@ def grown(inside: Mask, depth: Voxels, to_points: Voxels, walls: Mask) -> Mask:
 
 
 @compiled()
-def _steps(inside: Mask, depth: Voxels, to_points: Voxels) -> tuple[NDArray[np.int16], int]:
+def _steps(
+    inside: Mask, depth: Voxels, to_points: Voxels
+) -> tuple[NDArray[np.int16], int]:
     """The integer priority of each voxel from 1, 0 outside; and the first voxel of the highest."""
     steps = np.zeros(inside.size, dtype=np.int16)
     is_inside, depths, apart = inside.ravel(), depth.ravel(), to_points.ravel()
     seed = 0
     for cell in range(inside.size):
         if is_inside[cell]:
-            most = apart[cell] + np.float32(SKIN_DEPTH) if apart[cell] < FARTHEST else depths[cell]
+            most = (
+                apart[cell] + np.float32(SKIN_DEPTH)
+                if apart[cell] < FARTHEST
+                else depths[cell]
+            )
             value = min(depths[cell], most)
             steps[cell] = np.int16(min(max(value * np.float32(STEPS), 0), MOST_STEPS)) + 1
             if steps[cell] > steps[seed]:
@@ -154,7 +169,9 @@ class Queues(NamedTuple):
 def _empty_queues(n: int, n_buckets: int) -> Queues:
     head = np.full((2, n_buckets), -1, dtype=np.int32)
     tail = np.full((2, n_buckets), -1, dtype=np.int32)
-    return Queues(head, tail, np.empty((2, n), dtype=np.int32), np.zeros(2, dtype=np.int64))
+    return Queues(
+        head, tail, np.empty((2, n), dtype=np.int32), np.zeros(2, dtype=np.int64)
+    )
 
 
 @compiled(inline="always")
@@ -233,7 +250,11 @@ HANDLE = 0.6
 
 
 def with_topology(
-    inside: Mask, walls: Mask, to_points: Voxels, options: SurfaceOptions, notes: list[str]
+    inside: Mask,
+    walls: Mask,
+    to_points: Voxels,
+    options: SurfaceOptions,
+    notes: list[str],
 ) -> tuple[Mask, NDArray[np.intp]]:
     """The voxels of the body with the requested genus, and the (k, 3) voxels that were removed.
 

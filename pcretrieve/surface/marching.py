@@ -44,21 +44,30 @@ LEAST_SHARE = 0.02
 
 # The corner at the lower end of each edge, and the axis along which the edge is.
 LOWER = np.array([CORNERS[low] for low, _ in EDGES])  # (12, 3)
-AXIS = np.array([int((CORNERS[high] - CORNERS[low]).argmax()) for low, high in EDGES])  # (12,)
+AXIS = np.array(
+    [int((CORNERS[high] - CORNERS[low]).argmax()) for low, high in EDGES]
+)  # (12,)
 
 
 def level_set(values: NDArray[np.floating], level: float) -> tuple[FloatArray, IntArray]:
     """The surface, as `marched` gives it, round the voxels above a level, at linearly interpolated places."""
     crossings = []
     for axis, low in enumerate(crossed(values > level)):
-        near, far = values[tuple(low.T)], values[tuple((low + np.eye(3, dtype=np.intp)[axis]).T)]
+        near, far = (
+            values[tuple(low.T)],
+            values[tuple((low + np.eye(3, dtype=np.intp)[axis]).T)],
+        )
         crossings.append(
-            Crossings(low, np.clip((level - near) / (far - near), LEAST_SHARE, 1 - LEAST_SHARE))
+            Crossings(
+                low, np.clip((level - near) / (far - near), LEAST_SHARE, 1 - LEAST_SHARE)
+            )
         )
     return marched(values > level, crossings)
 
 
-def marched(body: Mask, crossings: Sequence[Crossings] = ()) -> tuple[FloatArray, IntArray]:
+def marched(
+    body: Mask, crossings: Sequence[Crossings] = ()
+) -> tuple[FloatArray, IntArray]:
     """The boundary surface of a set of voxels, by marching cubes [1]_.
 
     The set is 6-connected and its complement 26-connected. Hence, on a face of a cube with two opposite
@@ -77,7 +86,9 @@ def marched(body: Mask, crossings: Sequence[Crossings] = ()) -> tuple[FloatArray
        Kong and Rosenfeld, "Digital topology: introduction and survey", 1989, for (6, 26)-adjacency.
     """
     links, placed = [], []
-    for axis, (at, share) in enumerate(crossings or [Crossings(at, 0.5) for at in crossed(body)]):
+    for axis, (at, share) in enumerate(
+        crossings or [Crossings(at, 0.5) for at in crossed(body)]
+    ):
         links.append(at)
         placed.append(at.astype(np.float64))
         placed[axis][:, axis] += share
@@ -154,7 +165,10 @@ def _firsts(
     n_cubes: NDArray[np.int64], table: Table
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """(257,) the number of faces, and of vertices in the middle, before those of each case and of all."""
-    first_face, first_middle = np.zeros(257, dtype=np.int64), np.zeros(257, dtype=np.int64)
+    first_face, first_middle = (
+        np.zeros(257, dtype=np.int64),
+        np.zeros(257, dtype=np.int64),
+    )
     for case in range(256):
         has_middle = table.loops[case, 0] >= 0
         first_face[case + 1] = first_face[case] + n_cubes[case] * table.n_triangles[case]
@@ -164,7 +178,10 @@ def _firsts(
 
 @compiled()
 def _number_layer(
-    number: IntArray, links: tuple[NDArray[np.intp], ...], begin: NDArray[np.int64], x: int
+    number: IntArray,
+    links: tuple[NDArray[np.intp], ...],
+    begin: NDArray[np.int64],
+    x: int,
 ) -> None:
     """Write the numbers of the vertices of layer x, which begin at `begin` of the links of each axis."""
     before = (0, len(links[0]), len(links[0]) + len(links[1]))
@@ -186,11 +203,15 @@ def _set_corners(
             edge = table.triangles[case, t, side]
             if edge < MIDDLE:
                 low = LOWER[edge]
-                corner[edge] = number[AXIS[edge], (x + low[0]) % 2, y + low[1], z + low[2]]
+                corner[edge] = number[
+                    AXIS[edge], (x + low[0]) % 2, y + low[1], z + low[2]
+                ]
 
 
 @compiled()
-def _set_middle(middle: FloatArray, vertices: FloatArray, corner: IntArray, loop: IntArray) -> None:
+def _set_middle(
+    middle: FloatArray, vertices: FloatArray, corner: IntArray, loop: IntArray
+) -> None:
     """Write the mean of the vertices of a loop."""
     length = 0
     while length < MOST and loop[length] >= 0:
@@ -209,7 +230,11 @@ def _write_faces(faces: IntArray, corner: IntArray, table: Table, case: int) -> 
 
 def crossed(body: Mask) -> list[NDArray[np.intp]]:
     """For each axis, the (k, 3) voxels of which the next is not in the set if they are, or the reverse."""
-    pairs = (body[1:], body[:-1]), (body[:, 1:], body[:, :-1]), (body[:, :, 1:], body[:, :, :-1])
+    pairs = (
+        (body[1:], body[:-1]),
+        (body[:, 1:], body[:, :-1]),
+        (body[:, :, 1:], body[:, :, :-1]),
+    )
     return [voxels_of(after != here) for after, here in pairs]
 
 
@@ -227,7 +252,9 @@ def _table() -> Table:
         found = _tube(case) if case in TUBES else []
         for loop in [] if found else _loops(case):
             if len(loop) < LONG:
-                found = found + [[loop[0], loop[i], loop[i + 1]] for i in range(1, len(loop) - 1)]
+                found = found + [
+                    [loop[0], loop[i], loop[i + 1]] for i in range(1, len(loop) - 1)
+                ]
             else:
                 loops[case, : len(loop)] = loop
                 ends = zip(loop, loop[1:] + loop[:1], strict=True)
@@ -272,8 +299,14 @@ def _tube(case: int) -> list[list[int]]:
             # The corner that both edges share is adjacent to the corner at the other end of the tube.
             corners = [*EDGES[first], *EDGES[last]]
             outer = max(corners, key=corners.count)
-            across = outer ^ (EDGES[first][0] ^ EDGES[first][1]) ^ (EDGES[last][0] ^ EDGES[last][1])
-            triangles.append([first, last, next(edge for edge in other if across in EDGES[edge])])
+            across = (
+                outer
+                ^ (EDGES[first][0] ^ EDGES[first][1])
+                ^ (EDGES[last][0] ^ EDGES[last][1])
+            )
+            triangles.append(
+                [first, last, next(edge for edge in other if across in EDGES[edge])]
+            )
     return triangles
 
 
@@ -284,7 +317,10 @@ def _cube_faces() -> list[list[int]]:
     for axis in range(3):
         along, across, up = (4 >> (axis + k) % 3 for k in range(3))
         for side in (0, 1):
-            ring = [side * along + u * across + v * up for u, v in ((0, 0), (1, 0), (1, 1), (0, 1))]
+            ring = [
+                side * along + u * across + v * up
+                for u, v in ((0, 0), (1, 0), (1, 1), (0, 1))
+            ]
             faces.append(ring if side else ring[::-1])
     return faces
 
@@ -332,5 +368,7 @@ def _smooth(
                 total, here = 0.0, vertices[moving[i], axis]
                 for j in range(starts[i], starts[i + 1]):
                     total += vertices[near[j], axis]
-                after[i, axis] = here + factor * (total / (starts[i + 1] - starts[i]) - here)
+                after[i, axis] = here + factor * (
+                    total / (starts[i + 1] - starts[i]) - here
+                )
         vertices[moving] = after

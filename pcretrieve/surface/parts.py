@@ -104,7 +104,9 @@ def _within(place: float, radius: float, n: int) -> tuple[int, int]:
     return max(0, int(np.ceil(place - radius))), min(n, int(np.floor(place + radius)) + 1)
 
 
-def rims(at: FloatArray, normals: FloatArray, to_points: Voxels) -> tuple[FloatArray, FloatArray]:
+def rims(
+    at: FloatArray, normals: FloatArray, to_points: Voxels
+) -> tuple[FloatArray, FloatArray]:
     """Surfels half way between points that face each other across the narrow gap at the rim of a contact.
 
     at, normals: (n, 3) float64, positions of the points, in voxels, and unit normals out of the body.
@@ -127,7 +129,9 @@ def rims(at: FloatArray, normals: FloatArray, to_points: Voxels) -> tuple[FloatA
     i, j = i[opposite], j[opposite]
     directions = unit_vectors(normals[i] - normals[j])  # (p, 3)
     lines = at[j] - at[i]
-    across = np.einsum("ij,ij->i", lines, directions) > ACROSS * np.linalg.norm(lines, axis=1)
+    across = np.einsum("ij,ij->i", lines, directions) > ACROSS * np.linalg.norm(
+        lines, axis=1
+    )
     middles = (at[i] + at[j])[across] / 2
     _, first = np.unique(np.floor(middles), axis=0, return_index=True)
     return middles[first], directions[across][first]
@@ -153,7 +157,9 @@ def contact_layer(inside: Mask, walls: Mask, continued: Mask, to_points: Voxels)
     if found.sum() > most:
         return np.zeros_like(found)
     if continued.any():
-        further, _ = _contacts(inside, _from_limb(inside, walls | continued, middle), LONG_DETOUR)
+        further, _ = _contacts(
+            inside, _from_limb(inside, walls | continued, middle), LONG_DETOUR
+        )
         further |= found
         found = further if further.sum() <= most else found
     return found
@@ -183,7 +189,11 @@ def _away(inside: Mask, walls: Mask, source: int) -> NDArray[np.int32]:
         for axis in range(3):
             for side in range(2):
                 other = cell + step[axis] if side else cell - step[axis]
-                if away[other] >= 0 or not allowed[other] or wall[axis][cell if side else other]:
+                if (
+                    away[other] >= 0
+                    or not allowed[other]
+                    or wall[axis][cell if side else other]
+                ):
                     continue
                 away[other] = away[cell] + 1
                 queue[last] = other
@@ -209,7 +219,10 @@ def _contacts(inside: Mask, away: NDArray[np.int32], detour: int) -> tuple[Mask,
                 for u in range(-1, 2):
                     for v in range(-1, 2):
                         for w in range(-1, 2):
-                            bare |= abs(u) + abs(v) + abs(w) < 3 and not inside[x + u, y + v, z + w]
+                            bare |= (
+                                abs(u) + abs(v) + abs(w) < 3
+                                and not inside[x + u, y + v, z + w]
+                            )
                             there = away[x + u, y + v, z + w]
                             if there < 0 or (here >= 0 and abs(u) + abs(v) + abs(w) > 1):
                                 continue
@@ -226,7 +239,11 @@ LEAST_PIECE = 0.002
 
 
 def joined(
-    inside: Mask, points: FloatArray, grid: Grid, options: SurfaceOptions, notes: list[str]
+    inside: Mask,
+    points: FloatArray,
+    grid: Grid,
+    options: SurfaceOptions,
+    notes: list[str],
 ) -> tuple[Mask, NDArray[np.intp]]:
     """Connect the large components of a set of voxels, and fill its cavities.
 
@@ -254,7 +271,9 @@ def joined(
                     f"the scan holds two bodies or more: a second piece has {support[piece]:.0%} of the "
                     "points; cut them apart, or raise surface.max_discarded"
                 )
-            notes.append(f"dropped a piece with {support[piece]:.1%} of the points, {gap:.3g} away")
+            notes.append(
+                f"dropped a piece with {support[piece]:.1%} of the points, {gap:.3g} away"
+            )
             continue
         thickness = float(distances(pieces != piece, np.inf).max())
         tube = _tube(start, end, radius=min(3.0, max(1.5, thickness)))
@@ -270,7 +289,9 @@ def joined(
     return solid, np.concatenate([nowhere, *bridges])
 
 
-def _nearest_voxels(piece: Mask, body: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp], float]:
+def _nearest_voxels(
+    piece: Mask, body: Mask
+) -> tuple[NDArray[np.intp], NDArray[np.intp], float]:
     """The voxels of a piece and of the body that are nearest to each other, and their distance in voxels."""
     from scipy.ndimage import distance_transform_edt
 
@@ -288,14 +309,20 @@ def _counted(pieces: NDArray[np.int32], at: FloatArray, n: int) -> NDArray[np.in
     for i in range(len(at)):
         x, y, z = int(np.rint(at[i, 0])), int(np.rint(at[i, 1])), int(np.rint(at[i, 2]))
         piece = pieces[x, y, z]
-        found[piece if piece else pieces[x - 1 : x + 2, y - 1 : y + 2, z - 1 : z + 2].max()] += 1
+        found[
+            piece if piece else pieces[x - 1 : x + 2, y - 1 : y + 2, z - 1 : z + 2].max()
+        ] += 1
     return found
 
 
-def _tube(start: NDArray[np.intp], end: NDArray[np.intp], *, radius: float) -> NDArray[np.intp]:
+def _tube(
+    start: NDArray[np.intp], end: NDArray[np.intp], *, radius: float
+) -> NDArray[np.intp]:
     """(k, 3) voxels at a distance of at most `radius` from the segment between two voxels; in voxels."""
     low = np.minimum(start, end) - int(radius) - 1
-    box = np.indices(np.abs(end - start) + 2 * int(radius) + 3).reshape(3, -1).T + low  # (b, 3)
+    box = (
+        np.indices(np.abs(end - start) + 2 * int(radius) + 3).reshape(3, -1).T + low
+    )  # (b, 3)
     along = (end - start).astype(np.float64)
     share = np.clip((box - start) @ along / max(along @ along, 1e-9), 0, 1)  # (b,)
     apart = np.linalg.norm(box - start - share[:, None] * along, axis=1)

@@ -28,7 +28,9 @@ def poisson_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
     """Screened Poisson reconstruction of oriented points, simplified and repaired."""
     started = time.perf_counter()
     normals = normals_of(cloud)
-    whole = poisson(cloud.points, normals, depth=options.poisson_depth, scale=options.poisson_scale)
+    whole = poisson(
+        cloud.points, normals, depth=options.poisson_depth, scale=options.poisson_scale
+    )
     surface, dropped = largest_component(whole, options.max_discarded)
     if len(surface.faces) > options.target_faces:
         surface = decimated(surface, options.target_faces)
@@ -57,7 +59,9 @@ def poisson_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
     return TriangleMesh(final.vertices, final.faces, (*cloud.provenance, step))
 
 
-def poisson(points: FloatArray, normals: FloatArray, *, depth: int, scale: float) -> TriangleMesh:
+def poisson(
+    points: FloatArray, normals: FloatArray, *, depth: int, scale: float
+) -> TriangleMesh:
     """Screened Poisson reconstruction [1]_ of points with unit normals that point outwards.
 
     depth: of the octree.
@@ -81,7 +85,9 @@ def poisson(points: FloatArray, normals: FloatArray, *, depth: int, scale: float
             "of the body, and drop them"
         )
     if not len(faces):
-        raise ReconstructionError(f"Poisson reconstruction of {len(points)} points gave no surface")
+        raise ReconstructionError(
+            f"Poisson reconstruction of {len(points)} points gave no surface"
+        )
     return compact(frame.outward(vertices), faces)
 
 

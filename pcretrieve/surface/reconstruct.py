@@ -13,7 +13,13 @@ from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.neighbors import Neighborhoods
 from pcretrieve.surface.body import SurfaceMarks, body_surfaces
 from pcretrieve.surface.poisson import poisson_surface
-from pcretrieve.surface.repair import ONE_SIDED, denoised, outward, repaired, used_vertices
+from pcretrieve.surface.repair import (
+    ONE_SIDED,
+    denoised,
+    outward,
+    repaired,
+    used_vertices,
+)
 from pcretrieve.surface.topology import Defects, defects, orient_faces
 from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
 
@@ -32,7 +38,9 @@ def uniform_points(
     # The square root makes the barycentric coordinates uniform over the triangle.
     u, v = np.sqrt(rng.random(n)), rng.random(n)
     weights = np.column_stack([1 - u, u * (1 - v), u * v])  # (n, 3)
-    points: FloatArray = np.einsum("nk,nkd->nd", weights, mesh.vertices[mesh.faces[faces]])
+    points: FloatArray = np.einsum(
+        "nk,nkd->nd", weights, mesh.vertices[mesh.faces[faces]]
+    )
     return points, faces
 
 
@@ -70,7 +78,9 @@ def sampled(mesh: TriangleMesh, options: SurfaceOptions) -> PointCloud:
     """Random points on a mesh, with uniform density by area."""
     started = time.perf_counter()
     if not mesh.area > 0:
-        raise DegenerateMeshError(f"no face of {len(mesh.faces)} has an area", stage=Stage.SURFACE)
+        raise DegenerateMeshError(
+            f"no face of {len(mesh.faces)} has an area", stage=Stage.SURFACE
+        )
     if orient_faces(mesh) is None:
         raise DegenerateMeshError(ONE_SIDED, stage=Stage.SURFACE)
     found = defects(mesh)

@@ -89,16 +89,18 @@ def _cut_in_the_middle(faces: topology.Index, middle: topology.Index) -> topolog
             [faces[~cut], np.column_stack([a, ab, c]), np.column_stack([ab, b, c])]
         )
         middle = np.concatenate(
-            [middle[~cut], np.column_stack([whole, whole, ca]), np.column_stack([whole, bc, whole])]
+            [
+                middle[~cut],
+                np.column_stack([whole, whole, ca]),
+                np.column_stack([whole, bc, whole]),
+            ]
         )
     return faces
 
 
 Notes = tuple[str, ...]
 
-ONE_SIDED = (
-    "the surface is one-sided, as a Möbius strip is, and bounds no body; scan it again or repair it"
-)
+ONE_SIDED = "the surface is one-sided, as a Möbius strip is, and bounds no body; scan it again or repair it"
 
 
 def repaired(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
@@ -118,7 +120,9 @@ def repaired(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     if oriented is None:
         raise DegenerateMeshError(ONE_SIDED)
     agreed, n_turned = oriented
-    turned = (f"turned {n_turned} faces of {len(agreed.faces)} to agree with their neighbours",)
+    turned = (
+        f"turned {n_turned} faces of {len(agreed.faces)} to agree with their neighbours",
+    )
     manifold = split_non_manifold(agreed)
     n_split = len(manifold.vertices) - len(agreed.vertices)
     split = (f"split {n_split} vertices where the surface was not manifold",)
@@ -174,7 +178,11 @@ def used_vertices(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     """Remove unreferenced vertices."""
     used = topology.compact(mesh.vertices, mesh.faces)
     n_unused = len(mesh.vertices) - len(used.vertices)
-    return (used, (f"dropped {n_unused} vertices that are in no face",)) if n_unused else (mesh, ())
+    return (
+        (used, (f"dropped {n_unused} vertices that are in no face",))
+        if n_unused
+        else (mesh, ())
+    )
 
 
 def collapse_flat_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
@@ -187,7 +195,9 @@ def collapse_flat_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     n_faces, flat = len(mesh.faces), mesh.flat_faces
     while flat.any():  # terminates: each round removes faces
         corners = mesh.faces[flat]  # (f, 3)
-        sides = mesh.vertices[corners] - mesh.vertices[np.roll(corners, -1, axis=1)]  # (f, 3, 3)
+        sides = (
+            mesh.vertices[corners] - mesh.vertices[np.roll(corners, -1, axis=1)]
+        )  # (f, 3, 3)
         length = np.linalg.norm(sides, axis=2)  # (f, 3): from corner k to corner k + 1
         row, shortest, longest = (
             np.arange(len(corners)),
@@ -206,9 +216,9 @@ def collapse_flat_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
         mesh = topology.compact(mesh.vertices[order[first]], faces[whole])
         flat = mesh.flat_faces
     n_lost = n_faces - len(mesh.faces)
-    return mesh, (f"collapsed {n_lost} of {n_faces} faces, flat ones and their neighbours",) * (
-        n_lost > 0
-    )
+    return mesh, (
+        f"collapsed {n_lost} of {n_faces} faces, flat ones and their neighbours",
+    ) * (n_lost > 0)
 
 
 def drop_repeated_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
@@ -227,7 +237,9 @@ def drop_repeated_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     handed = (
         np.sign(a - b) * np.sign(b - c) * np.sign(c - a)
     )  # (m,) ±1: parity of the order of the corners
-    even = (topology.edges_of(mesh.faces).crowd.reshape(-1, 3) % 2 == 0).all(axis=1)  # (m,)
+    even = (topology.edges_of(mesh.faces).crowd.reshape(-1, 3) % 2 == 0).all(
+        axis=1
+    )  # (m,)
     cancelled = (np.bincount(group, weights=handed) == 0) & even[first]
     if 2 * count[cancelled].sum() > len(group):
         cancelled[:] = False
@@ -237,7 +249,9 @@ def drop_repeated_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     return topology.compact(mesh.vertices, mesh.faces[kept]), (note,)
 
 
-def largest_component(mesh: TriangleMesh, most: float = 1.0) -> tuple[TriangleMesh, Notes]:
+def largest_component(
+    mesh: TriangleMesh, most: float = 1.0
+) -> tuple[TriangleMesh, Notes]:
     """The connected component of largest area."""
     piece = topology.components(mesh)  # (m,)
     areas = np.bincount(piece, weights=mesh.face_areas)

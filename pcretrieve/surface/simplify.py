@@ -55,7 +55,10 @@ def simplified(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
     .. [2] Dey, Edelsbrunner, Guha and Nekhayev, "Topology preserving edge contraction", Publications de
        l'Institut Mathématique 66, 1999.
     """
-    vertices, corners = mesh.vertices.copy(), mesh.faces.flatten()  # (n, 3), (3m,): modified below
+    vertices, corners = (
+        mesh.vertices.copy(),
+        mesh.faces.flatten(),
+    )  # (n, 3), (3m,): modified below
     twin, n_bad = twins(corners, len(vertices))
     if n_bad:
         raise DegenerateMeshError(
@@ -94,7 +97,9 @@ def _quadrics(vertices: FloatArray, corners: IntArray) -> tuple[FloatArray, floa
         x, y, z, double = _normal(a, b, c)
         area += double / 2
         even = EVENNESS * double / 6
-        steep = 1 / (6 * double) if double > 0 else 0.0  # (x, y, z) has the length `double`
+        steep = (
+            1 / (6 * double) if double > 0 else 0.0
+        )  # (x, y, z) has the length `double`
         for v in corners[f : f + 3]:
             quadrics[v, 0] += steep * x * x + even
             quadrics[v, 1] += steep * y * y + even
@@ -153,7 +158,9 @@ def _meeting(vertices: FloatArray, q: FloatArray, u: int, v: int) -> tuple[float
 
 
 @compiled()
-def _solved(matrix: tuple[float, float, float, float, float, float], right: Point) -> Point:
+def _solved(
+    matrix: tuple[float, float, float, float, float, float], right: Point
+) -> Point:
     """The solution of a symmetric system xx, yy, zz, xy, xz, yz, by the cofactors of the matrix."""
     xx, yy, zz, xy, xz, yz = matrix
     cxx, cxy, cxz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
@@ -218,7 +225,9 @@ def _keeps_shape(
             # The first and the last face around each end are removed by the collapse.
             if g != start:
                 after = _normal(place, b, c)
-                cosine = before[0] * after[0] + before[1] * after[1] + before[2] * after[2]
+                cosine = (
+                    before[0] * after[0] + before[1] * after[1] + before[2] * after[2]
+                )
                 if cosine < LEAST_COSINE * before[3] * after[3]:
                     return False
                 poorest = min(poorest, _quality(place, b, c, after[3]))
@@ -236,7 +245,9 @@ def _quality(a: Point, b: Point, c: Point, double: float) -> float:
 
 
 @compiled()
-def _keeps_topology(corners: IntArray, twin: IntArray, h: int, mark: IntArray, label: int) -> bool:
+def _keeps_topology(
+    corners: IntArray, twin: IntArray, h: int, mark: IntArray, label: int
+) -> bool:
     """The link condition: the ends have exactly two common neighbours, and are not in a tetrahedron."""
     n_u, g = 0, h
     while n_u == 0 or g != h:
@@ -252,7 +263,9 @@ def _keeps_topology(corners: IntArray, twin: IntArray, h: int, mark: IntArray, l
 
 
 @compiled()
-def _merge(corners: IntArray, twin: IntArray, edge: IntArray, half: IntArray, h: int) -> int:
+def _merge(
+    corners: IntArray, twin: IntArray, edge: IntArray, half: IntArray, h: int
+) -> int:
     """Collapse the head of a half-edge into its tail, and return a remaining half-edge from the tail."""
     g, tail = twin[h], corners[h]
     while corners[g] != tail:
@@ -290,7 +303,11 @@ class Edges(NamedTuple):
 
 @compiled()
 def _edges(
-    vertices: FloatArray, corners: IntArray, twin: IntArray, quadrics: FloatArray, area: float
+    vertices: FloatArray,
+    corners: IntArray,
+    twin: IntArray,
+    quadrics: FloatArray,
+    area: float,
 ) -> Edges:
     """All edges, queued by cost."""
     edge = np.empty(len(corners), dtype=np.int32)
@@ -312,7 +329,12 @@ def _edges(
 
 @compiled()
 def _requeue(
-    corners: IntArray, twin: IntArray, edges: Edges, start: int, is_rejected: Mask, size: int
+    corners: IntArray,
+    twin: IntArray,
+    edges: Edges,
+    start: int,
+    is_rejected: Mask,
+    size: int,
 ) -> int:
     """Queue the rejected edges around a vertex, which may be possible now; return the size of the heap."""
     # They are queued first: their costs were below those of all queued edges, unless an end was moved, and
@@ -386,7 +408,9 @@ def _collapsed(
 
 
 @compiled()
-def _join(vertices: FloatArray, quadrics: FloatArray, u: int, v: int, place: Point) -> None:
+def _join(
+    vertices: FloatArray, quadrics: FloatArray, u: int, v: int, place: Point
+) -> None:
     """Move a vertex to a place, and add the quadric of another to its own."""
     # Numba takes a second to compile the message of an assignment of a row to a row of another length.
     vertices[u, 0], vertices[u, 1], vertices[u, 2] = place[0], place[1], place[2]
@@ -415,9 +439,9 @@ def decimated(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
     # vertices. It computes in double precision here: ordinary lengths need no frame.
     if ORDINARY[0] <= mesh.diagonal <= ORDINARY[1]:
         frame = Frame(np.zeros(3), 1.0)
-    found = open3d_mesh(frame.inward(mesh.vertices), mesh.faces).simplify_quadric_decimation(
-        n_faces
-    )
+    found = open3d_mesh(
+        frame.inward(mesh.vertices), mesh.faces
+    ).simplify_quadric_decimation(n_faces)
     return TriangleMesh(
         frame.outward(np.array(found.vertices)), np.array(found.triangles, dtype=np.int32)
     )
@@ -431,7 +455,9 @@ def reduced(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh:
     if len(mesh.faces) <= options.max_faces:
         return mesh
     started = time.perf_counter()
-    notes: tuple[str, ...] = ("simplified, because it had more faces than surface.max_faces",)
+    notes: tuple[str, ...] = (
+        "simplified, because it had more faces than surface.max_faces",
+    )
     try:
         coarse = simplified(mesh, options.max_faces)
     except DegenerateMeshError:  # open, or not a manifold

@@ -32,7 +32,9 @@ from pcretrieve.values.compiled import end_with_parent
 OUTWARD_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 
-def remesh(mesh: TriangleMesh, options: RemeshOptions, *, optimize: bool = False) -> TriangleMesh:
+def remesh(
+    mesh: TriangleMesh, options: RemeshOptions, *, optimize: bool = False
+) -> TriangleMesh:
     """The boundary of the tetrahedral mesh that fTetWild generates inside a surface.
 
     The boundary is used if, after repair, it is a closed manifold, and its area and volume differ by at most
@@ -60,7 +62,10 @@ def remesh(mesh: TriangleMesh, options: RemeshOptions, *, optimize: bool = False
             raise RemeshError(
                 f"the surface has defects ({found}) and could not be remeshed: {error.message}"
             ) from error
-        result, notes = mesh, (f"kept the surface as it was before remeshing: {error.message}",)
+        result, notes = (
+            mesh,
+            (f"kept the surface as it was before remeshing: {error.message}",),
+        )
     step = Step(
         "remesh",
         time.perf_counter() - started,

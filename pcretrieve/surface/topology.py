@@ -87,7 +87,9 @@ def fans(edges: Edges, pairs: Index) -> Index:
     parallel = edges.tail[a] == edges.tail[b]  # faces of inconsistent orientation
     return joined_by(
         np.concatenate([a, after[a]]),
-        np.concatenate([np.where(parallel, b, after[b]), np.where(parallel, after[b], b)]),
+        np.concatenate(
+            [np.where(parallel, b, after[b]), np.where(parallel, after[b], b)]
+        ),
         len(corner),
     )
 
@@ -116,7 +118,9 @@ class Defects:
         )
         found = [f"{count} {name}" for count, name in names if count]
         if self.components != 1:
-            found.append(f"{self.components} components" if self.components else "no faces")
+            found.append(
+                f"{self.components} components" if self.components else "no faces"
+            )
         return ", ".join(found) or "none"
 
 
@@ -132,12 +136,19 @@ def defects(mesh: TriangleMesh) -> Defects:
     _, n_bad = twins(mesh.faces.flatten(), len(mesh.vertices))
     n_components = int(components(mesh).max(initial=-1)) + 1
     # Two faces with the same corners would be a component of their own.
-    if not n_bad and n_components == 1 and len(mesh.faces) > 2 and not mesh.flat_faces.any():
+    if (
+        not n_bad
+        and n_components == 1
+        and len(mesh.faces) > 2
+        and not mesh.flat_faces.any()
+    ):
         return SOUND  # as most meshes are, which takes half the time
     edges = edges_of(mesh.faces)
     crowded = edges.use > 2
     # One corner of each fan, since fans are numbered in the order of their first corners.
-    first = np.flatnonzero(np.diff(np.maximum.accumulate(fans(edges, edges.pairs)), prepend=-1))
+    first = np.flatnonzero(
+        np.diff(np.maximum.accumulate(fans(edges, edges.pairs)), prepend=-1)
+    )
     pinched = np.bincount(edges.tail[first], minlength=len(mesh.vertices)) > 1  # (n,)
     pinched[edges.ends[crowded]] = False
     sound = np.unique(face_groups(mesh.faces)[~mesh.flat_faces])  # groups
@@ -202,7 +213,9 @@ def components(mesh: TriangleMesh) -> Index:
     _, of_face = np.unique(
         of_vertex[a], return_inverse=True
     )  # (m,); unreferenced vertices are no components
-    largest_first = np.argsort(-np.bincount(of_face, weights=mesh.face_areas), kind="stable")
+    largest_first = np.argsort(
+        -np.bincount(of_face, weights=mesh.face_areas), kind="stable"
+    )
     return np.asarray(np.argsort(largest_first)[of_face], dtype=np.intp)
 
 

@@ -102,7 +102,9 @@ def check_type(name: str, value: object, *kinds: type) -> None:
     """InputError if an argument is of none of some types."""
     if not isinstance(value, kinds):
         wanted = " or ".join(kind.__name__ for kind in kinds)
-        raise InputError(f"{name} must be of the type {wanted}, got {type(value).__name__}")
+        raise InputError(
+            f"{name} must be of the type {wanted}, got {type(value).__name__}"
+        )
 
 
 def _equal(one: Any, other: Any) -> bool:
@@ -122,7 +124,9 @@ def numbers(name: str, values: ArrayLike) -> NDArray[Any]:
     except ValueError as error:  # rows of different lengths
         raise InputError(f"{name} must be an array of numbers: {error}") from error
     if array.dtype.kind not in "iuf":
-        raise InputError(f"{name} must be an array of numbers, got one of type {array.dtype}")
+        raise InputError(
+            f"{name} must be an array of numbers, got one of type {array.dtype}"
+        )
     return array
 
 
@@ -136,21 +140,28 @@ def locked(
 ) -> NDArray[Any]:
     """A read-only copy of an array, after a check of its shape and its values."""
     given = numbers(name, values)
-    wanted = "(" + ", ".join("n" if length is None else str(length) for length in shape) + ")"
+    wanted = (
+        "(" + ", ".join("n" if length is None else str(length) for length in shape) + ")"
+    )
     if given.ndim != len(shape) or any(
-        length not in (None, found) for length, found in zip(shape, given.shape, strict=True)
+        length not in (None, found)
+        for length, found in zip(shape, given.shape, strict=True)
     ):
         raise InputError(f"{name} must have shape {wanted}, got {given.shape}")
     bad = ~np.isfinite(given) if finite else np.isnan(given)
     if bad.any():
         kinds = "NaN or infinite" if finite else "NaN"
         wanted = "finite" if finite else "numbers"
-        raise InputError(f"{name} must be {wanted}, got {bad.sum()} values that are {kinds}")
+        raise InputError(
+            f"{name} must be {wanted}, got {bad.sum()} values that are {kinds}"
+        )
     with np.errstate(invalid="ignore", over="ignore"):  # overflow is detected below
         array = np.array(given, dtype=dtype, order="C")
     if np.issubdtype(dtype, np.integer) and (array != given).any():
         n_bad = int((array != given).sum())
-        raise InputError(f"{name} must be whole numbers below 2³¹, got {n_bad} that are not")
+        raise InputError(
+            f"{name} must be whole numbers below 2³¹, got {n_bad} that are not"
+        )
     array.flags.writeable = False
     return array
 
@@ -158,6 +169,10 @@ def locked(
 def unit_of(metres: float) -> str | None:
     """The symbol, a key of `METRES`, of the unit of this length, to six digits; None if there is none."""
     return next(
-        (unit for unit, length in METRES.items() if math.isclose(length, metres, rel_tol=1e-6)),
+        (
+            unit
+            for unit, length in METRES.items()
+            if math.isclose(length, metres, rel_tol=1e-6)
+        ),
         None,
     )

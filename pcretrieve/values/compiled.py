@@ -113,7 +113,9 @@ def _lend_compiled(cache: str | Path) -> None:
 
     for file in sorted(PACKAGE.rglob("__pycache__/*.nb[ci]")):
         room = file.parents[1]
-        copy = Path(cache, f"{room.name}_{sha1(str(room).encode()).hexdigest()}", file.name)
+        copy = Path(
+            cache, f"{room.name}_{sha1(str(room).encode()).hexdigest()}", file.name
+        )
         copy.parent.mkdir(parents=True, exist_ok=True)
         if not copy.exists() or copy.stat().st_mtime < file.stat().st_mtime:
             part = copy.with_suffix(f".{os.getpid()}")  # no other process sees half of it

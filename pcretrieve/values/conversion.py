@@ -71,21 +71,38 @@ def _converted(geometry: object) -> PointCloud | TriangleMesh:
         return _of_open3d(geometry)
     if package == "pyvista":
         return _of_pyvista(geometry)
-    vertices, faces = getattr(geometry, "vertices", None), getattr(geometry, "faces", None)
+    vertices, faces = (
+        getattr(geometry, "vertices", None),
+        getattr(geometry, "faces", None),
+    )
     if vertices is not None:
-        return PointCloud(np.asarray(vertices)) if faces is None else TriangleMesh(vertices, faces)
+        return (
+            PointCloud(np.asarray(vertices))
+            if faces is None
+            else TriangleMesh(vertices, faces)
+        )
     points = getattr(geometry, "points", None)
     if points is not None and not callable(points):
         normals = getattr(geometry, "normals", None)
         return PointCloud(
             np.asarray(points),
-            None if normals is None else unit_vectors(np.asarray(normals, dtype=np.float64)),
+            None
+            if normals is None
+            else unit_vectors(np.asarray(normals, dtype=np.float64)),
         )
     # Two arrays of rows are the vertices and the faces of a mesh; two rows are points.
-    if isinstance(geometry, (tuple, list)) and len(geometry) == 2 and np.ndim(geometry[0]) == 2:
+    if (
+        isinstance(geometry, (tuple, list))
+        and len(geometry) == 2
+        and np.ndim(geometry[0]) == 2
+    ):
         return TriangleMesh(np.asarray(geometry[0]), np.asarray(geometry[1]))
-    if isinstance(geometry, (str, bytes, dict)) or not isinstance(geometry, (np.ndarray, Sequence)):
-        raise TypeError(f"neither a point cloud nor a triangle mesh: {type(geometry).__name__}")
+    if isinstance(geometry, (str, bytes, dict)) or not isinstance(
+        geometry, (np.ndarray, Sequence)
+    ):
+        raise TypeError(
+            f"neither a point cloud nor a triangle mesh: {type(geometry).__name__}"
+        )
     try:
         array = np.asarray(geometry)
     except ValueError as error:  # rows of different lengths
@@ -98,7 +115,9 @@ def _of_open3d(geometry: Any) -> PointCloud | TriangleMesh:
     if hasattr(legacy, "triangles"):
         return TriangleMesh(np.array(legacy.vertices), np.array(legacy.triangles))
     if not hasattr(legacy, "points") or hasattr(legacy, "lines"):
-        raise TypeError(f"neither a point cloud nor a triangle mesh: {type(geometry).__name__}")
+        raise TypeError(
+            f"neither a point cloud nor a triangle mesh: {type(geometry).__name__}"
+        )
     return PointCloud(
         np.array(legacy.points),
         unit_vectors(np.asarray(legacy.normals)) if legacy.has_normals() else None,

@@ -47,7 +47,9 @@ def in_order(paths: Iterable[Path]) -> list[Path]:
 
     def key(path: Path) -> tuple[list[list[str | int]], Path]:
         texts = (re.split("([0-9]+)", part) for part in path.parts)
-        return [[int(text) if text.isdecimal() else text for text in part] for part in texts], path
+        return [
+            [int(text) if text.isdecimal() else text for text in part] for part in texts
+        ], path
 
     return sorted(paths, key=key)
 
@@ -85,10 +87,14 @@ def write_file(path: Path, data: bytes) -> None:
 def check_target(path: Path, sources: Sequence[Path] = ()) -> None:
     """Check, before a long computation, that its result can be written and replaces no file that is read."""
     if not path.parent.is_dir():
-        raise InputError(f"there is no folder {path.parent} to put {path.name} into: make it first")
+        raise InputError(
+            f"there is no folder {path.parent} to put {path.name} into: make it first"
+        )
     if path.is_dir():
         raise InputError(f"{path} is a folder: name a file")
-    if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
+    if path.exists() and any(
+        source.exists() and path.samefile(source) for source in sources
+    ):
         raise InputError(f"{path} is one of the files to be read: name another file")
 
 
@@ -138,7 +144,9 @@ def data_frame(columns: Mapping[str, Any], index: str) -> Any:
     return pandas.DataFrame(dict(columns)).set_index(index)
 
 
-def parquet_bytes(columns: Mapping[str, Sequence[object]], metadata: Mapping[str, str]) -> bytes:
+def parquet_bytes(
+    columns: Mapping[str, Sequence[object]], metadata: Mapping[str, str]
+) -> bytes:
     """A Parquet file of named columns of one length."""
     try:
         import pyarrow
@@ -146,7 +154,9 @@ def parquet_bytes(columns: Mapping[str, Sequence[object]], metadata: Mapping[str
     except ImportError as error:
         raise InputError(ADVICE) from error
     sink = pyarrow.BufferOutputStream()
-    parquet.write_table(pyarrow.table(dict(columns)).replace_schema_metadata(dict(metadata)), sink)
+    parquet.write_table(
+        pyarrow.table(dict(columns)).replace_schema_metadata(dict(metadata)), sink
+    )
     return bytes(sink.getvalue().to_pybytes())
 
 
@@ -167,7 +177,9 @@ class _File(io.FileIO):
 
     def read(self, size: int | None = -1, /) -> bytes:
         if size is not None and size > MOST_DIRECTORY:
-            raise ValueError(f"its directory declares {size} bytes, {MOST_DIRECTORY} may be")
+            raise ValueError(
+                f"its directory declares {size} bytes, {MOST_DIRECTORY} may be"
+            )
         return super().read(size)
 
 
@@ -198,10 +210,17 @@ def read_array(file: IO[bytes], n_bytes: int) -> NDArray[Any]:
     """The array in a file of so many bytes; ValueError if it declares more."""
     shape, dtype, in_columns = array_header(file)
     if dtype.hasobject:
-        raise ValueError("it holds Python objects, which are not read: save an array of numbers")
+        raise ValueError(
+            "it holds Python objects, which are not read: save an array of numbers"
+        )
     promised = int(np.prod([*shape, dtype.itemsize], dtype=object))
-    if any(not 0 <= size <= n_bytes for size in shape) or promised > n_bytes - file.tell():
-        raise ValueError(f"its header declares {promised} bytes, {n_bytes - file.tell()} follow")
+    if (
+        any(not 0 <= size <= n_bytes for size in shape)
+        or promised > n_bytes - file.tell()
+    ):
+        raise ValueError(
+            f"its header declares {promised} bytes, {n_bytes - file.tell()} follow"
+        )
     values = np.frombuffer(file.read(promised), dtype)
     return values.reshape(shape, order="F" if in_columns else "C")
 

@@ -104,7 +104,9 @@ class PointCloud(_Processed):
         if self.viewpoints is not None:
             viewpoints = numbers("viewpoints", self.viewpoints)
             if viewpoints.shape == (3,):
-                object.__setattr__(self, "viewpoints", np.broadcast_to(viewpoints, (n, 3)))
+                object.__setattr__(
+                    self, "viewpoints", np.broadcast_to(viewpoints, (n, 3))
+                )
             self._lock("viewpoints", (n, 3))
 
     @property
@@ -116,7 +118,9 @@ class PointCloud(_Processed):
         """The points at `index` (a mask or positions), with their normals and viewpoints."""
         normals = None if self.normals is None else self.normals[index]
         viewpoints = None if self.viewpoints is None else self.viewpoints[index]
-        return replace(self, points=self.points[index], normals=normals, viewpoints=viewpoints)
+        return replace(
+            self, points=self.points[index], normals=normals, viewpoints=viewpoints
+        )
 
     def to_open3d(self, *, tensor: bool = False) -> Any:
         """An ``open3d.geometry.PointCloud``, or ``open3d.t``'s, with points and normals only."""
@@ -145,7 +149,9 @@ class PointCloud(_Processed):
     def _repr_html_(self) -> str:
         from pcretrieve.draw.thumbnail import cloud_thumbnail, picture_html
 
-        return picture_html(cloud_thumbnail(self.points) if len(self.points) else None, repr(self))
+        return picture_html(
+            cloud_thumbnail(self.points) if len(self.points) else None, repr(self)
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,7 +202,9 @@ class TriangleMesh(_Processed):
     def corners(self) -> FloatArray:
         """(3, 3, m) coordinates of the corners of the faces: coordinate, corner, face; rows without gaps."""
         return np.take(
-            np.ascontiguousarray(self.vertices.T), np.ascontiguousarray(self.faces.T), axis=1
+            np.ascontiguousarray(self.vertices.T),
+            np.ascontiguousarray(self.faces.T),
+            axis=1,
         )
 
     @property
@@ -207,7 +215,9 @@ class TriangleMesh(_Processed):
         """
         a, b, c = self.corners.swapaxes(0, 1)
         (x, y, z), (u, v, w) = b - a, c - a
-        return np.asarray(np.column_stack([y * w - z * v, z * u - x * w, x * v - y * u]) / 2)
+        return np.asarray(
+            np.column_stack([y * w - z * v, z * u - x * w, x * v - y * u]) / 2
+        )
 
     @property
     def face_areas(self) -> FloatArray:
@@ -217,7 +227,9 @@ class TriangleMesh(_Processed):
     @property
     def flat_faces(self) -> NDArray[np.bool_]:
         """(m,) mask of degenerate faces, whose area is too small for the gradients of linear elements."""
-        squares = (np.diff(self.corners[:, [0, 1, 2, 0]], axis=1) ** 2).sum(axis=0)  # (3, m)
+        squares = (np.diff(self.corners[:, [0, 1, 2, 0]], axis=1) ** 2).sum(
+            axis=0
+        )  # (3, m)
         return np.asarray(self.face_areas <= SMALLEST_ASPECT * squares.max(axis=0))
 
     @property
@@ -239,9 +251,13 @@ class TriangleMesh(_Processed):
         """V − E + F, without unreferenced vertices: 2 for a sphere, 0 for a torus."""
         ends = self.faces.astype(np.int64), self.faces[:, [1, 2, 0]]  # (m, 3) each
         # One number for each unordered pair of vertices, sorted; (3m,).
-        edges = np.sort(np.minimum(*ends) * len(self.vertices) + np.maximum(*ends), axis=None)
+        edges = np.sort(
+            np.minimum(*ends) * len(self.vertices) + np.maximum(*ends), axis=None
+        )
         n_edges = np.count_nonzero(np.diff(edges, prepend=-1))
-        return int(np.count_nonzero(np.bincount(self.faces.ravel())) - n_edges) + len(self.faces)
+        return int(np.count_nonzero(np.bincount(self.faces.ravel())) - n_edges) + len(
+            self.faces
+        )
 
     def to_open3d(self, *, tensor: bool = False) -> Any:
         """An ``open3d.geometry.TriangleMesh``, or ``open3d.t``'s, with the same vertices and faces."""
@@ -270,7 +286,9 @@ class TriangleMesh(_Processed):
         from pcretrieve.draw.thumbnail import thumbnail
 
         chosen = upward(up) if isinstance(up, str) else up
-        return thumbnail(self.vertices, self.faces, up=self.up if chosen is None else chosen)
+        return thumbnail(
+            self.vertices, self.faces, up=self.up if chosen is None else chosen
+        )
 
     def __repr__(self) -> str:
         size = f"{len(self.vertices):,} vertices, {len(self.faces):,} faces"

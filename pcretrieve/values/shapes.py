@@ -54,7 +54,9 @@ class Grade:
                 f"a grade must be one of {', '.join(get_args(GradeName))}, got {self.name!r}"
             )
         if not (self.error >= 0 and math.isfinite(self.error)):
-            raise InputError(f"an expected error must be at least 0 and finite, got {self.error}")
+            raise InputError(
+                f"an expected error must be at least 0 and finite, got {self.error}"
+            )
         object.__setattr__(self, "reasons", tuple(self.reasons))
 
     def __str__(self) -> str:
@@ -91,7 +93,9 @@ class Surface(Value):
 
     def __post_init__(self) -> None:
         if not 0 < self.area < np.inf:
-            raise InputError(f"the area of a surface must be positive and finite, got {self.area}")
+            raise InputError(
+                f"the area of a surface must be positive and finite, got {self.area}"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,8 +131,16 @@ class Shape(Value):
     def __repr__(self) -> str:
         n = len(self.surfaces)
         first = self.surfaces[0]
-        parts = {"mesh": first.mesh, "spectrum": first.spectrum, "eigenpairs": first.eigenpairs}
-        held = [name for name, part in (parts | {"points": self.cloud}).items() if part is not None]
+        parts = {
+            "mesh": first.mesh,
+            "spectrum": first.spectrum,
+            "eigenpairs": first.eigenpairs,
+        }
+        held = [
+            name
+            for name, part in (parts | {"points": self.cloud}).items()
+            if part is not None
+        ]
         surfaces = "1 surface" if n == 1 else f"{n} surfaces"
         return f"Shape({surfaces} with {', '.join(held) or 'nothing kept'}; area {self.area:.4g} file units²)"
 

@@ -72,7 +72,11 @@ class Signature(Value):
         return np.array(self.values, dtype=dtype, copy=copy)
 
     def __repr__(self) -> str:
-        error = "" if self.errors is None else f", error up to {self.errors.max(initial=0):.2g}"
+        error = (
+            ""
+            if self.errors is None
+            else f", error up to {self.errors.max(initial=0):.2g}"
+        )
         shown = ", ".join(f"{value:.4g}" for value in self.values[:N_SHOWN])
         more = ", ..." if len(self.values) > N_SHOWN else ""
         return f"Signature({self.kind}, {len(self.values)} values [{shown}{more}]{error})"
@@ -80,7 +84,9 @@ class Signature(Value):
     def distance(self, other: Signature) -> float:
         """The distance ``log`` to a signature by the same options, without whitening; else InputError."""
         check_type("the other signature", other, Signature)
-        made, others = ((one.kind, one.digest, one.metric, one.unit) for one in (self, other))
+        made, others = (
+            (one.kind, one.digest, one.metric, one.unit) for one in (self, other)
+        )
         if made != others:
             raise InputError(
                 f"signatures must be made by the same options, got {made} and {others}"
@@ -129,7 +135,9 @@ class SignatureTable(Value):
         _check_metric(self._lock("values", (n, None)), self.metric)
         object.__setattr__(self, "labels", tuple(self.labels) or (None,) * n)
         if len(self.labels) != n:
-            raise InputError(f"labels must be as many as ids ({n}), got {len(self.labels)}")
+            raise InputError(
+                f"labels must be as many as ids ({n}), got {len(self.labels)}"
+            )
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -156,7 +164,8 @@ class SignatureTable(Value):
     def columns(self) -> dict[str, list[Any]]:
         """The table by columns: ``id``, ``label``, and one column ``v1``, ``v2``, ... for each value."""
         values = {
-            f"v{number}": column.tolist() for number, column in enumerate(self.values.T, start=1)
+            f"v{number}": column.tolist()
+            for number, column in enumerate(self.values.T, start=1)
         }
         return {"id": list(self.ids), "label": list(self.labels), **values}
 
@@ -169,13 +178,17 @@ class SignatureTable(Value):
 
 def _check_unit(unit: SizeUnit | None) -> None:
     if unit not in (None, *get_args(SizeUnit)):
-        raise InputError(f"the unit of sizes must be None, 'm' or 'unknown', got {unit!r}")
+        raise InputError(
+            f"the unit of sizes must be None, 'm' or 'unknown', got {unit!r}"
+        )
 
 
 def _check_metric(values: FloatArray, metric: Metric) -> None:
     """Refuse values of signatures that the metric cannot compare."""
     if metric not in get_args(Metric):
-        raise InputError(f"metric must be one of {', '.join(get_args(Metric))}, got {metric!r}")
+        raise InputError(
+            f"metric must be one of {', '.join(get_args(Metric))}, got {metric!r}"
+        )
     smallest = values.min(initial=np.inf)
     if metric == "logarithms" and smallest <= 0:
         raise InputError(f"signature values must be positive, got {smallest}")
@@ -230,14 +243,17 @@ class Neighbors(Value):
 
     def __repr__(self) -> str:
         found = ", ".join(
-            f"{name} {gap:.4g}" for name, gap in zip(self.ids, self.distances, strict=True)
+            f"{name} {gap:.4g}"
+            for name, gap in zip(self.ids, self.distances, strict=True)
         )
         return f"Neighbors({found})"
 
     def _repr_html_(self) -> str:
         from pcretrieve.draw.thumbnail import picture_html
 
-        pictures = self.pictures(self.ids[:N_PICTURED]) if self.pictures else [None] * len(self)
+        pictures = (
+            self.pictures(self.ids[:N_PICTURED]) if self.pictures else [None] * len(self)
+        )
         return "".join(
             map(picture_html, pictures, map("{} {:.4g}".format, self.ids, self.distances))
         )
@@ -246,6 +262,10 @@ class Neighbors(Value):
         """A ``pandas.DataFrame`` (extra ``tables``) indexed by rank: id, distance, and the score if known."""
         from pcretrieve.values.files import data_frame
 
-        columns = {"rank": range(1, len(self) + 1), "id": self.ids, "distance": self.distances}
+        columns = {
+            "rank": range(1, len(self) + 1),
+            "id": self.ids,
+            "distance": self.distances,
+        }
         scores = {} if self.scores is None else {"score": self.scores}
         return data_frame(columns | scores, index="rank")

@@ -46,8 +46,12 @@ class LaplaceBeltrami(Value):
                 f"stiffness and mass must be square and of one size, got shapes {self.stiffness.shape} "
                 f"and {self.mass.shape}"
             )
-        if not (np.isfinite(self.stiffness.data).all() and np.isfinite(self.mass.data).all()):
-            raise InputError("stiffness and mass must be finite, got NaN or infinite entries")
+        if not (
+            np.isfinite(self.stiffness.data).all() and np.isfinite(self.mass.data).all()
+        ):
+            raise InputError(
+                "stiffness and mass must be finite, got NaN or infinite entries"
+            )
         if not self.area > 0:
             raise InputError(f"mass must sum up to a positive area, got {self.area:g}")
         if self.nodes is not None:
@@ -59,7 +63,9 @@ class LaplaceBeltrami(Value):
         return float(self.mass.sum())
 
     def __repr__(self) -> str:
-        return f"LaplaceBeltrami({self.mass.shape[0]:,} nodes; area {self.area:.4g} units²)"
+        return (
+            f"LaplaceBeltrami({self.mass.shape[0]:,} nodes; area {self.area:.4g} units²)"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,7 +160,9 @@ class ModalSpectrum(Value):
             return pairs
         phi = pairs.eigenvectors  # (n, k)
         squares = phi**2
-        moments, overlaps = (squares.T @ (pairs.mass @ other) for other in (phi, squares))  # (k, k)
+        moments, overlaps = (
+            squares.T @ (pairs.mass @ other) for other in (phi, squares)
+        )  # (k, k)
         return cls(pairs.eigenvalues, moments, pairs.area, overlaps)
 
     def known_overlaps(self) -> FloatArray:

@@ -47,7 +47,14 @@ from pcretrieve.web.documents import (
     similar_document,
 )
 from pcretrieve.web.jobs import Job, Jobs
-from pcretrieve.web.requests import ONE_FILE, Listing, Refused, Similar, checked_suffix, received
+from pcretrieve.web.requests import (
+    ONE_FILE,
+    Listing,
+    Refused,
+    Similar,
+    checked_suffix,
+    received,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -192,7 +199,9 @@ class _Asked:
 
     def page(self, template: str, **context: Any) -> Response:
         """A page by a template."""
-        return HTMLResponse(page_of(template, title=self.site.title, **context), headers=FRESH)
+        return HTMLResponse(
+            page_of(template, title=self.site.title, **context), headers=FRESH
+        )
 
     def answer(self, job: Job | None = None) -> Answer:
         """The neighbours of the scan of a job, or else of the shape that the path names."""
@@ -204,7 +213,11 @@ class _Asked:
         asked = self.similar
         labels = [asked.label] if asked.label else None
         question = Question(
-            self.site.options, asked.k, labels, exclude_self=True, min_score=asked.min_score
+            self.site.options,
+            asked.k,
+            labels,
+            exclude_self=True,
+            min_score=asked.min_score,
         )
         return answer_to(self.catalogue, query, question)
 
@@ -253,12 +266,16 @@ def _shape(asked: _Asked) -> Response:
         found=asked.found() if record.status == "done" else None,
         classes=asked.classes,
         has_surface="meshes" in asked.catalogue.options.catalogue.keep,
-        can_be_turned=asked.site.given_jobs is not None and asked.site.thumbnails.up is None,
+        can_be_turned=asked.site.given_jobs is not None
+        and asked.site.thumbnails.up is None,
     )
 
 
 def _compare(asked: _Asked) -> Response:
-    pair, site = [asked.request.query_params.get(name, "") for name in ("a", "b")], asked.site
+    pair, site = (
+        [asked.request.query_params.get(name, "") for name in ("a", "b")],
+        asked.site,
+    )
     return asked.page(
         "compare.html", **compared(asked.catalogue, pair, site.options, site.thumbnails)
     )
@@ -306,7 +323,9 @@ def _table(name: str, answer: Answer) -> Response:
 def _thumbnail(asked: _Asked) -> Response:
     picture = asked.site.thumbnails.of(asked.catalogue, asked.record)
     if picture is None:
-        raise Refused(f"the shape {asked.name!r} has no picture, because its mesh is not stored")
+        raise Refused(
+            f"the shape {asked.name!r} has no picture, because its mesh is not stored"
+        )
     # Browsers keep pictures, and ask whether they have been turned.
     headers = FRESH | {"etag": f'"{crc32(picture):x}"'}
     if asked.request.headers.get("if-none-match") == headers["etag"]:
@@ -355,7 +374,9 @@ async def _new_scan(request: Request) -> Response:
 async def _keep_scan(request: Request) -> Response:
     """For scripts: the fields are in the address, and the answer is JSON."""
     record = await _kept(request, request.query_params)
-    return _Json(shape_document(record), 201, location=f"/shapes/{quote(record.id, safe='')}")
+    return _Json(
+        shape_document(record), 201, location=f"/shapes/{quote(record.id, safe='')}"
+    )
 
 
 async def _keep_scan_by_form(request: Request) -> Response:
@@ -400,14 +421,18 @@ async def _turn(request: Request) -> Response:
 
 async def _kept(request: Request, fields: Mapping[str, str]) -> Record:
     label = fields.get("label", "").strip()
-    future = _site(request).jobs.keep(_name(request), fields.get("id", "").strip(), label or None)
+    future = _site(request).jobs.keep(
+        _name(request), fields.get("id", "").strip(), label or None
+    )
     return await asyncio.wrap_future(future)
 
 
 async def _scan_events(request: Request) -> Response:
     jobs, job_id = _site(request).jobs, _name(request)
     jobs.job(job_id)
-    return StreamingResponse(_events(jobs, job_id), media_type="text/event-stream", headers=FRESH)
+    return StreamingResponse(
+        _events(jobs, job_id), media_type="text/event-stream", headers=FRESH
+    )
 
 
 async def _events(jobs: Jobs, job_id: str) -> AsyncIterator[str]:
@@ -440,7 +465,9 @@ SEARCHES: dict[str, Callable[[_Asked], Response]] = {
     "/shapes/{id}/similar.csv": lambda asked: _table(asked.name, asked.answer()),
     "/scans/{id}": lambda asked: _Json(job_document(asked.job)),
     "/scans/{id}/similar": lambda asked: _Json(asked.found(asked.job)),
-    "/scans/{id}/similar.csv": lambda asked: _table(asked.job.name, asked.answer(asked.job)),
+    "/scans/{id}/similar.csv": lambda asked: _table(
+        asked.job.name, asked.answer(asked.job)
+    ),
 }
 # Lists, which are kept.
 LISTS: dict[str, Callable[[_Asked], Response]] = {
@@ -450,7 +477,9 @@ LISTS: dict[str, Callable[[_Asked], Response]] = {
     ),
 }
 OTHERS: dict[str, Callable[[_Asked], Response]] = {
-    "/map": lambda asked: asked.page("search_map.html", **asked.site.maps.shown(asked.catalogue)),
+    "/map": lambda asked: asked.page(
+        "search_map.html", **asked.site.maps.shown(asked.catalogue)
+    ),
     "/compare": _compare,
     "/scan/{id}/inspection": _inspection,
     "/shapes/{id}/thumbnail.png": _thumbnail,
@@ -464,12 +493,18 @@ def application(site: Site) -> Starlette:
     """The application that answers requests, without any check of who asks."""
     made = Starlette(
         routes=[
-            *(Route(path, _read(answer, site.searching)) for path, answer in SEARCHES.items()),
+            *(
+                Route(path, _read(answer, site.searching))
+                for path, answer in SEARCHES.items()
+            ),
             *(
                 Route(path, _read(_kept_answer(answer), site.listing))
                 for path, answer in LISTS.items()
             ),
-            *(Route(path, _read(answer, site.drawing)) for path, answer in OTHERS.items()),
+            *(
+                Route(path, _read(answer, site.drawing))
+                for path, answer in OTHERS.items()
+            ),
             Route("/scans", _new_scan, methods=["POST"]),
             Route("/scans/{id}/keep", _keep_scan, methods=["POST"]),
             Route("/scan/{id}/keep", _keep_scan_by_form, methods=["POST"]),

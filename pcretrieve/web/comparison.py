@@ -32,7 +32,10 @@ PATIENCE = 1.0
 
 
 def compared(
-    catalogue: Catalogue, pair: list[str], options: PipelineOptions, thumbnails: Thumbnails
+    catalogue: Catalogue,
+    pair: list[str],
+    options: PipelineOptions,
+    thumbnails: Thumbnails,
 ) -> dict[str, Any]:
     """What the page of two shapes shows."""
     records = [record_of(catalogue, shape_id) for shape_id in pair]
@@ -43,13 +46,17 @@ def compared(
             )
     made = index(catalogue, options=options)
     distance = float(made.between(pair)[0, 1])
-    score = None if made.scores is None else float(made.scores.of(np.array([distance]))[0])
+    score = (
+        None if made.scores is None else float(made.scores.of(np.array([distance]))[0])
+    )
     # Imported here, as below, so that the server starts sooner.
     from pcretrieve.pages.scene import measures
 
     rows: list[tuple[str, float, float]] = []
     with suppress(Refused):
-        first, second = (measures(*_mesh_and_up(catalogue, name, thumbnails)) for name in pair)
+        first, second = (
+            measures(*_mesh_and_up(catalogue, name, thumbnails)) for name in pair
+        )
         rows = [(name, first[name], second[name]) for name in first if name in second]
     return {
         "shapes": [shape_document(record) for record in records],
@@ -80,7 +87,9 @@ def _mesh_and_up(
     mesh, record = mesh_of(catalogue, shape_id), record_of(catalogue, shape_id)
     if len(mesh.faces) > MOST_FACES:
         coarse = mesh.to_open3d().simplify_quadric_decimation(MOST_FACES)
-        mesh = TriangleMesh(np.array(coarse.vertices), np.array(coarse.triangles, dtype=np.int32))
+        mesh = TriangleMesh(
+            np.array(coarse.vertices), np.array(coarse.triangles, dtype=np.int32)
+        )
     return mesh, thumbnails.direction(catalogue, record)
 
 
@@ -99,7 +108,9 @@ def map_of(options: PipelineOptions, location: str) -> dict[str, Any]:
         made = index(catalogue, options=options)
         rows = np.arange(len(made))
         if len(rows) > MOST_SHAPES:
-            rows = np.sort(np.random.default_rng(SEED).choice(rows, MOST_SHAPES, replace=False))
+            rows = np.sort(
+                np.random.default_rng(SEED).choice(rows, MOST_SHAPES, replace=False)
+            )
         ids = [made.ids[row] for row in rows.tolist()]
         drawn = places(catalogue, ids, options=options)
         return {
@@ -145,7 +156,9 @@ class Maps:
             worker.stop()
 
     def _computed(self) -> dict[str, Any]:
-        running = in_processes(self._function, [self._location], workers=1, idle=self._idle)
+        running = in_processes(
+            self._function, [self._location], workers=1, idle=self._idle
+        )
         ((_, outcome),) = running
         if isinstance(outcome, PcretrieveError):
             raise outcome

@@ -42,7 +42,9 @@ def shape_document(record: Record) -> Document:
         "euler": record.euler,
     }
     if record.status == "failed":
-        message = record.message and without_folders(record.message, Path(record.path).parent)
+        message = record.message and without_folders(
+            record.message, Path(record.path).parent
+        )
         document |= {"stage": record.stage, "error": record.error, "message": message}
     return document
 
@@ -90,7 +92,11 @@ def job_document(job: Job) -> Document:
 
 
 def similar_document(
-    catalogue: Catalogue, name: str, asked: Similar, options: PipelineOptions, answer: Answer
+    catalogue: Catalogue,
+    name: str,
+    asked: Similar,
+    options: PipelineOptions,
+    answer: Answer,
 ) -> Document:
     """An answer with its query and the settings by which it was found."""
     return {

@@ -60,7 +60,8 @@ class Guard:
             return
         send = _with_headers(send, time.perf_counter())
         headers = {
-            name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]
+            name.decode("latin-1"): value.decode("latin-1")
+            for name, value in scope["headers"]
         }
         host = headers.get("host", "")
         query = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
@@ -143,8 +144,13 @@ def _with_headers(send: Send, started: float) -> Send:
 
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":
-            timing = {"server-timing": f"total;dur={(time.perf_counter() - started) * 1e3:.1f}"}
-            own = [(name.encode(), value.encode()) for name, value in (HEADERS | timing).items()]
+            timing = {
+                "server-timing": f"total;dur={(time.perf_counter() - started) * 1e3:.1f}"
+            }
+            own = [
+                (name.encode(), value.encode())
+                for name, value in (HEADERS | timing).items()
+            ]
             message = {**message, "headers": [*message.get("headers", ()), *own]}
         await send(message)
 

@@ -15,7 +15,13 @@ from threading import Lock
 from typing import Any, Literal
 
 from pcretrieve import PipelineOptions, Record
-from pcretrieve.errors import MemoryExceeded, PcretrieveError, StageTimeout, WorkerDied, shape_error
+from pcretrieve.errors import (
+    MemoryExceeded,
+    PcretrieveError,
+    StageTimeout,
+    WorkerDied,
+    shape_error,
+)
 from pcretrieve.gallery.answers import Described
 from pcretrieve.ingestion.pool import TemporaryFolder, in_processes
 from pcretrieve.pages.thumbnails import Thumbnails
@@ -88,12 +94,18 @@ class Jobs:
         self.collection = collection
         self._described, self._thumbnails = partial(described, options), thumbnails
         self._inspected = partial(inspection_page, title, options)
-        self._limits: dict[str, Any] = {"workers": 1, "timeout": timeout, "memory": memory}
+        self._limits: dict[str, Any] = {
+            "workers": 1,
+            "timeout": timeout,
+            "memory": memory,
+        }
         self._idle: list[Any] = []
         self._idle_inspecting: list[Any] = []
         # Two threads, so that no answer waits for an inspection.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="pcretrieve-uploads")
-        self._inspecting = ThreadPoolExecutor(1, thread_name_prefix="pcretrieve-inspections")
+        self._inspecting = ThreadPoolExecutor(
+            1, thread_name_prefix="pcretrieve-inspections"
+        )
         self._uninspected: set[str] = set()
         self._lock = Lock()
         self._folder = TemporaryFolder()
@@ -105,7 +117,8 @@ class Jobs:
         with self._lock:
             if len(self._open) >= MOST_WAITING:
                 raise Refused(
-                    f"{MOST_WAITING} scans are waiting already: try again in a minute", 503
+                    f"{MOST_WAITING} scans are waiting already: try again in a minute",
+                    503,
                 )
             folder = Path(tempfile.mkdtemp(prefix="upload-", dir=self._folder.path))
             job = Job(secrets.token_urlsafe(12), name, folder)
@@ -211,7 +224,9 @@ class Jobs:
         if job.kept_as is not None:
             raise Refused(f"the scan is kept already, as {job.kept_as!r}")
         if job.scan is None:
-            raise Refused("the scan is gone, because it failed or is too long ago: upload it again")
+            raise Refused(
+                "the scan is gone, because it failed or is too long ago: upload it again"
+            )
         record = self.collection.add(job.scan, shape_id, label)
         job.kept_as = record.id
         job.remove()

@@ -50,7 +50,9 @@ def described(options: PipelineOptions, item: tuple[Path, str | None]) -> Descri
         stages.removeHandler(progress)
 
 
-def inspection_page(title: str, options: PipelineOptions, item: tuple[str, str, Path]) -> bytes:
+def inspection_page(
+    title: str, options: PipelineOptions, item: tuple[str, str, Path]
+) -> bytes:
     """The page of a scan as by `pcretrieve inspect --rescans 0`; in a worker process.
 
     item: (str, str, Path), the name of the file, as the browser gave it; the address of the page of the
@@ -90,7 +92,9 @@ class Collection:
         target = self.folder / f"{shape_id}{scan.suffix}"
         with Catalogue(self.location) as store:
             if store.rows.several([shape_id]) or any(self.folder.glob(f"{shape_id}.*")):
-                raise InputError(f"there is a shape {shape_id!r} already: choose another name")
+                raise InputError(
+                    f"there is a shape {shape_id!r} already: choose another name"
+                )
             try:
                 shutil.copyfile(scan, target)
                 return self._ingested(store, target, label)
@@ -104,7 +108,12 @@ class Collection:
 
         labels = None if label is None else {target.name: label}
         done = ingest(
-            [target], store, labels=labels, workers=1, timeout=self.timeout, memory=self.memory
+            [target],
+            store,
+            labels=labels,
+            workers=1,
+            timeout=self.timeout,
+            memory=self.memory,
         )
         for _, other in done.duplicates:
             raise InputError(f"the catalogue has this scan already, as {other.id!r}")

@@ -60,7 +60,9 @@ class _Fields(Options):
 
     def address(self, **changed: object) -> str:
         """The fields that differ from the defaults, as the end of an address."""
-        chosen = self.model_copy(update=changed).model_dump(mode="json", exclude_defaults=True)
+        chosen = self.model_copy(update=changed).model_dump(
+            mode="json", exclude_defaults=True
+        )
         return f"?{urlencode(chosen)}" if chosen else ""
 
 

@@ -114,7 +114,9 @@ def serve(
         _listening(port) as listener,
     ):
         address = f"http://{ADDRESS}:{listener.getsockname()[1]}/?token={key}"
-        site.searching.prepare(lambda catalogue: index(catalogue, options=site.options).load())
+        site.searching.prepare(
+            lambda catalogue: index(catalogue, options=site.options).load()
+        )
         _run(Guard(application(site), key), listener, lambda: on_start(address))
 
 
@@ -160,7 +162,9 @@ def opened_site(
     searching, listing, drawing = (Readers(location, n) for n in (1, 1, N_DRAWING))
     maps = Maps(location, chosen)
     try:
-        yield Site(searching, listing, drawing, title, chosen, jobs, most_bytes, thumbnails, maps)
+        yield Site(
+            searching, listing, drawing, title, chosen, jobs, most_bytes, thumbnails, maps
+        )
     finally:
         if jobs is not None:
             jobs.close()

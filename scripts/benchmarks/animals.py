@@ -60,7 +60,9 @@ TAIL_BONES = 4
 def skeleton(measures: Mapping[str, float]) -> tuple[Bone, ...]:
     """Bones and flesh of an animal; the hip joints are at the height of the origin."""
     left = _hind_leg(measures) + _fore_leg(measures)
-    return _trunk(measures) + _tail(measures) + left + tuple(mirrored(bone) for bone in left)
+    return (
+        _trunk(measures) + _tail(measures) + left + tuple(mirrored(bone) for bone in left)
+    )
 
 
 def _trunk(m: Mapping[str, float]) -> tuple[Bone, ...]:
@@ -73,7 +75,9 @@ def _trunk(m: Mapping[str, float]) -> tuple[Bone, ...]:
     ) -> Bone:
         flesh = RoundCone((0, 0, z[k]), (0, 0, z[k + 1]), radii, TALL, COLLINEAR)
         share = 1.0 if parent is None else 1 / 3
-        return Bone(name, parent, (0, 0, z[k]), (0, 0, z[k + 1]), DOWN, (flesh,), joint, share)
+        return Bone(
+            name, parent, (0, 0, z[k]), (0, 0, z[k + 1]), DOWN, (flesh,), joint, share
+        )
 
     nape: Vector = (0, 0.04, shoulder + 0.02)
     rise = 0.70 * m["neck"] + 0.05
@@ -86,7 +90,9 @@ def _trunk(m: Mapping[str, float]) -> tuple[Bone, ...]:
     def ear(side: int) -> RoundCone:
         x, y = 0.6 * skull, brow[1] + 0.6 * skull
         tip: Vector = (side * (x + 0.4 * m["ears"]), y + m["ears"], brow[2] - 0.5 * skull)
-        return RoundCone((side * 0.6 * skull, y, brow[2] - 0.4 * skull), tip, (0.030, 0.017))
+        return RoundCone(
+            (side * 0.6 * skull, y, brow[2] - 0.4 * skull), tip, (0.030, 0.017)
+        )
 
     face = (
         RoundCone(throat, brow, (0.9 * girth, skull)),
@@ -99,7 +105,9 @@ def _trunk(m: Mapping[str, float]) -> tuple[Bone, ...]:
     def lower(
         name: str, parent: str, start: Vector, end: Vector, radii: tuple[float, float]
     ) -> Bone:
-        return Bone(name, parent, start, end, DOWN, (RoundCone(start, end, radii),), "neck", 0.5)
+        return Bone(
+            name, parent, start, end, DOWN, (RoundCone(start, end, radii),), "neck", 0.5
+        )
 
     return (
         lying("pelvis", None, 0, "pelvis", (loins, loins)),
@@ -124,7 +132,9 @@ def _tail(m: Mapping[str, float]) -> tuple[Bone, ...]:
         tail: Vector = (0, head[1] - 0.6 * step, head[2] - 0.8 * step)
         radii = (girth * (1 - 0.1 * k), girth * (0.9 - 0.1 * k))
         flesh = RoundCone(head, tail, radii, fillet=COLLINEAR if k else 0.7)
-        bones.append(Bone(f"tail_{k}", parent, head, tail, DOWN, (flesh,), "tail", 1 / TAIL_BONES))
+        bones.append(
+            Bone(f"tail_{k}", parent, head, tail, DOWN, (flesh,), "tail", 1 / TAIL_BONES)
+        )
         parent = f"tail_{k}"
     return tuple(bones)
 
@@ -143,7 +153,12 @@ def _hind_leg(m: Mapping[str, float]) -> tuple[Bone, ...]:
 def _fore_leg(m: Mapping[str, float]) -> tuple[Bone, ...]:
     girth = m["leg_girth"]
     pieces = (
-        ("left_shoulder", "left_upper_arm", m["fore_upper"], (1.25 * girth, 0.75 * girth)),
+        (
+            "left_shoulder",
+            "left_upper_arm",
+            m["fore_upper"],
+            (1.25 * girth, 0.75 * girth),
+        ),
         ("left_elbow", "left_forearm", m["fore_lower"], (0.75 * girth, 0.5 * girth)),
         ("left_wrist", "left_fore_foot", m["fore_foot"], (0.5 * girth, 0.55 * girth)),
     )
@@ -154,7 +169,9 @@ def _fore_leg(m: Mapping[str, float]) -> tuple[Bone, ...]:
 
 def _with_paw(foot: Bone, girth: float) -> Bone:
     x, y, z = foot.tail
-    paw = RoundCone(foot.tail, (x, y - 0.008, z + 0.9 * girth), (0.55 * girth, 0.48 * girth))
+    paw = RoundCone(
+        foot.tail, (x, y - 0.008, z + 0.9 * girth), (0.55 * girth, 0.48 * girth)
+    )
     return replace(foot, flesh=(*foot.flesh, paw))
 
 

@@ -23,7 +23,14 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from benchmarks.measuring import Column, Table, argument_parser, positive, print_lines, use_one_core
+from benchmarks.measuring import (
+    Column,
+    Table,
+    argument_parser,
+    positive,
+    print_lines,
+    use_one_core,
+)
 from benchmarks.poses import POSES
 from benchmarks.simulation import body, make_subject, write_ply
 from benchmarks.uniform import UniformOptions, scan_uniformly
@@ -68,10 +75,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print the rates and their ratios."""
     parser = argument_parser(__doc__)
     parser.add_argument(
-        "--scans", type=positive, default=40, help="number of scans (default: %(default)s)"
+        "--scans",
+        type=positive,
+        default=40,
+        help="number of scans (default: %(default)s)",
     )
     parser.add_argument(
-        "--rounds", type=positive, default=3, help="ingests by each (default: %(default)s)"
+        "--rounds",
+        type=positive,
+        default=3,
+        help="ingests by each (default: %(default)s)",
     )
     given = parser.parse_args(arguments)
     if given.scans < 4:
@@ -128,7 +141,11 @@ def _run(name: str, scans: Path) -> Run:
         if name == DASK:
             from distributed import LocalCluster
 
-            limits = {"threads_per_worker": 1, "memory_limit": 0, "dashboard_address": None}
+            limits = {
+                "threads_per_worker": 1,
+                "memory_limit": 0,
+                "dashboard_address": None,
+            }
             cluster = stack.enter_context(LocalCluster(n_workers=2, **limits))
             executors[DASK] = DaskExecutor(scheduler=cluster.scheduler_address)
         summary = ingest(
@@ -139,7 +156,9 @@ def _run(name: str, scans: Path) -> Run:
             on_shape=lambda record: ends.append(time.perf_counter()),
         )
     if summary.failed:
-        raise BenchmarkError(f"all simulated scans must be ingested, {len(summary.failed)} failed")
+        raise BenchmarkError(
+            f"all simulated scans must be ingested, {len(summary.failed)} failed"
+        )
     return Run((len(ends) - 1) / (ends[-1] - ends[0]), ends[0] - started)
 
 

@@ -104,13 +104,20 @@ def anny(sources: Sources, n: int, n_poses: int) -> list[list[Body]]:
     for file, label in read_labels(folder / "labels.csv").items():
         if (folder / file).is_file():
             poses.setdefault(label, []).append(folder / file)
-    standing = [path for paths in poses.values() for path in paths if path.stem.endswith("_stand")]
+    standing = [
+        path for paths in poses.values() for path in paths if path.stem.endswith("_stand")
+    ]
     whole = read_mesh(standing[0])
     seal = _seal(whole)
     places = standing_places(_sealed(whole, seal))
-    chosen = [(label, paths) for label, paths in poses.items() if len(paths) >= n_poses][:n]
+    chosen = [(label, paths) for label, paths in poses.items() if len(paths) >= n_poses][
+        :n
+    ]
     return [
-        [Body(path.stem, label, _sealed(read_mesh(path), seal), places) for path in paths[:n_poses]]
+        [
+            Body(path.stem, label, _sealed(read_mesh(path), seal), places)
+            for path in paths[:n_poses]
+        ]
         for label, paths in chosen
     ]
 
@@ -149,7 +156,9 @@ def _seal(mesh: TriangleMesh) -> Positions:
 
 def open_edges(faces: IntArray) -> Positions:
     """(k, 2) the edges that have a face on one side only, in its direction."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(
+        np.int64
+    )
     n = int(edges.max()) + 1
     return edges[~np.isin(edges[:, 0] * n + edges[:, 1], edges[:, 1] * n + edges[:, 0])]
 
@@ -170,7 +179,9 @@ def _sealed(mesh: TriangleMesh, skin: Positions) -> TriangleMesh:
     return TriangleMesh(np.concatenate(vertices), np.concatenate(caps).astype(np.int32))
 
 
-def is_outside(mesh: TriangleMesh, points: FloatArray, normals: FloatArray, n_rays: int) -> Mask:
+def is_outside(
+    mesh: TriangleMesh, points: FloatArray, normals: FloatArray, n_rays: int
+) -> Mask:
     """(n,) whether some of random rays from points of a surface leave it."""
     scene = RayScene(mesh.vertices, mesh.faces)
     rng = np.random.default_rng(0)
@@ -194,7 +205,8 @@ ABOVE = 1e-4
 def simulated(sources: Sources, n: int, n_poses: int) -> list[list[Body]]:
     """People of `benchmarks.simulation`."""
     return [
-        _individual("person", sources.seed, number, n_poses, standing=True) for number in range(n)
+        _individual("person", sources.seed, number, n_poses, standing=True)
+        for number in range(n)
     ]
 
 
@@ -217,7 +229,10 @@ def _individual(
     apart = [name for name, pose in POSES[family].items() if not pose.contacts]
     names = rng.permutation(apart)[:n_poses]
     found = [
-        (str(name), body(subject, POSES[family][name], np.random.default_rng((seed, number, k))))
+        (
+            str(name),
+            body(subject, POSES[family][name], np.random.default_rng((seed, number, k))),
+        )
         for k, name in enumerate(names)
     ]
     places = standing_places(body(subject, POSES[family]["stand"])) if standing else {}
@@ -233,13 +248,19 @@ ANIMALS = ("cat", "dog", "horse", "wolf", "centaur")
 UPRIGHT = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
 
 
-def _tosca(sources: Sources, names: tuple[str, ...], n: int, n_poses: int) -> list[list[Body]]:
+def _tosca(
+    sources: Sources, names: tuple[str, ...], n: int, n_poses: int
+) -> list[list[Body]]:
     folder = sources.data / "tosca"
     found = []
     for name in names[:n]:
-        paths = sorted(folder.glob(f"{name}*.off"), key=lambda path: int(path.stem[len(name) :]))
+        paths = sorted(
+            folder.glob(f"{name}*.off"), key=lambda path: int(path.stem[len(name) :])
+        )
         if not paths:
-            raise BenchmarkError(f"{folder} must hold the set TOSCA, it has no {name}*.off")
+            raise BenchmarkError(
+                f"{folder} must hold the set TOSCA, it has no {name}*.off"
+            )
         individual = []
         for path in paths[:n_poses]:
             mesh = read_mesh(path)
@@ -262,14 +283,17 @@ def animals(sources: Sources, n: int, n_poses: int) -> list[list[Body]]:
     found = _tosca(sources, ANIMALS, n, n_poses)
     more = n - len(found)
     return found + [
-        _individual("animal", sources.seed, number, n_poses) for number in range(max(more, 0))
+        _individual("animal", sources.seed, number, n_poses)
+        for number in range(max(more, 0))
     ]
 
 
 # --- bodies without poses -----------------------------------------------------------------------------------
 
 
-def _rigid(kind: str, make: Callable[..., TriangleMesh]) -> Callable[..., list[list[Body]]]:
+def _rigid(
+    kind: str, make: Callable[..., TriangleMesh]
+) -> Callable[..., list[list[Body]]]:
     def made(sources: Sources, n: int, n_poses: int) -> list[list[Body]]:
         """Individuals that lie on one side and then on others."""
         found = []

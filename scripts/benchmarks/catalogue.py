@@ -115,7 +115,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--merged", type=int, default=100_000, help="shapes that are merged; 0 for none"
     )
     parser.add_argument(
-        "--postgresql", metavar="URL", help="a database into which the meshes are ingested too"
+        "--postgresql",
+        metavar="URL",
+        help="a database into which the meshes are ingested too",
     )
     given = parser.parse_args(arguments)
     if wrong := [n for n in given.shapes if n % CLASS_SIZE]:
@@ -140,7 +142,8 @@ def _lines(
         with tempfile.TemporaryDirectory() as folder:
             seconds = merged_in(Path(folder), OPTIONS, n_merged, N_PARTS, SEED)
             yield TABLE.row(
-                f"{N_PARTS} parts of {n_merged // N_PARTS:,} shapes merged", f"{seconds:.1f} s"
+                f"{N_PARTS} parts of {n_merged // N_PARTS:,} shapes merged",
+                f"{seconds:.1f} s",
             )
     if n_meshes:
         yield f"{n_meshes:,} meshes of {N_VERTICES} vertices"
@@ -164,8 +167,18 @@ def _catalogue(path: Path, n_shapes: int) -> Iterator[str]:
     )
     with Catalogue(path) as catalogue:
         seconds, _ = timed(partial(signatures, catalogue))
-    yield TABLE.row("  signatures", f"{seconds:.2f} s, {seconds / n_shapes * 1e6:.1f} µs a shape")
-    query = ("query", synthetic_id(n_shapes // 3), "-c", str(path), "-k", str(K), *WHITENED)
+    yield TABLE.row(
+        "  signatures", f"{seconds:.2f} s, {seconds / n_shapes * 1e6:.1f} µs a shape"
+    )
+    query = (
+        "query",
+        synthetic_id(n_shapes // 3),
+        "-c",
+        str(path),
+        "-k",
+        str(K),
+        *WHITENED,
+    )
     seconds, peak = run_command(*query)
     with Catalogue(path) as catalogue:
         assert catalogue.cache.folder is not None
@@ -178,7 +191,8 @@ def _catalogue(path: Path, n_shapes: int) -> Iterator[str]:
     runs = [run_command(*query) for _ in range(N_REPEATS)]
     seconds, peak = statistics.median(s for s, _ in runs), max(p for _, p in runs)
     yield TABLE.row(
-        "  pcretrieve query ID, whose index is kept", f"median {seconds:.2f} s, peak {peak:.0f} MiB"
+        "  pcretrieve query ID, whose index is kept",
+        f"median {seconds:.2f} s, peak {peak:.0f} MiB",
     )
     yield TABLE.row(
         "  pcretrieve list, first line", f"{_first_line('list', '-c', str(path)):.2f} s"
@@ -198,17 +212,25 @@ def _queries(path: Path, distance: str, whitening: str) -> Iterator[str]:
         rows = np.random.default_rng(SEED).integers(len(index), size=N_QUERIES).tolist()
         ids = [synthetic_id(row) for row in rows]
         for shape_id in ids[:N_WARM]:
-            index.nearest(shape_id, K)  # maps the arrays, and loads what numba has compiled
+            index.nearest(
+                shape_id, K
+            )  # maps the arrays, and loads what numba has compiled
         points = index.to_arrays()["gallery"]
         flat_scan = _flat_scan(points)
-        tree = BallTree(points) if distance == "log" and len(points) <= MOST_IN_TREE else None
+        tree = (
+            BallTree(points)
+            if distance == "log" and len(points) <= MOST_IN_TREE
+            else None
+        )
         own, other, by_tree = [], [], []
         for row, shape_id in zip(rows, ids, strict=True):
             own.append(_thread_seconds(partial(index.nearest, shape_id, K)))
             if flat_scan is not None:
                 other.append(_thread_seconds(partial(flat_scan, points[row])))
             if tree is not None:
-                by_tree.append(_thread_seconds(partial(tree.query, points[row : row + 1], K)))
+                by_tree.append(
+                    _thread_seconds(partial(tree.query, points[row : row + 1], K))
+                )
         equal = sum(_agrees(index, row) for row in rows[:N_COMPARED])
         values = signatures(catalogue, options=options).values[:N_BATCH]
         batch, _ = timed(partial(_answered, index, values))
@@ -269,7 +291,9 @@ def _first_line(*arguments: str) -> float:
     """Seconds until a command prints its first line."""
     started = time.perf_counter()
     command = [sys.executable, "-m", "pcretrieve", *arguments]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    ) as process:
         if process.stdout is not None:
             process.stdout.readline()
         seconds = time.perf_counter() - started
@@ -282,13 +306,17 @@ def _ingestion(folder: Path, n_meshes: int, database: str | None) -> Iterator[st
     scans, path = folder / "scans", folder / "small.sqlite"
     scans.mkdir()
     write_small_meshes(scans, n_meshes, N_VERTICES, SEED)
-    yield TABLE.row(f"  pcretrieve ingest, {N_WORKERS} workers", _rate(scans, str(path), n_meshes))
+    yield TABLE.row(
+        f"  pcretrieve ingest, {N_WORKERS} workers", _rate(scans, str(path), n_meshes)
+    )
     if database is not None:
         sign = "&" if "?" in database else "?"
         location = f"{database}{sign}schema=benchmark{uuid4().hex}"
         yield TABLE.row("  the same into PostgreSQL", _rate(scans, location, n_meshes))
     yield _cost(path, "body-00000", "one surface")
-    cloud = scan_uniformly(bumpy_sphere(N_SCANNED), UniformOptions(), np.random.default_rng(SEED))
+    cloud = scan_uniformly(
+        bumpy_sphere(N_SCANNED), UniformOptions(), np.random.default_rng(SEED)
+    )
     write_ply(folder / "scan.ply", cloud.points)
     run_command("ingest", str(folder / "scan.ply"), "-c", str(path))
     yield _cost(path, "scan", "two surfaces")
@@ -319,5 +347,7 @@ def _cost(path: Path, shape_id: str, surfaces: str) -> str:
     with Catalogue(path) as catalogue:
         stored = catalogue.rows.stored_bytes(shape_id)
     meshes = stored.pop("meshes")
-    kilobytes = f"{sum(stored.values()) / 1000:.1f} kB, and {meshes / 1000:.1f} kB of meshes"
+    kilobytes = (
+        f"{sum(stored.values()) / 1000:.1f} kB, and {meshes / 1000:.1f} kB of meshes"
+    )
     return TABLE.row(f"  stored of a shape of {surfaces}, beside its meshes", kilobytes)

@@ -46,11 +46,19 @@ def _scanned(mesh: TriangleMesh, rng: np.random.Generator) -> PointCloud:
 SCANS = "raw scans"
 CHANGES: dict[str, Change] = {
     "as it is": lambda mesh, rng: mesh,
-    **{f"{n:,} faces": partial(to_faces, n) for n in (40_000, 10_000, 5000, 2000, 1000, 500)},
+    **{
+        f"{n:,} faces": partial(to_faces, n)
+        for n in (40_000, 10_000, 5000, 2000, 1000, 500)
+    },
     **{f"noise {size} edges": partial(noisy, size=size) for size in (0.1, 0.3, 0.5)},
-    **{f"{share:.0%} faces lost": partial(without_faces, share=share) for share in (0.01, 0.03)},
+    **{
+        f"{share:.0%} faces lost": partial(without_faces, share=share)
+        for share in (0.01, 0.03)
+    },
     "unit, motion": _moved,
-    "mirrored": lambda mesh, rng: TriangleMesh(mesh.vertices * [-1, 1, 1], mesh.faces[:, ::-1]),
+    "mirrored": lambda mesh, rng: TriangleMesh(
+        mesh.vertices * [-1, 1, 1], mesh.faces[:, ::-1]
+    ),
     SCANS: _scanned,
 }
 
@@ -109,7 +117,9 @@ def parts(task: Task) -> Parts | None:
     """The values of a body after a change; None if it has no surface."""
     item, change = task
     rng = np.random.default_rng((item.number, list(CHANGES).index(change)))
-    options = PipelineOptions().changed(surface={"mode": "auto" if change == SCANS else "keep"})
+    options = PipelineOptions().changed(
+        surface={"mode": "auto" if change == SCANS else "keep"}
+    )
     try:
         shape = process(CHANGES[change](item.mesh, rng=rng), options)
         made = (
@@ -144,12 +154,16 @@ def _map(
     n_values: int,
 ) -> float:
     """The mean average precision; a query or a shape without a surface is a miss."""
-    has, asked = (np.array([one is not None for one in side]) for side in (gallery, queries))
+    has, asked = (
+        np.array([one is not None for one in side]) for side in (gallery, queries)
+    )
     options = SignatureOptions(method=method, n_values=n_values)
     known, points = (
         fused_points(
             {
-                "hapt": coordinates(np.array([one.hapt for one in side if one]), "histograms"),
+                "hapt": coordinates(
+                    np.array([one.hapt for one in side if one]), "histograms"
+                ),
                 "r-bihdm": coordinates(np.array([one.r_bihdm for one in side if one])),
             },
             options,

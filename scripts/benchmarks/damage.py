@@ -65,7 +65,9 @@ def damaged_once(data: bytes, damage: str, rng: np.random.Generator) -> bytes:
     match damage:
         case "flip":
             return (
-                data[:at] + bytes(byte ^ 1 << n % 8 for byte in data[at : at + 1]) + data[at + 1 :]
+                data[:at]
+                + bytes(byte ^ 1 << n % 8 for byte in data[at : at + 1])
+                + data[at + 1 :]
             )
         case "overwrite":
             return data[:at] + LIMITS[int(rng.integers(len(LIMITS)))] + data[at + 4 :]
@@ -108,7 +110,9 @@ def limited_memory(n_bytes: int = MEMORY) -> Iterator[None]:
     """Let further allocations of more than so many bytes in total raise a MemoryError."""
     status = Path("/proc/self/status").read_text(encoding="ascii")
     (used,) = (
-        int(line.split()[1]) << 10 for line in status.splitlines() if line.startswith("VmData")
+        int(line.split()[1]) << 10
+        for line in status.splitlines()
+        if line.startswith("VmData")
     )
     before = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(resource.RLIMIT_DATA, (used + n_bytes, before[1]))
@@ -210,7 +214,9 @@ def calls_of(trace: bytes) -> list[Call]:
         place = end + 1 + (int(size) if kind == "w" else 0)
         name = Path(path).name
         if "." not in name or name.endswith((".sqlite", "-wal", "-journal")):
-            calls.append(Call(kind, name, int(at), trace[end + 1 : place] if kind == "w" else None))
+            calls.append(
+                Call(kind, name, int(at), trace[end + 1 : place] if kind == "w" else None)
+            )
     return calls
 
 

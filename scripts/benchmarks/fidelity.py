@@ -123,8 +123,19 @@ def _parser() -> argparse.ArgumentParser:
     parser = argument_parser(__doc__, EPILOG)
     add_data(parser)
     add = parser.add_argument
-    add("--set", action="append", choices=SETS, help="one set only; may be repeated (default: all)")
-    add("--conditions", nargs="+", choices=CONDITIONS, default=["typical-uniform"], metavar="NAME")
+    add(
+        "--set",
+        action="append",
+        choices=SETS,
+        help="one set only; may be repeated (default: all)",
+    )
+    add(
+        "--conditions",
+        nargs="+",
+        choices=CONDITIONS,
+        default=["typical-uniform"],
+        metavar="NAME",
+    )
     add(
         "--config",
         action="append",
@@ -133,9 +144,16 @@ def _parser() -> argparse.ArgumentParser:
         metavar="TOML|PRESET",
         help="may be repeated",
     )
-    add("--name", action="append", help="names of the configurations (default: those of the files)")
     add(
-        "--limit", type=positive, metavar="N", help="scan N meshes only, evenly spread over the set"
+        "--name",
+        action="append",
+        help="names of the configurations (default: those of the files)",
+    )
+    add(
+        "--limit",
+        type=positive,
+        metavar="N",
+        help="scan N meshes only, evenly spread over the set",
     )
     add(
         "--rescans",
@@ -151,7 +169,11 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         help="only scan analytic bodies, with N points",
     )
-    add("--changes", action="store_true", help="only change the meshes, and print the rankings")
+    add(
+        "--changes",
+        action="store_true",
+        help="only change the meshes, and print the rankings",
+    )
     add(
         "--textbook",
         type=positive,
@@ -184,7 +206,9 @@ def _configurations(given: argparse.Namespace) -> dict[str, PipelineOptions]:
     }
 
 
-def _run(given: argparse.Namespace, configurations: dict[str, PipelineOptions]) -> Iterator[str]:
+def _run(
+    given: argparse.Namespace, configurations: dict[str, PipelineOptions]
+) -> Iterator[str]:
     """Lines of every set under every condition with every configuration, as soon as they are known."""
     for name in given.set or SETS:
         items = SETS[name](given.data, given.limit)
@@ -211,7 +235,10 @@ TURNED = Table(
         for title, form in (("points", ",d"), ("turned", ""), ("dropped", ",d"))
     ),
     *(Column(title, 9, ".3%") for title in ("median", "99 %", "largest")),
-    *(Column(title, 9, form) for title, form in (("signature", ".4f"), ("time/s", ".1f"))),
+    *(
+        Column(title, 9, form)
+        for title, form in (("signature", ".4f"), ("time/s", ".1f"))
+    ),
 )
 
 
@@ -233,7 +260,9 @@ def _of_bodies(numbers: Sequence[int]) -> Iterator[str]:
             logs.append(coordinates(describe(shape, options.signature).values[None])[0])
             seconds = time.process_time() - started
             cleaned = next(step for step in shape.provenance if step.stage == "clean")
-            meshes = [surface.mesh for surface in shape.surfaces if surface.mesh is not None]
+            meshes = [
+                surface.mesh for surface in shape.surfaces if surface.mesh is not None
+            ]
             vertices = np.concatenate([mesh.vertices for mesh in meshes]) @ axes
             apart = (
                 np.linalg.norm(vertices - feet(body, vertices), axis=1)
@@ -248,10 +277,14 @@ def _of_bodies(numbers: Sequence[int]) -> Iterator[str]:
             yield TURNED.row(name, n, is_turned, *measured, moved, seconds)
 
 
-def _truth(name: str, items: list[Item], options: PipelineOptions, workers: int) -> Signatures:
+def _truth(
+    name: str, items: list[Item], options: PipelineOptions, workers: int
+) -> Signatures:
     """Signatures of the clean meshes of a set."""
     arguments = [(item.mesh, options) for item in items]
-    signed = answers(f"{name}: clean meshes", clean_signatures, arguments, workers=workers)
+    signed = answers(
+        f"{name}: clean meshes", clean_signatures, arguments, workers=workers
+    )
     done = [one for one in signed if one]
     if len(done) < len(signed):
         raise BenchmarkError(
@@ -266,7 +299,9 @@ def _scanned(
     """Scan every mesh of a set, scan some of them repeatedly, and time the textbook pipeline on some."""
     title = f"{name} {condition}"
     paths = [
-        write_scan(folder / item.name, item.mesh, condition, np.random.default_rng(item.number))
+        write_scan(
+            folder / item.name, item.mesh, condition, np.random.default_rng(item.number)
+        )
         for item in progress(items, f"{title}: scanning")
     ]
     again = [
@@ -286,23 +321,32 @@ def _scanned(
     timed = [] if condition == DEFECTS else [k for k, _ in spread(paths, given.textbook)]
     arguments = [(paths[k], TIMEOUT) for k in timed]
     seconds = answers(f"{title}: textbook", textbook_seconds, arguments, workers=1)
-    return Scans(name, condition, items, paths, again, timed, [s for s in seconds if s is not None])
+    return Scans(
+        name, condition, items, paths, again, timed, [s for s in seconds if s is not None]
+    )
 
 
-def _row(scans: Scans, name: str, options: PipelineOptions, truth: Signatures, workers: int) -> Row:
+def _row(
+    scans: Scans, name: str, options: PipelineOptions, truth: Signatures, workers: int
+) -> Row:
     """Run one configuration on the scans of one condition; `truth` has the clean signatures."""
     title, n = f"{scans.set} {scans.condition} {name}", len(scans.items)
     arguments = [
-        (path, item.mesh, options) for path, item in zip(scans.paths, scans.items, strict=True)
+        (path, item.mesh, options)
+        for path, item in zip(scans.paths, scans.items, strict=True)
     ]
-    examined: list[Examination | None] = answers(title, examine, arguments, workers=workers)
+    examined: list[Examination | None] = answers(
+        title, examine, arguments, workers=workers
+    )
     again = [(path, options) for own in scans.again for path in own]
     signed = iter(answers(f"{title} again", signature, again, workers=workers))
     repeats = [[one.values for _ in own if (one := next(signed))] for own in scans.again]
     rows = [k for k, answer in enumerate(examined) if answer]
     done = [answer for answer in examined if answer]
     found = stacked([answer.signatures for answer in done])
-    errors = np.linalg.norm(np.log(found.relative / truth.relative[rows]), axis=1).tolist()
+    errors = np.linalg.norm(
+        np.log(found.relative / truth.relative[rows]), axis=1
+    ).tolist()
     stages = dict.fromkeys(stage for answer in done for stage in answer.stages)
     textbook = median(scans.textbook)
     clean = retrieval(truth, scans.items, range(n), options)
@@ -313,7 +357,9 @@ def _row(scans: Scans, name: str, options: PipelineOptions, truth: Signatures, w
         "digest": options.digest,
         "scans": n,
         "failed": n - len(done),
-        "normals_right": mean(answer.normals for answer in done if answer.normals is not None),
+        "normals_right": mean(
+            answer.normals for answer in done if answer.normals is not None
+        ),
         "closed": sum(answer.closed for answer in done) / n,
         "euler_right": sum(answer.euler == SPHERE for answer in done) / n,
         "distance_mean": median(answer.mean for answer in done),
@@ -332,7 +378,8 @@ def _row(scans: Scans, name: str, options: PipelineOptions, truth: Signatures, w
             repeats, found.values, [scans.items[k].label for k in rows]
         ),
         "textbook_seconds": textbook,
-        "textbook_ratio": textbook / median(a.seconds for k in scans.timed if (a := examined[k])),
+        "textbook_ratio": textbook
+        / median(a.seconds for k in scans.timed if (a := examined[k])),
     }
 
 
@@ -365,7 +412,14 @@ COLUMNS = (
         "clean_nn_within",
         "clean_map_within",
     ),
-    *("seconds", "stages", "peak_mib", "rescan_spread", "textbook_seconds", "textbook_ratio"),
+    *(
+        "seconds",
+        "stages",
+        "peak_mib",
+        "rescan_spread",
+        "textbook_seconds",
+        "textbook_ratio",
+    ),
     *(
         "nn_relative",
         "map_relative",
@@ -398,7 +452,9 @@ def lines_of(row: Row) -> Iterator[str]:
     ).format_map(row)
     stages = json.loads(row["stages"])
     total = sum(stages.values())
-    yield "    " + ", ".join(f"{stage} {s:.2f} s ({s / total:.1%})" for stage, s in stages.items())
+    yield "    " + ", ".join(
+        f"{stage} {s:.2f} s ({s / total:.1%})" for stage, s in stages.items()
+    )
     for name, text in (
         ("processor_seconds", "processor time of a scan: {processor_seconds:.2f} s"),
         (
@@ -457,7 +513,10 @@ def append(path: Path, row: Row) -> None:
 
 
 def retrieval(
-    known: Signatures, items: Sequence[Item], rows: Sequence[int], options: PipelineOptions
+    known: Signatures,
+    items: Sequence[Item],
+    rows: Sequence[int],
+    options: PipelineOptions,
 ) -> dict[str, float]:
     """Nearest-neighbour score and mean average precision (mAP) of the items of a set, in several ways."""
     labels = [item.label for item in items]
@@ -475,7 +534,9 @@ def retrieval(
         found |= {f"nn{way}": NAN, f"map{way}": NAN}
         table = SignatureTable(names, values, kind="scan", labels=classes)
         with contextlib.suppress(InputError):  # too few shapes
-            measures = evaluate_table(table, RetrievalOptions(whitening=whitening), failed=failed)
+            measures = evaluate_table(
+                table, RetrievalOptions(whitening=whitening), failed=failed
+            )
             found |= {f"nn{way}": measures.nn, f"map{way}": measures.map}
     return found
 
@@ -488,7 +549,9 @@ def relative_spread(
     repeats: signatures (L,) of the repeated scans of some bodies; values: (n, L), of one scan of each body.
     """
     logs = [coordinates(np.array(own)) for own in repeats if own]  # (r, L) each
-    within = [d for own in logs for d in np.linalg.norm(own - own.mean(axis=0), axis=1).tolist()]
+    within = [
+        d for own in logs for d in np.linalg.norm(own - own.mean(axis=0), axis=1).tolist()
+    ]
     everybody, classes = coordinates(values), np.array(labels)
     between = np.linalg.norm(everybody[:, None] - everybody, axis=2)  # (n, n)
     between[classes[:, None] == classes] = np.inf
@@ -611,7 +674,9 @@ def _right_normals(
     return float((agreement > 0).mean())
 
 
-def _probes(mesh: TriangleMesh, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+def _probes(
+    mesh: TriangleMesh, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
     """Points of a surface, uniform by area, and the unit normals there: (`N_PROBES`, 3) each."""
     points, faces = uniform_points(mesh, N_PROBES, rng)
     normals = mesh.area_vectors[faces]
@@ -642,14 +707,17 @@ def answers(
             if isinstance(outcome, PcretrieveError):
                 place = given[0].name if isinstance(given[0], Path) else "a mesh"
                 tqdm.write(
-                    f"{title}: {place}: {type(outcome).__name__}: {outcome}", file=sys.stderr
+                    f"{title}: {place}: {type(outcome).__name__}: {outcome}",
+                    file=sys.stderr,
                 )
             else:
                 found[number] = outcome
     return found
 
 
-def _called(function: Callable[..., Answer], numbered: tuple[int, tuple[object, ...]]) -> Answer:
+def _called(
+    function: Callable[..., Answer], numbered: tuple[int, tuple[object, ...]]
+) -> Answer:
     return function(*numbered[1])
 
 
@@ -672,8 +740,12 @@ def textbook_seconds(path: Path, timeout: float) -> float:
     started = time.perf_counter()
     cloud = read_scan(path)
     if not isinstance(cloud, PointCloud):
-        raise BenchmarkError(f"the textbook pipeline begins with points, got a mesh: {path}")
-    framed = open3d_cloud(Frame.around(cloud.points, offset=DOUBLE_OFFSET).inward(cloud.points))
+        raise BenchmarkError(
+            f"the textbook pipeline begins with points, got a mesh: {path}"
+        )
+    framed = open3d_cloud(
+        Frame.around(cloud.points, offset=DOUBLE_OFFSET).inward(cloud.points)
+    )
     _, kept = framed.remove_statistical_outlier(
         nb_neighbors=OUTLIER_NEIGHBORS, std_ratio=OUTLIER_RATIO
     )

@@ -19,7 +19,14 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from benchmarks.measuring import Column, Table, add_data, argument_parser, print_lines, use_one_core
+from benchmarks.measuring import (
+    Column,
+    Table,
+    add_data,
+    argument_parser,
+    print_lines,
+    use_one_core,
+)
 from pcretrieve.formats import read_scan
 from pcretrieve.options import JUDGED
 from pcretrieve.pipeline.inspecting import inspect_scan
@@ -65,7 +72,10 @@ def _lines(folder: Path, names: Sequence[str]) -> Iterator[str]:
                 change = np.abs(np.log(signature(path, R_BIHDM).values) - expected).max()
                 outcome = inspect_scan(path, n_rescans=0).outcome
                 yield TABLE.row(
-                    name, suffix, change, f"{defects(as_mesh(read_scan(path)))}; {outcome}"
+                    name,
+                    suffix,
+                    change,
+                    f"{defects(as_mesh(read_scan(path)))}; {outcome}",
                 )
 
 

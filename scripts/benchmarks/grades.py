@@ -73,15 +73,41 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argument_parser(__doc__)
     add_data(parser)
     add = parser.add_argument
-    add("--anny", type=Path, metavar="FOLDER", help="bodies of Anny (default: anny in --data)")
+    add(
+        "--anny",
+        type=Path,
+        metavar="FOLDER",
+        help="bodies of Anny (default: anny in --data)",
+    )
     add("--scans", type=Path, required=True, metavar="FOLDER", help="where the scans are")
-    add("--run", type=Path, metavar="FILE", help="examine the scans; results, as lines of JSON")
+    add(
+        "--run",
+        type=Path,
+        metavar="FILE",
+        help="examine the scans; results, as lines of JSON",
+    )
     add("--kinds", nargs="+", choices=KINDS, default=SOME_KINDS, metavar="KIND")
-    add("--sensors", nargs="+", choices=(*SENSORS, MESH), default=(*SENSORS, MESH), metavar="NAME")
+    add(
+        "--sensors",
+        nargs="+",
+        choices=(*SENSORS, MESH),
+        default=(*SENSORS, MESH),
+        metavar="NAME",
+    )
     damages = (WHOLE, *DAMAGES, PAIR)
     add("--damages", nargs="+", choices=damages, default=damages, metavar="DAMAGE")
-    add("--limit", type=positive, default=6, help="individuals of a kind (default: %(default)s)")
-    add("--seed", type=int, default=0, help="seed of bodies and scans (default: %(default)s)")
+    add(
+        "--limit",
+        type=positive,
+        default=6,
+        help="individuals of a kind (default: %(default)s)",
+    )
+    add(
+        "--seed",
+        type=int,
+        default=0,
+        help="seed of bodies and scans (default: %(default)s)",
+    )
     add("--leave-out", choices=SENSORS, help="print the figures of this sensor apart")
     add("--workers", type=positive, default=2, help="processes (default: %(default)s)")
     given = parser.parse_args(arguments)
@@ -130,7 +156,16 @@ def _made(given: argparse.Namespace) -> Iterator[str]:
             for sensor in given.sensors:
                 for pose, body in enumerate(poses):
                     damages = tuple(_damages(kind, sensor, pose, given.damages))
-                    task = (kind, sensor, body, pose, other, damages, given.scans, given.seed)
+                    task = (
+                        kind,
+                        sensor,
+                        body,
+                        pose,
+                        other,
+                        damages,
+                        given.scans,
+                        given.seed,
+                    )
                     tasks.append(Making(*task))
         made = all_in_workers(make, tasks, kind, workers=given.workers)
         yield f"{kind}: {len(everybody)} individuals, {sum(map(len, made))} scans in {given.scans}"
@@ -254,7 +289,9 @@ def add_ranks(rows: Sequence[Row]) -> None:
         here = [
             row
             for row in rows
-            if (row["kind"], row["sensor"]) == cell and row["damage"] != PAIR and row.get("point")
+            if (row["kind"], row["sensor"]) == cell
+            and row["damage"] != PAIR
+            and row.get("point")
         ]
         whole = [row for row in here if row["damage"] == WHOLE]
         if not whole:
@@ -268,7 +305,9 @@ def add_ranks(rows: Sequence[Row]) -> None:
             if own.get("point"):
                 at = metric.apply(np.array([own["point"]]))[0]
                 row["moved"] = float(np.linalg.norm(place - at))
-                row["error"] = float(np.linalg.norm(np.subtract(row["judged"], own["judged"])))
+                row["error"] = float(
+                    np.linalg.norm(np.subtract(row["judged"], own["judged"]))
+                )
             row |= _ranked(row, place, here, places)
 
 
@@ -287,7 +326,8 @@ def _ranked(row: Row, place: FloatArray, here: Sequence[Row], places: FloatArray
         "nearest": min(nearest, key=lambda label: nearest[label]),
         "own": own,
         "next": min(
-            (apart for label, apart in nearest.items() if label != row["label"]), default=None
+            (apart for label, apart in nearest.items() if label != row["label"]),
+            default=None,
         ),
     }
 
@@ -370,7 +410,9 @@ def _share(some: Sequence[Row], of: Sequence[Row]) -> str:
 
 
 def _median(rows: Sequence[Row], name: str) -> float:
-    values = [row[name] for row in rows if row.get(name) is not None and row[name] == row[name]]
+    values = [
+        row[name] for row in rows if row.get(name) is not None and row[name] == row[name]
+    ]
     return float(np.median(values)) if values else float("nan")
 
 
@@ -472,7 +514,9 @@ def _asked(title: str, rows: Sequence[Row]) -> Iterator[str]:
         cells: dict[tuple[str, str], list[bool]] = {}
         for row in rows:
             if asked.counts(row):
-                cells.setdefault((row["kind"], row["sensor"]), []).append(asked.holds(row))
+                cells.setdefault((row["kind"], row["sensor"]), []).append(
+                    asked.holds(row)
+                )
         flat = [held for cell in cells.values() for held in cell]
         if not flat:
             continue

@@ -10,7 +10,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from benchmarks.simulation.skeleton import Bone, Pose, RoundCone, Vector, limb, turn, vector
+from benchmarks.simulation.skeleton import (
+    Bone,
+    Pose,
+    RoundCone,
+    Vector,
+    limb,
+    turn,
+    vector,
+)
 from pcretrieve.values import FloatArray
 
 # Mean in metres, and standard deviation relative to the mean: rounded figures of adults.
@@ -66,7 +74,8 @@ def skeleton(measures: Mapping[str, float]) -> tuple[Bone, ...]:
         for a, b in zip(roots, middles, strict=True)
     ]
     knuckles = [
-        RoundCone(vector(a), vector(b), (radius, tip)) for a, b in zip(middles, ends, strict=True)
+        RoundCone(vector(a), vector(b), (radius, tip))
+        for a, b in zip(middles, ends, strict=True)
     ]
     ball = RoundCone(
         (0.30 * width, 0.25 * length, 0.004),
@@ -78,35 +87,64 @@ def skeleton(measures: Mapping[str, float]) -> tuple[Bone, ...]:
         Bone("stump", None, (0, -0.06, 0), (0, 0, 0), FRONT, (stump,), "stump"),
         Bone("palm", "stump", (0, 0, 0), break_line, FRONT, (*heel, ball), "wrist"),
         Bone(
-            "knuckles", "palm", break_line, (0, length, 0), FRONT, tuple(knuckles), "wrist", share=0
+            "knuckles",
+            "palm",
+            break_line,
+            (0, length, 0),
+            FRONT,
+            tuple(knuckles),
+            "wrist",
+            share=0,
         ),
     ]
     for finger, a, b, angle in zip(FINGERS, x, y, fan, strict=True):
         thickness = m["finger_girth"] * (0.86 if finger == "little" else 1.0)
         radii = thickness * np.array([1.0, 0.94, 0.88, 0.78])
         lengths = [m[finger] * share for share in PHALANGES]
-        bones += _digit(finger, (a, b, 0), (np.sin(angle), np.cos(angle), 0), FRONT, lengths, radii)
+        bones += _digit(
+            finger, (a, b, 0), (np.sin(angle), np.cos(angle), 0), FRONT, lengths, radii
+        )
     radii = m["thumb_girth"] * np.array([1.15, 1.0, 0.92, 0.78])
     root: Vector = (0.26 * width, 0.16 * length, 0.006)
     lengths = [m["thumb"] * share for share in THUMB_BONES]
-    bones += _digit("thumb", root, (0.74, 0.64, 0.20), (-0.62, 0.25, 0.74), lengths, radii)
+    bones += _digit(
+        "thumb", root, (0.74, 0.64, 0.20), (-0.62, 0.25, 0.74), lengths, radii
+    )
     return tuple(bones)
 
 
 def _digit(
-    name: str, start: Vector, along: Vector, front: Vector, lengths: list[float], radii: FloatArray
+    name: str,
+    start: Vector,
+    along: Vector,
+    front: Vector,
+    lengths: list[float],
+    radii: FloatArray,
 ) -> tuple[Bone, ...]:
     """Three bones, `name`_1 to `name`_3, turned by joints of the same names."""
     pieces = [
-        (f"{name}_{k + 1}", f"{name}_{k + 1}", lengths[k], (float(radii[k]), float(radii[k + 1])))
+        (
+            f"{name}_{k + 1}",
+            f"{name}_{k + 1}",
+            lengths[k],
+            (float(radii[k]), float(radii[k + 1])),
+        )
         for k in range(3)
     ]
     return limb("palm" if name == "thumb" else "knuckles", start, along, front, pieces)
 
 
-def curl(fingers: tuple[str, ...], bends: tuple[float, float, float]) -> dict[str, Vector]:
+def curl(
+    fingers: tuple[str, ...], bends: tuple[float, float, float]
+) -> dict[str, Vector]:
     """The same bends of the three joints of some fingers."""
-    return turn(**{f"{finger}_{k + 1}": bend for finger in fingers for k, bend in enumerate(bends)})
+    return turn(
+        **{
+            f"{finger}_{k + 1}": bend
+            for finger in fingers
+            for k, bend in enumerate(bends)
+        }
+    )
 
 
 POSES: dict[str, Pose] = {

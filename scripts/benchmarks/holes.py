@@ -81,7 +81,9 @@ class Task(NamedTuple):
     @property
     def name(self) -> str:
         """The name of the scan."""
-        return f"{self.body.name}_{self.place or 'whole'}{self.radius:g}".removesuffix("0")
+        return f"{self.body.name}_{self.place or 'whole'}{self.radius:g}".removesuffix(
+            "0"
+        )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -89,16 +91,57 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argument_parser(__doc__)
     add_data(parser)
     add = parser.add_argument
-    add("--people", nargs="+", choices=OF_PEOPLE, default=["simulated"], help="kinds of people")
-    add("--anny", type=Path, metavar="FOLDER", help="bodies of Anny (default: anny in --data)")
-    add("--limit", type=positive, default=8, help="people of each kind (default: %(default)s)")
+    add(
+        "--people",
+        nargs="+",
+        choices=OF_PEOPLE,
+        default=["simulated"],
+        help="kinds of people",
+    )
+    add(
+        "--anny",
+        type=Path,
+        metavar="FOLDER",
+        help="bodies of Anny (default: anny in --data)",
+    )
+    add(
+        "--limit",
+        type=positive,
+        default=8,
+        help="people of each kind (default: %(default)s)",
+    )
     add("--places", nargs="+", choices=PLACES, default=list(PLACES), metavar="PLACE")
-    add("--radii", nargs="+", type=float, default=RADII, metavar="PERCENT", help="of the diagonal")
-    add("--points", type=positive, default=40_000, help="of a scan (default: %(default)s)")
-    add("--seed", type=int, default=0, help="seed of people and points (default: %(default)s)")
+    add(
+        "--radii",
+        nargs="+",
+        type=float,
+        default=RADII,
+        metavar="PERCENT",
+        help="of the diagonal",
+    )
+    add(
+        "--points", type=positive, default=40_000, help="of a scan (default: %(default)s)"
+    )
+    add(
+        "--seed",
+        type=int,
+        default=0,
+        help="seed of people and points (default: %(default)s)",
+    )
     add("--workers", type=positive, default=2, help="processes (default: %(default)s)")
-    add("--output", type=Path, metavar="FOLDER", help="write scans, surfaces and rows.jsonl here")
-    add("--worst", type=int, default=0, metavar="N", help="draw the worst scans, into --output")
+    add(
+        "--output",
+        type=Path,
+        metavar="FOLDER",
+        help="write scans, surfaces and rows.jsonl here",
+    )
+    add(
+        "--worst",
+        type=int,
+        default=0,
+        metavar="N",
+        help="draw the worst scans, into --output",
+    )
     given = parser.parse_args(arguments)
     if given.worst and given.output is None:
         parser.error("--worst draws into the folder --output: name one")
@@ -118,7 +161,9 @@ def _of_kind(kind: str, given: argparse.Namespace) -> Iterator[str]:
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
     whole = [
-        Task(pose, given.seed, "", 0.0, given.points, output) for two in everybody for pose in two
+        Task(pose, given.seed, "", 0.0, given.points, output)
+        for two in everybody
+        for pose in two
     ]
     cut = [
         Task(two[0], given.seed, place, radius, given.points, output)
@@ -129,10 +174,15 @@ def _of_kind(kind: str, given: argparse.Namespace) -> Iterator[str]:
     found = all_in_workers(scanned, whole + cut, kind, workers=given.workers)
     metric = metric_of_people()
     places = [_placed(one, metric) for one in found]
-    first, gallery = np.array(places[: len(whole) : 2]), np.array(places[1 : len(whole) : 2])
+    first, gallery = (
+        np.array(places[: len(whole) : 2]),
+        np.array(places[1 : len(whole) : 2]),
+    )
     between = np.linalg.norm(first[:, np.newaxis] - gallery, axis=2)  # (n, n)
     poses = float(np.nanmedian(np.diag(between)))
-    others = float(np.nanmedian(np.where(np.eye(len(between)), np.inf, between).min(axis=1)))
+    others = float(
+        np.nanmedian(np.where(np.eye(len(between)), np.inf, between).min(axis=1))
+    )
     n_right = int((between.argmin(axis=1) == np.arange(len(between))).sum())
     yield (
         f"{kind}: two poses of a person are {poses:.1f} apart, the nearest other person {others:.1f}; "
@@ -156,7 +206,9 @@ def _of_kind(kind: str, given: argparse.Namespace) -> Iterator[str]:
                     "moved": float(np.linalg.norm(place - first[k])),
                     "area": one.area / found[2 * k].area,
                     "own": float(apart[k]),
-                    "rank": int((apart < apart[k]).sum()) + 1 if one.word != FAILED else n,
+                    "rank": int((apart < apart[k]).sum()) + 1
+                    if one.word != FAILED
+                    else n,
                 }
             )
         rows += row
@@ -164,7 +216,9 @@ def _of_kind(kind: str, given: argparse.Namespace) -> Iterator[str]:
     if output is not None:
         lines = [json.dumps(row) for row in rows]
         write_file(output / "rows.jsonl", ("\n".join(lines) + "\n").encode())
-        by_move = sorted(zip(rows, cut, strict=True), key=lambda pair: -_sortable(pair[0]["moved"]))
+        by_move = sorted(
+            zip(rows, cut, strict=True), key=lambda pair: -_sortable(pair[0]["moved"])
+        )
         for worst, task in by_move[: given.worst]:
             yield f"    {worst['scan']}: moved {worst['moved']:.2f}, {_drawn(task)}"
 

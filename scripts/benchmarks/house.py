@@ -86,7 +86,11 @@ def n_tokens(text: str) -> int:
     for word in tokenize.generate_tokens(io.StringIO(text).readline):
         kind = tokenize.tok_name[word.type]
         depth += kind.endswith("STRING_START")
-        counted += not depth and word.type in (tokenize.NAME, tokenize.OP, tokenize.NUMBER)
+        counted += not depth and word.type in (
+            tokenize.NAME,
+            tokenize.OP,
+            tokenize.NUMBER,
+        )
         depth -= kind.endswith("STRING_END")
     return counted
 
@@ -119,7 +123,8 @@ def wide_lines(path: Path) -> int:
 def tuple_assignments(path: Path) -> int:
     """Assignments of several constants in one statement, which have no comment each."""
     return sum(
-        isinstance(target, ast.Tuple) and all(ast.unparse(name).isupper() for name in target.elts)
+        isinstance(target, ast.Tuple)
+        and all(ast.unparse(name).isupper() for name in target.elts)
         for node in tree(path).body
         if isinstance(node, ast.Assign)
         for target in node.targets
@@ -144,7 +149,9 @@ def imported(path: Path) -> Iterator[tuple[str, bool]]:
         if isinstance(node, ast.Import):
             yield from ((alias.name, node not in later) for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
-            yield from ((f"{node.module}.{alias.name}", node not in later) for alias in node.names)
+            yield from (
+                (f"{node.module}.{alias.name}", node not in later) for alias in node.names
+            )
 
 
 def arrows() -> set[tuple[str, str]]:
@@ -161,7 +168,11 @@ def arrows() -> set[tuple[str, str]]:
 
 def docstring_lines(path: Path) -> int:
     kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
-    bodies = [node.body for node in ast.walk(tree(path)) if isinstance(node, kinds) and node.body]
+    bodies = [
+        node.body
+        for node in ast.walk(tree(path))
+        if isinstance(node, kinds) and node.body
+    ]
     texts = [body[0] for body in bodies if isinstance(body[0], ast.Expr)]
     return sum(
         (text.end_lineno or 0) - text.lineno + 1
@@ -192,7 +203,9 @@ def option_names() -> list[str]:
     """Names of all options with their tables."""
     from pcretrieve import PipelineOptions
 
-    tables = {name: getattr(PipelineOptions(), name) for name in PipelineOptions.model_fields}
+    tables = {
+        name: getattr(PipelineOptions(), name) for name in PipelineOptions.model_fields
+    }
     return [
         f"{table}.{name}"
         for table, options in tables.items()
@@ -203,7 +216,10 @@ def option_names() -> list[str]:
 def entry_point_groups() -> set[str]:
     """Groups of entry points that the package reads: what the records `Names` are made with."""
     calls = [
-        node for path in sources() for node in ast.walk(tree(path)) if isinstance(node, ast.Call)
+        node
+        for path in sources()
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.Call)
     ]
     return {
         str(call.args[1].value)
@@ -216,7 +232,9 @@ def entry_point_groups() -> set[str]:
 
 def prose() -> tuple[float, float]:
     """KB of text of the documents, and of the README."""
-    documents = [path for path in (ROOT / "docs").rglob("*.md") if "_build" not in path.parts]
+    documents = [
+        path for path in (ROOT / "docs").rglob("*.md") if "_build" not in path.parts
+    ]
     return sum(path.stat().st_size for path in documents) / 1e3, (
         ROOT / "README.md"
     ).stat().st_size / 1e3
@@ -246,12 +264,19 @@ def path_of_a_query() -> tuple[list[str], list[str]]:
         catalogue = folder / "one.sqlite"
         command = [sys.executable, "-m", "pcretrieve"]
         subprocess.run(
-            [*command, "ingest", scan.with_name("person-1_walk.ply"), "-c", catalogue], check=True
+            [*command, "ingest", scan.with_name("person-1_walk.ply"), "-c", catalogue],
+            check=True,
         )
         environment = os.environ | {"PYTHONPATH": name, "FRAMES": name}
-        subprocess.run([*command, "query", "-c", catalogue, scan], check=True, env=environment)
+        subprocess.run(
+            [*command, "query", "-c", catalogue, scan], check=True, env=environment
+        )
         parts = [*sorted(folder.glob("start*"))[:1], folder / "solver"]
-        frames = [line for part in parts for line in part.read_text(encoding="utf-8").splitlines()]
+        frames = [
+            line
+            for part in parts
+            for line in part.read_text(encoding="utf-8").splitlines()
+        ]
     frames = [frame for frame in frames if not frame.endswith("<module>")]
     return frames, sorted({frame.split(":")[0] for frame in frames})
 
@@ -261,12 +286,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--tests", action="store_true", help="count the cases of the tests too")
-    parser.add_argument("--path", action="store_true", help="follow a query to the solver too")
+    parser.add_argument(
+        "--tests", action="store_true", help="count the cases of the tests too"
+    )
+    parser.add_argument(
+        "--path", action="store_true", help="follow a query to the solver too"
+    )
     given = parser.parse_args(arguments)
     rooms = lines_by_room()
     tokens, lines = tokens_by_room(), sum(map(code_lines, sources()))
-    n_tuples, n_wide = sum(map(tuple_assignments, sources())), sum(map(wide_lines, sources()))
+    n_tuples, n_wide = (
+        sum(map(tuple_assignments, sources())),
+        sum(map(wide_lines, sources())),
+    )
     largest = max(tokens, key=tokens.__getitem__)
     rows = [
         ("tokens", law("MOST_TOKENS"), f"{sum(tokens.values()):,}"),

@@ -63,7 +63,9 @@ def examined(
                 surface = last.mesh
             shape = shape_of(last, options)
             own = point_of(describe(shape, options.signature).values, options)
-            found = findings_of(last.cloud, last.mesh, last.marks, shape, scan=last.cropped)
+            found = findings_of(
+                last.cloud, last.mesh, last.marks, shape, scan=last.cropped
+            )
             checks = found.checks
             grade = grade_of(checks)
             seconds = time.process_time() - started
@@ -72,7 +74,9 @@ def examined(
     except ShapeError as failure:
         seconds = time.process_time() - started
         words = (f"{failure.stage}: {failure.message}",)
-        return Examined(FAILED, float("nan"), words, n_points=n_points, seconds=seconds), surface
+        return Examined(
+            FAILED, float("nan"), words, n_points=n_points, seconds=seconds
+        ), surface
     listed = {
         check.name: {"outcome": check.outcome, "value": check.value, "error": check.error}
         for check in checks

@@ -15,7 +15,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.measuring import Column, Table, all_in_workers, argument_parser, print_lines
+from benchmarks.measuring import (
+    Column,
+    Table,
+    all_in_workers,
+    argument_parser,
+    print_lines,
+)
 from benchmarks.simulation import POSES, RigOptions, body, make_subject, scan_views
 from pcretrieve.checks import findings_of
 from pcretrieve.errors import InputError
@@ -79,8 +85,12 @@ class Found(NamedTuple):
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
     parser = argument_parser(__doc__)
-    parser.add_argument("--seeds", type=int, nargs="+", default=[101], help="of the bodies")
-    parser.add_argument("--points", type=int, nargs="+", default=NUMBERS, help="of the scans")
+    parser.add_argument(
+        "--seeds", type=int, nargs="+", default=[101], help="of the bodies"
+    )
+    parser.add_argument(
+        "--points", type=int, nargs="+", default=NUMBERS, help="of the scans"
+    )
     given = parser.parse_args(arguments)
     print_lines(_lines(given.seeds, given.points))
 
@@ -116,7 +126,9 @@ def _found(case: Case) -> Found:
     move, turn = case.error[0] / DIAGONAL * mesh.diagonal, np.radians(case.error[1])
     placed = []
     for points in views:
-        axis, direction = (vector / np.linalg.norm(vector) for vector in rng.normal(size=(2, 3)))
+        axis, direction = (
+            vector / np.linalg.norm(vector) for vector in rng.normal(size=(2, 3))
+        )
         rotation = Rotation.from_rotvec(turn * axis).as_matrix()
         placed.append((points - middle) @ rotation.T + middle + move * direction)
     scan = crop(PointCloud(np.concatenate(placed)), ScanOptions())

@@ -50,7 +50,9 @@ def timed_by_turns(
     Returns the times of each function in seconds, and the result of its first call.
     """
     calls = [[timed(function) for function in functions] for _ in range(n_repeats)]
-    return [([seconds for seconds, _ in own], own[0][1]) for own in zip(*calls, strict=True)]
+    return [
+        ([seconds for seconds, _ in own], own[0][1]) for own in zip(*calls, strict=True)
+    ]
 
 
 def use_one_core() -> None:
@@ -95,7 +97,9 @@ def peak_memory() -> float:
     kib = 0
     for pid in _tree(os.getpid()):
         with contextlib.suppress(OSError):
-            found = re.search(r"VmHWM:\s*(\d+) kB", Path(f"/proc/{pid}/status").read_text())
+            found = re.search(
+                r"VmHWM:\s*(\d+) kB", Path(f"/proc/{pid}/status").read_text()
+            )
             kib += int(found[1]) if found else 0
     return kib / KIB or float("nan")
 
@@ -117,7 +121,9 @@ def run_command(*arguments: str) -> tuple[float, float]:
     """Run ``pcretrieve`` in a process of its own, and discard its standard output."""
     # With byte code, as pip installs it: without it Python compiles the package at each start, .05 s.
     environment = {
-        name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"
+        name: value
+        for name, value in os.environ.items()
+        if name != "PYTHONDONTWRITEBYTECODE"
     }
     command = [sys.executable, "-m", "pcretrieve", *arguments]
     started = time.perf_counter()
@@ -137,7 +143,9 @@ def run_command(*arguments: str) -> tuple[float, float]:
     finished.set()
     watcher.join()
     if code:
-        raise BenchmarkError(f"pcretrieve {' '.join(arguments)} ended with exit code {code}, not 0")
+        raise BenchmarkError(
+            f"pcretrieve {' '.join(arguments)} ended with exit code {code}, not 0"
+        )
     return seconds, peak
 
 
@@ -150,7 +158,10 @@ def progress(things: Sequence[Thing], title: str) -> Iterable[Thing]:
 
 
 def in_workers(
-    function: Callable[[Thing], Result], things: Sequence[Thing], title: str, **limits: Any
+    function: Callable[[Thing], Result],
+    things: Sequence[Thing],
+    title: str,
+    **limits: Any,
 ) -> dict[Thing, Result | PcretrieveError]:
     """What a function returns for each thing, or its error, in worker processes with a progress bar."""
     found = dict(in_processes(function, progress(things, title), **limits))
@@ -158,7 +169,10 @@ def in_workers(
 
 
 def all_in_workers(
-    function: Callable[[Thing], Result], things: Sequence[Thing], title: str, **limits: Any
+    function: Callable[[Thing], Result],
+    things: Sequence[Thing],
+    title: str,
+    **limits: Any,
 ) -> list[Result]:
     """As `in_workers`, where the first error is raised."""
     results = []
@@ -203,7 +217,8 @@ class Table:
     def row(self, *values: object) -> str:
         """Format the values of one line."""
         return self._line(
-            self._cell(column, value) for column, value in zip(self.columns, values, strict=True)
+            self._cell(column, value)
+            for column, value in zip(self.columns, values, strict=True)
         )
 
     @staticmethod
@@ -236,17 +251,23 @@ def print_lines(lines: Iterable[str]) -> None:
         click.echo(line)
 
 
-def argument_parser(description: str | None, epilog: str | None = None) -> argparse.ArgumentParser:
+def argument_parser(
+    description: str | None, epilog: str | None = None
+) -> argparse.ArgumentParser:
     """A parser whose help prints the description, a module's docstring, with its line breaks."""
     return argparse.ArgumentParser(
-        description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
+        description=description,
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
 
 
 def add_data(parser: argparse.ArgumentParser) -> None:
     """Add ``--data``, the folder that has a subfolder for each data set."""
     shown = "folder of the data sets (default: %(default)s)"
-    parser.add_argument("--data", type=Path, default=Path("data"), metavar="FOLDER", help=shown)
+    parser.add_argument(
+        "--data", type=Path, default=Path("data"), metavar="FOLDER", help=shown
+    )
 
 
 def positive(text: str) -> int:

@@ -93,7 +93,9 @@ class People:
 
         torch.set_num_threads(1)
         self._seed, self._torch = seed, torch
-        self._model: Any = Anny(local_changes="default", topology="anny").to(dtype=torch.float32)
+        self._model: Any = Anny(local_changes="default", topology="anny").to(
+            dtype=torch.float32
+        )
         ages = torch.distributions.Uniform(*map(torch.tensor, AGES))
         self._shapes = SimpleShapeDistribution(self._model, ages)
         self.faces = np.asarray(self._model.faces)
@@ -109,17 +111,25 @@ class People:
         rng = np.random.default_rng((self._seed, person, 1))
         torch.manual_seed(int(rng.integers(2**31)))
         shape = {name: value.float() for name, value in self._shapes.sample(1)[1].items()}
-        local = {name: torch.tensor([value]) for name, value in self._changes(rng).items()}
+        local = {
+            name: torch.tensor([value]) for name, value in self._changes(rng).items()
+        }
         motions = torch.eye(4).repeat(1, self._model.bone_count, 1, 1)
-        turns = joints(pose, np.random.default_rng((self._seed, person, 2 + POSES.index(pose))))
+        turns = joints(
+            pose, np.random.default_rng((self._seed, person, 2 + POSES.index(pose)))
+        )
         for bone, turn in turns.items():
             matrix = torch.as_tensor(turn.as_matrix(), dtype=torch.float32)
             motions[0, self._model.bone_labels.index(bone), :3, :3] = matrix
         with torch.no_grad():
             found = self._model(
-                pose_parameters=motions, phenotype_kwargs=shape, local_changes_kwargs=local
+                pose_parameters=motions,
+                phenotype_kwargs=shape,
+                local_changes_kwargs=local,
             )
-        x, y, z = found["vertices"][0].double().numpy().T  # z up, and the face looks along -y
+        x, y, z = (
+            found["vertices"][0].double().numpy().T
+        )  # z up, and the face looks along -y
         return TriangleMesh(np.column_stack([x, z, -y]), self.faces)
 
     def _changes(self, rng: np.random.Generator) -> dict[str, float]:
@@ -140,7 +150,9 @@ def joints(pose: str, rng: np.random.Generator) -> dict[str, Rotation]:
     At rest the arms point down and away from the body by about 45 degrees. All angles are in degrees.
     """
 
-    def turn(x: float = 0.0, y: float = 0.0, z: float = 0.0, error: float = 0.0) -> Rotation:
+    def turn(
+        x: float = 0.0, y: float = 0.0, z: float = 0.0, error: float = 0.0
+    ) -> Rotation:
         return Rotation.from_euler(
             "xyz", np.array([x, y, z]) + rng.normal(0, error, 3), degrees=True
         )
@@ -167,7 +179,10 @@ def joints(pose: str, rng: np.random.Generator) -> dict[str, Rotation]:
         thighs, bow = between(75, 95), between(-5, 15)
         hips, knees = [thighs, thighs], [thighs, thighs]
         spread = [between(0, 15) for _ in spread]
-        ahead, bent = [between(15, 45), between(15, 45)], [between(20, 70), between(20, 70)]
+        ahead, bent = (
+            [between(15, 45), between(15, 45)],
+            [between(20, 70), between(20, 70)],
+        )
     else:  # fold: arms before the chest, the back bowed, the knees bent
         ahead, bent, inwards, bow = (
             [between(20, 45)] * 2,
@@ -182,7 +197,9 @@ def joints(pose: str, rng: np.random.Generator) -> dict[str, Rotation]:
         turns[f"upperarm01.{side}"] = turn(x=-ahead[row], error=3) * turn(
             y=-sign * lowered[row], error=3
         )
-        turns[f"lowerarm01.{side}"] = turn(x=-bent[row], error=4) * turn(z=-sign * inwards)
+        turns[f"lowerarm01.{side}"] = turn(x=-bent[row], error=4) * turn(
+            z=-sign * inwards
+        )
         turns[f"wrist.{side}"] = turn(error=8)
         turns[f"upperleg01.{side}"] = turn(x=-hips[row], y=-sign * spread[row], error=2)
         turns[f"lowerleg01.{side}"] = turn(x=knees[row] + abs(rng.normal(0, 3)))
@@ -190,7 +207,9 @@ def joints(pose: str, rng: np.random.Generator) -> dict[str, Rotation]:
         curl = abs(rng.normal(10, 12))
         for finger in range(2, 6):
             for part in (1, 2, 3):
-                turns[f"finger{finger}-{part}.{side}"] = turn(y=sign * (curl + rng.normal(0, 2)))
+                turns[f"finger{finger}-{part}.{side}"] = turn(
+                    y=sign * (curl + rng.normal(0, 2))
+                )
         turns[f"finger1-1.{side}"] = turn(error=6)
     for number in range(1, 6):
         turns[f"spine0{number}"] = turn(x=bow / 5, error=1.3)
@@ -205,8 +224,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add = parser.add_argument
     add("--out", type=Path, required=True, help="folder to write to")
     add("--people", type=int, default=100, help="number of people (default: %(default)s)")
-    add("--poses", type=int, default=3, help="number of scans of each (default: %(default)s)")
-    add("--seed", type=int, default=1, help="seed of all random numbers (default: %(default)s)")
+    add(
+        "--poses",
+        type=int,
+        default=3,
+        help="number of scans of each (default: %(default)s)",
+    )
+    add(
+        "--seed",
+        type=int,
+        default=1,
+        help="seed of all random numbers (default: %(default)s)",
+    )
     add("--bodies", action="store_true", help="write surfaces, not scans")
     given = parser.parse_args(arguments)
     try:

@@ -28,14 +28,18 @@ _PERSON: dict[str, Pose] = {
         contacts=(
             Contact(("left_forearm", "left_hand"), _TRUNK, ("left_shoulder",)),
             Contact(
-                ("right_forearm", "right_hand"), ("left_forearm", "left_hand"), ("right_shoulder",)
+                ("right_forearm", "right_hand"),
+                ("left_forearm", "left_hand"),
+                ("right_shoulder",),
             ),
         ),
     ),
     "hands_clasped": Pose(
         left(shoulder=(34, -32, 58), elbow=66) | right(shoulder=(24, -32, 58), elbow=66),
         contacts=(
-            Contact(("left_fingers",), ("right_hand",), ("left_shoulder", "right_shoulder")),
+            Contact(
+                ("left_fingers",), ("right_hand",), ("left_shoulder", "right_shoulder")
+            ),
         ),
     ),
     "legs_crossed": Pose(
@@ -49,18 +53,27 @@ _PERSON: dict[str, Pose] = {
         both(shoulder=(0, -42, 0), hip=(0, -6, 0)),
         contacts=(
             Contact(("left_hand", "left_fingers"), ("left_thigh",), ("left_shoulder",)),
-            Contact(("right_hand", "right_fingers"), ("right_thigh",), ("right_shoulder",)),
+            Contact(
+                ("right_hand", "right_fingers"), ("right_thigh",), ("right_shoulder",)
+            ),
             Contact(("left_calf",), ("right_calf",), ("left_hip", "right_hip")),
         ),
     ),
     "think": Pose(
         _ARMS_DOWN | right(shoulder=(36, -25, 35), elbow=98) | turn(neck=14),
-        contacts=(Contact(("right_fingers",), ("head",), ("right_shoulder", "right_elbow")),),
+        contacts=(
+            Contact(("right_fingers",), ("head",), ("right_shoulder", "right_elbow")),
+        ),
     ),
     "crouch": Pose(
-        both(hip=(96, 8, 0), knee=-98, foot=22, shoulder=(58, -30, 0), elbow=30) | turn(spine=28),
+        both(hip=(96, 8, 0), knee=-98, foot=22, shoulder=(58, -30, 0), elbow=30)
+        | turn(spine=28),
         contacts=tuple(
-            Contact((f"{side}_hand",), (f"{side}_calf",), (f"{side}_shoulder", f"{side}_elbow"))
+            Contact(
+                (f"{side}_hand",),
+                (f"{side}_calf",),
+                (f"{side}_shoulder", f"{side}_elbow"),
+            )
             for side in ("left", "right")
         ),
     ),
@@ -79,10 +92,12 @@ _ANIMAL: dict[str, Pose] = {
         | turn(tail=-40)
     ),
     "gallop": Pose(
-        both(hip=-38, knee=-18, hock=8, shoulder=58, elbow=4) | turn(spine=-24, neck=22, tail=-50)
+        both(hip=-38, knee=-18, hock=8, shoulder=58, elbow=4)
+        | turn(spine=-24, neck=22, tail=-50)
     ),
     "gather": Pose(
-        both(hip=72, knee=-50, hock=25, shoulder=-52, elbow=25) | turn(spine=45, neck=-42, tail=-30)
+        both(hip=72, knee=-50, hock=25, shoulder=-52, elbow=25)
+        | turn(spine=45, neck=-42, tail=-30)
     ),
     "look_up": Pose(_STAND | turn(neck=-28, head=-38, tail=-70)),
     "look_back": Pose(
@@ -98,10 +113,14 @@ _ANIMAL: dict[str, Pose] = {
         | turn(pelvis=22, spine=-18, neck=-22, tail=-95)
     ),
     "sit": Pose(
-        _FOLDED_HIND | both(shoulder=-28, elbow=22, wrist=-8) | turn(pelvis=-46, neck=30, tail=-25)
+        _FOLDED_HIND
+        | both(shoulder=-28, elbow=22, wrist=-8)
+        | turn(pelvis=-46, neck=30, tail=-25)
     ),
     "lie": Pose(
-        _FOLDED_HIND | both(shoulder=(-42, 4, 0), elbow=100, wrist=-4) | turn(tail=(10, 25, 0)),
+        _FOLDED_HIND
+        | both(shoulder=(-42, 4, 0), elbow=100, wrist=-4)
+        | turn(tail=(10, 25, 0)),
         contacts=tuple(
             Contact((f"{side}_shank",), ("loins", "ribs"), (f"{side}_hip",))
             for side in ("left", "right")
@@ -111,7 +130,11 @@ _ANIMAL: dict[str, Pose] = {
         _STAND | turn(neck=20),
         contacts=(
             Contact(("left_hind_foot",), ("right_hind_foot",), ("left_hip", "right_hip")),
-            Contact(("left_fore_foot",), ("right_fore_foot",), ("left_shoulder", "right_shoulder")),
+            Contact(
+                ("left_fore_foot",),
+                ("right_fore_foot",),
+                ("left_shoulder", "right_shoulder"),
+            ),
         ),
     ),
     "wipe": Pose(
@@ -127,7 +150,8 @@ _ANIMAL: dict[str, Pose] = {
 
 def _on_palm(*fingers: str) -> tuple[Contact, ...]:
     return tuple(
-        Contact((f"{finger}_3",), ("palm",), (f"{finger}_1", f"{finger}_2")) for finger in fingers
+        Contact((f"{finger}_3",), ("palm",), (f"{finger}_1", f"{finger}_2"))
+        for finger in fingers
     )
 
 
@@ -137,14 +161,27 @@ _SIDE_BY_SIDE = (("index", "middle"), ("ring", "middle"), ("little", "ring"))
 
 _HAND: dict[str, Pose] = {
     "spread": Pose(
-        turn(index_1=(-6, -8, 0), ring_1=(-6, 6, 0), little_1=(-8, 14, 0), thumb_1=(-16, 10, 0))
+        turn(
+            index_1=(-6, -8, 0),
+            ring_1=(-6, 6, 0),
+            little_1=(-8, 14, 0),
+            thumb_1=(-16, 10, 0),
+        )
     ),
     "grasp": Pose(curl(FINGERS, (42, 48, 28)) | turn(thumb_1=20, thumb_2=22)),
     "claw": Pose(curl(FINGERS, (-12, 75, 48)) | turn(thumb_2=30, thumb_3=35)),
     "table": Pose(curl(FINGERS, (78, 6, 4)) | turn(thumb_1=8)),
     "wave": Pose(turn(wrist=(-38, 14, 0)) | curl(FINGERS, (10, 12, 8))),
     "fan": Pose(
-        turn(index_1=0, middle_1=25, ring_1=50, little_1=72, middle_2=15, ring_2=32, little_2=45)
+        turn(
+            index_1=0,
+            middle_1=25,
+            ring_1=50,
+            little_1=72,
+            middle_2=15,
+            ring_2=32,
+            little_2=45,
+        )
     ),
     "thumb_out": Pose(curl(FINGERS, (55, 72, 40)) | turn(thumb_1=-14, thumb_3=-10)),
     "fist": Pose(curl(FINGERS, _CLOSED) | _THUMB_IN, contacts=_on_palm(*FINGERS)),
@@ -165,7 +202,9 @@ _HAND: dict[str, Pose] = {
     "together": Pose(
         contacts=tuple(
             Contact(
-                (f"{finger}_2", f"{finger}_3"), (f"{next_to}_2", f"{next_to}_3"), (f"{finger}_1",)
+                (f"{finger}_2", f"{finger}_3"),
+                (f"{next_to}_2", f"{next_to}_3"),
+                (f"{finger}_1",),
             )
             for finger, next_to in _SIDE_BY_SIDE
         )
@@ -252,5 +291,7 @@ SUBJECTS: Mapping[str, tuple[str, ...]] = {
 }
 """The poses of each individual of the sample set."""
 
-SAMPLES = tuple(f"{subject}_{pose}" for subject, poses in SUBJECTS.items() for pose in poses)
+SAMPLES = tuple(
+    f"{subject}_{pose}" for subject, poses in SUBJECTS.items() for pose in poses
+)
 """Names of all sample scans: subject and pose."""

@@ -81,28 +81,43 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "catalogues", nargs="+", type=Path, help="catalogues of labelled scans of people"
     )
     parser.add_argument(
-        "--unseen", type=int, help="judge by so many people, drawn at random, and learn from others"
+        "--unseen",
+        type=int,
+        help="judge by so many people, drawn at random, and learn from others",
     )
-    parser.add_argument("--learn", action="store_true", help="write the moments into the package")
     parser.add_argument(
-        "--coarser", action="store_true", help="add what coarser meshes of the scans change"
+        "--learn", action="store_true", help="write the moments into the package"
     )
-    parser.add_argument("--methods", nargs="+", default=["hapt+r-bihdm", "hapt", "r-bihdm"])
+    parser.add_argument(
+        "--coarser",
+        action="store_true",
+        help="add what coarser meshes of the scans change",
+    )
+    parser.add_argument(
+        "--methods", nargs="+", default=["hapt+r-bihdm", "hapt", "r-bihdm"]
+    )
     parser.add_argument("--draw", type=Path, metavar="PICTURE", help="draw the curve")
     given = parser.parse_args(arguments)
     target = Path(pcretrieve.retrieval.__file__).with_name(SAMPLE)
     if given.learn or given.coarser:
-        arrays = learned(scans_of(given.catalogues)) if given.learn else dict(np.load(target))
+        arrays = (
+            learned(scans_of(given.catalogues)) if given.learn else dict(np.load(target))
+        )
         if given.coarser:
-            changed = coarser(given.catalogues) / np.outer(arrays["scale"], arrays["scale"])
+            changed = coarser(given.catalogues) / np.outer(
+                arrays["scale"], arrays["scale"]
+            )
             arrays |= {
-                name: (arrays[name] + changed).astype(np.float32) for name in ("within", "total")
+                name: (arrays[name] + changed).astype(np.float32)
+                for name in ("within", "total")
             }
         packed = io.BytesIO()
         np.savez_compressed(packed, allow_pickle=False, **arrays)
         write_file(target, packed.getvalue())
     else:
-        print_lines(_lines(scans_of(given.catalogues), given.methods, given.unseen, given.draw))
+        print_lines(
+            _lines(scans_of(given.catalogues), given.methods, given.unseen, given.draw)
+        )
 
 
 def scans_of(catalogues: Sequence[Path]) -> Scans:
@@ -112,11 +127,18 @@ def scans_of(catalogues: Sequence[Path]) -> Scans:
     for number, path in enumerate(catalogues):
         with Catalogue(path) as catalogue:
             for method in BEGINS:
-                options = catalogue.options.changed(signature={"method": method, "n_values": 59})
+                options = catalogue.options.changed(
+                    signature={"method": method, "n_values": 59}
+                )
                 table = signatures(catalogue, options=options)
                 parts[method].append(coordinates(table.values, table.metric))
-            areas = {record.id: record.area or 0.0 for record in catalogue.records(status="done")}
-            parts["size"].append(np.log(np.array([[areas[shape_id]] for shape_id in table.ids])))
+            areas = {
+                record.id: record.area or 0.0
+                for record in catalogue.records(status="done")
+            }
+            parts["size"].append(
+                np.log(np.array([[areas[shape_id]] for shape_id in table.ids]))
+            )
             labels += [f"{number} {label}" for label in table.labels]
     person = np.unique(labels, return_inverse=True)[1]
     return Scans({name: np.concatenate(blocks) for name, blocks in parts.items()}, person)
@@ -129,12 +151,15 @@ SHRINKAGE, LEAST = 0.03, 1e-3
 
 def learned(scans: Scans) -> dict[str, FloatArray]:
     """The arrays of `SAMPLE`."""
-    scale = np.array([DESCRIPTORS[name].spread if name in BEGINS else 1.0 for name in scans.parts])
+    scale = np.array(
+        [DESCRIPTORS[name].spread if name in BEGINS else 1.0 for name in scans.parts]
+    )
     scale = np.repeat(scale, [part.shape[1] for part in scans.parts.values()])
     points = np.concatenate(list(scans.parts.values()), axis=1) / scale
     n_of = np.bincount(scans.person)
     means = (
-        np.stack([np.bincount(scans.person, column) for column in points.T], axis=1) / n_of[:, None]
+        np.stack([np.bincount(scans.person, column) for column in points.T], axis=1)
+        / n_of[:, None]
     )
     apart = points - means[scans.person]
     within = apart.T @ apart / (len(points) - len(n_of))
@@ -166,9 +191,16 @@ def coarser(catalogues: Sequence[Path]) -> FloatArray:
     for path in catalogues:
         with Catalogue(path) as catalogue:
             ids = [record.id for record in catalogue.records(status="done")]
-        tasks += [(path, shape_id, N_FACES[row % len(N_FACES)]) for row, shape_id in enumerate(ids)]
+        tasks += [
+            (path, shape_id, N_FACES[row % len(N_FACES)])
+            for row, shape_id in enumerate(ids)
+        ]
     changes = np.array(
-        [change for change in all_in_workers(_changed, tasks, "coarser") if change is not None]
+        [
+            change
+            for change in all_in_workers(_changed, tasks, "coarser")
+            if change is not None
+        ]
     )
     return np.asarray(COARSER * changes.T @ changes / len(changes))
 
@@ -185,7 +217,10 @@ def _changed(task: tuple[Path, str, int]) -> FloatArray | None:
         return None
     points = []
     for shape in (fine, coarse):
-        made = [describe(shape, SignatureOptions(method=method, n_values=59)) for method in BEGINS]
+        made = [
+            describe(shape, SignatureOptions(method=method, n_values=59))
+            for method in BEGINS
+        ]
         parts = [coordinates(one.values, one.metric) for one in made]
         points.append(np.concatenate([*parts, [np.log(shape.area)]]))
     return np.asarray(points[1] - points[0])
@@ -222,7 +257,11 @@ def _network(scans: Scans, moments: Mapping[str, FloatArray]) -> FloatArray:
     network.fit(own / unit, others / unit)
     (first, last), (bias, shift) = network.coefs_, network.intercepts_
     back = unit * np.linalg.pinv(whitening.matrix, rcond=LEAST_WEIGHT, hermitian=True)
-    first, last, shift = whitening.matrix @ first / unit, last @ back, whitening.mean + shift @ back
+    first, last, shift = (
+        whitening.matrix @ first / unit,
+        last @ back,
+        whitening.mean + shift @ back,
+    )
     # The shift is the output of one more unit, which is always 1.
     first, bias = (
         np.column_stack([first, np.zeros(len(first))]),
@@ -263,7 +302,9 @@ def _lines(
                 compared = "form and size" if sized else "form"
                 if kind == "people":
                     sizes = [row.people for row in found]
-                    curves[f"{method}, {compared}"] = 1 - np.array([row.rank_1 for row in found])
+                    curves[f"{method}, {compared}"] = 1 - np.array(
+                        [row.rank_1 for row in found]
+                    )
                 for row in found:
                     yield TABLE.row(method, compared, kind, *row)
     if picture is not None:
@@ -271,12 +312,15 @@ def _lines(
         draw_curves(picture, sizes, curves, x_label="number of people", y_label=y_label)
 
 
-def fused_points(parts: Mapping[str, FloatArray], options: SignatureOptions) -> FloatArray:
+def fused_points(
+    parts: Mapping[str, FloatArray], options: SignatureOptions
+) -> FloatArray:
     """The coordinates (n, L) of signatures by some options, of those of each part."""
     names = fused_names(options.method)
     scale = {name: DESCRIPTORS[name].spread if len(names) > 1 else 1.0 for name in names}
     columns = [
-        parts[name][:, : {"r-bihdm": options.n_values}.get(name)] / scale[name] for name in names
+        parts[name][:, : {"r-bihdm": options.n_values}.get(name)] / scale[name]
+        for name in names
     ]
     if options.size_weight:
         columns.append(options.size_weight * parts["size"])
@@ -310,7 +354,9 @@ def recognition(points: FloatArray, person: Positions) -> list[Row]:
     n_nearer, genuine, impostor = [], [], []
     for start in range(0, len(points), BLOCK):
         rows = np.arange(start, min(start + BLOCK, len(points)))
-        gaps = squares[rows, np.newaxis] + squares - 2 * points[rows] @ points.T  # (q, n), squared
+        gaps = (
+            squares[rows, np.newaxis] + squares - 2 * points[rows] @ points.T
+        )  # (q, n), squared
         gaps[rows - start, rows] = np.inf
         nearest = np.minimum.reduceat(gaps, first, axis=1)  # (q, people)
         own = nearest[rows - start, person[rows]]
@@ -339,8 +385,12 @@ def recognition(points: FloatArray, person: Positions) -> list[Row]:
     used = np.array(known) >= FITTED_FROM
     beyond = [size for size in SIZES if size > n_people] if used.sum() > 1 else []
     errors = np.log(np.maximum(1 - rates[used, 0], TINY))
-    slope, level = np.polyfit(np.log(np.array(known)[used]), errors, 1) if beyond else (0.0, 0.0)
-    fitted = [[max(0.0, 1 - np.exp(slope * np.log(size) + level)), np.nan] for size in beyond]
+    slope, level = (
+        np.polyfit(np.log(np.array(known)[used]), errors, 1) if beyond else (0.0, 0.0)
+    )
+    fitted = [
+        [max(0.0, 1 - np.exp(slope * np.log(size) + level)), np.nan] for size in beyond
+    ]
     rates = np.concatenate([rates, np.reshape(fitted, (-1, 2))])
     sizes = known + beyond
     return [

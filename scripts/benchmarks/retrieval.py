@@ -123,11 +123,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
     parser = argument_parser(__doc__)
     add_data(parser)
-    parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, help="some sets only")
+    parser.add_argument(
+        "--only", nargs="+", choices=NAMES, default=NAMES, help="some sets only"
+    )
     parser.add_argument(
         "--samples", type=Path, default=Path("scans"), help="folder of the sample scans"
     )
-    parser.add_argument("--methods", nargs="+", default=["hapt+r-bihdm"], help="descriptors")
+    parser.add_argument(
+        "--methods", nargs="+", default=["hapt+r-bihdm"], help="descriptors"
+    )
     parser.add_argument(
         "--n-values", type=int, nargs="+", default=[23], help="lengths of the descriptors"
     )
@@ -140,7 +144,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help='print how good the answer "no match" is, on classes left out',
     )
     parser.add_argument(
-        "--atoms", action="store_true", help="print what atoms learned from labels are worth"
+        "--atoms",
+        action="store_true",
+        help="print what atoms learned from labels are worth",
     )
     given = parser.parse_args(arguments)
     use_one_core()
@@ -148,7 +154,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _lines(given: argparse.Namespace) -> Iterator[str]:
-    yield (ATOMS_TABLE if given.atoms else NO_MATCH_TABLE if given.no_match else TABLE).head
+    yield (
+        ATOMS_TABLE if given.atoms else NO_MATCH_TABLE if given.no_match else TABLE
+    ).head
     rows = _no_match_rows if given.no_match else _rows
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) if given.keep is None else given.keep
@@ -188,12 +196,18 @@ def _catalogue_rows(
         if given.atoms:
             yield from _atoms_rows(name, catalogue, options)
             return
-        failed = {record.id: record.label for record in catalogue.records(status="failed")}
+        failed = {
+            record.id: record.label for record in catalogue.records(status="failed")
+        }
         for method in given.methods:
             for n_values in given.n_values:
                 try:
                     chosen = options.changed(
-                        signature={"method": method, "n_values": n_values, "scale": "area"}
+                        signature={
+                            "method": method,
+                            "n_values": n_values,
+                            "scale": "area",
+                        }
                     )
                     table = signatures(catalogue, options=chosen)
                 except OptionError as error:
@@ -224,14 +238,18 @@ def _rows(
         whitening = None
         if kind != "within-class":
             known = None if options is None else people(options)
-            whitening = table_whitening(table, RetrievalOptions(whitening=kind), people=known)
+            whitening = table_whitening(
+                table, RetrievalOptions(whitening=kind), people=known
+            )
         retrieval = RetrievalOptions(whitening=kind, rerank="k-reciprocal")
         again, plain = rank_table(table, retrieval, whitening=whitening, failed=failed)
         if kind == "within-class":  # without re-ranking, the gallery is the whole set
             plain, _ = rank_table(table, RetrievalOptions(whitening=kind), failed=failed)
         for method, rankings in (("none", plain), (retrieval.rerank, again)):
             measures = measure_values(evaluate_rankings(rankings))
-            yield TABLE.row(name, table.kind, table.values.shape[1], kind, method, *measures)
+            yield TABLE.row(
+                name, table.kind, table.values.shape[1], kind, method, *measures
+            )
     n_people = len(set(table.labels)) if name in PEOPLE else 0
     for number in CALIBRATIONS:
         if 2 * number < n_people:
@@ -239,7 +257,9 @@ def _rows(
             rows = calibrated_measures(table, number, moments=known, failed=failed)
             facts = name, table.kind, table.values.shape[1]
             yield TABLE.row(*facts, f"{number}-people", "none", *rows.mean(axis=0))
-            yield TABLE.row(*facts, f"{number}-people", "deviation", *rows.std(axis=0, ddof=1))
+            yield TABLE.row(
+                *facts, f"{number}-people", "deviation", *rows.std(axis=0, ddof=1)
+            )
 
 
 def _no_match_rows(
@@ -264,7 +284,9 @@ def _no_match_rows(
         )
 
 
-def _atoms_rows(name: str, catalogue: Catalogue, options: PipelineOptions) -> Iterator[str]:
+def _atoms_rows(
+    name: str, catalogue: Catalogue, options: PipelineOptions
+) -> Iterator[str]:
     """What learned atoms are worth for other classes, and for other shapes of the same classes."""
     shipped = options.changed(signature={"method": "dl-supervised"})
     before = signatures(catalogue, options=shipped)
@@ -278,10 +300,13 @@ def _atoms_rows(name: str, catalogue: Catalogue, options: PipelineOptions) -> It
         rng, rows = np.random.default_rng(SEED), []
         for _ in range(N_HALVES):
             kinds = rng.permutation(sorted(set(labels.values()))).tolist()
-            known = {key for key, label in labels.items() if label in kinds[: len(kinds) // 2]}
+            known = {
+                key for key, label in labels.items() if label in kinds[: len(kinds) // 2]
+            }
             if what == "shapes":
                 members = [
-                    [key for key, label in labels.items() if label == kind] for kind in kinds
+                    [key for key, label in labels.items() if label == kind]
+                    for kind in kinds
                 ]
                 known = {
                     key
@@ -297,7 +322,10 @@ def _atoms_rows(name: str, catalogue: Catalogue, options: PipelineOptions) -> It
             )
             others = [key for key in labels if key not in known]
             rows.append(
-                [evaluate_table(one.select(others), retrieval).map for one in (before, after)]
+                [
+                    evaluate_table(one.select(others), retrieval).map
+                    for one in (before, after)
+                ]
             )
         gains = np.diff(rows, axis=1)
         yield ATOMS_TABLE.row(
@@ -322,7 +350,10 @@ def calibrated_measures(
     classes = sorted({label for label in table.labels if label is not None})
     rows = []
     for _ in range(N_DRAWS):
-        drawn = {classes[number] for number in rng.choice(len(classes), n_classes, replace=False)}
+        drawn = {
+            classes[number]
+            for number in rng.choice(len(classes), n_classes, replace=False)
+        }
         fitted = [
             shape_id
             for shape_id, label in zip(table.ids, table.labels, strict=True)
@@ -332,8 +363,12 @@ def calibrated_measures(
         whitening = replace(
             calibrated_whitening(table.select(fitted), options, moments), kind=CALIBRATED
         )
-        misses = {shape_id: label for shape_id, label in failed.items() if label not in drawn}
-        measures = evaluate_table(table.select(others), options, whitening=whitening, failed=misses)
+        misses = {
+            shape_id: label for shape_id, label in failed.items() if label not in drawn
+        }
+        measures = evaluate_table(
+            table.select(others), options, whitening=whitening, failed=misses
+        )
         rows.append(measure_values(measures))
     return np.array(rows)
 
@@ -401,11 +436,20 @@ def no_match_measures(
         ours, found = labels[queries], labels[gallery[nearest]]
         known = np.isin(ours.astype(str), labels[gallery].astype(str))
         # Without scores there is no match that is certain enough.
-        score = np.zeros(len(queries)) if scores is None else scores.of(distances.min(axis=1))
-        others = np.where(found[:, np.newaxis] == labels[gallery], np.inf, distances).min(axis=1)
+        score = (
+            np.zeros(len(queries)) if scores is None else scores.of(distances.min(axis=1))
+        )
+        others = np.where(found[:, np.newaxis] == labels[gallery], np.inf, distances).min(
+            axis=1
+        )
         pairs = zip(distances.min(axis=1), others, strict=True)
-        sure = [scores is not None and (scores.certainty(*pair) or 0) >= SURE for pair in pairs]
-        drawn.append(np.stack([known, score >= min_score, ours == found, sure]).astype(bool))
+        sure = [
+            scores is not None and (scores.certainty(*pair) or 0) >= SURE
+            for pair in pairs
+        ]
+        drawn.append(
+            np.stack([known, score >= min_score, ours == found, sure]).astype(bool)
+        )
     known, matched, same, sure_ones = np.concatenate(drawn, axis=1)
 
     def share(of: NDArray[np.bool_], among: NDArray[np.bool_]) -> float:
@@ -435,7 +479,9 @@ def _split(
             f"classes can be left out of two classes of {SMALLEST} shapes or more, got {len(classes)}"
         )
     known = set(
-        rng.permutation(classes)[: len(classes) - max(1, round(left_out * len(classes)))].tolist()
+        rng.permutation(classes)[
+            : len(classes) - max(1, round(left_out * len(classes)))
+        ].tolist()
     )
     gallery: list[int] = []
     queries: list[int] = []

@@ -35,8 +35,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Simulate all sample scans, or some of them."""
     parser = argument_parser(__doc__, EPILOG)
     add = parser.add_argument
-    add("--out", type=Path, default=Path("scans"), help="folder to write to (default: %(default)s)")
-    add("--seed", type=int, default=SEED, help="seed of all random numbers (default: %(default)s)")
+    add(
+        "--out",
+        type=Path,
+        default=Path("scans"),
+        help="folder to write to (default: %(default)s)",
+    )
+    add(
+        "--seed",
+        type=int,
+        default=SEED,
+        help="seed of all random numbers (default: %(default)s)",
+    )
     add(
         "--only",
         action="append",
@@ -56,7 +66,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
 
 
-def write(path: Path, surface: TriangleMesh, placed: FloatArray, rng: np.random.Generator) -> Path:
+def write(
+    path: Path, surface: TriangleMesh, placed: FloatArray, rng: np.random.Generator
+) -> Path:
     """Scan a body as its subject is scanned in the sample set."""
     scanned = write_views if path.parent.name in ON_TURNTABLE else write_whole
     return scanned(path, surface, placed, rng)
@@ -91,7 +103,9 @@ def write_views(
     return path.with_suffix(".conf")
 
 
-def write_pcd(path: Path, points: FloatArray, viewpoint: FloatArray, orientation: Rotation) -> None:
+def write_pcd(
+    path: Path, points: FloatArray, viewpoint: FloatArray, orientation: Rotation
+) -> None:
     """Write points as a PCD file, with the position (3,) and the orientation of the sensor."""
     pose = [*viewpoint, *orientation.as_quat(canonical=True)[[3, 0, 1, 2]]]  # w first
     header = (
@@ -115,6 +129,8 @@ def write_conf(path: Path, names: Sequence[str], motions: FloatArray) -> None:
     for name, motion in zip(names, motions, strict=True):
         inverse = Rotation.from_matrix(motion[:3, :3]).inv().as_quat(canonical=True)
         lines.append(
-            " ".join(["bmesh", name, *(f"{value:.9g}" for value in (*motion[:3, 3], *inverse))])
+            " ".join(
+                ["bmesh", name, *(f"{value:.9g}" for value in (*motion[:3, 3], *inverse))]
+            )
         )
     write_file(path, ("\n".join(lines) + "\n").encode())

@@ -46,7 +46,10 @@ def outer_points(
     missing = np.arange(n)
     while len(missing):
         points[missing], faces[missing] = uniform_points(mesh, len(missing), rng)
-        normals = mesh.area_vectors[faces[missing]] / mesh.face_areas[faces[missing], np.newaxis]
+        normals = (
+            mesh.area_vectors[faces[missing]]
+            / mesh.face_areas[faces[missing], np.newaxis]
+        )
         missing = missing[~is_outside(mesh, points[missing], normals, N_RAYS)]
     return points, faces
 
@@ -56,7 +59,9 @@ def noisy(mesh: TriangleMesh, points: FloatArray, rng: np.random.Generator) -> F
     return np.asarray(points + rng.normal(0, NOISE * mesh.diagonal, points.shape))
 
 
-def _uniform(mesh: TriangleMesh, n: int, n_holes: int, rng: np.random.Generator) -> FloatArray:
+def _uniform(
+    mesh: TriangleMesh, n: int, n_holes: int, rng: np.random.Generator
+) -> FloatArray:
     """Uniform points with noise, holes of several radii, and strays."""
     points, _ = outer_points(mesh, n, rng)
     centres, _ = uniform_points(mesh, n_holes, rng)
@@ -64,7 +69,9 @@ def _uniform(mesh: TriangleMesh, n: int, n_holes: int, rng: np.random.Generator)
     for centre in centres:
         radius = float(rng.uniform(*HOLES)) * length
         kept &= outside_holes(points, centre[np.newaxis], radius)
-    return np.concatenate([noisy(mesh, points[kept], rng), strays(mesh, round(STRAYS * n), rng)])
+    return np.concatenate(
+        [noisy(mesh, points[kept], rng), strays(mesh, round(STRAYS * n), rng)]
+    )
 
 
 # --- a depth camera beside a turntable ----------------------------------------------------------------------
@@ -117,13 +124,17 @@ def _turntable(body: Body, rng: np.random.Generator) -> FloatArray:
     points = np.concatenate(views)
     points = points[points[:, 1] > mesh.vertices[:, 1].min() + SOLES * height]
     if "crown" in body.places:
-        points = points[~_lost_hair(points, mesh.vertices[body.places["crown"]], height, rng)]
+        points = points[
+            ~_lost_hair(points, mesh.vertices[body.places["crown"]], height, rng)
+        ]
     return np.asarray(points[rng.permutation(len(points))[:N_POINTS]])
 
 
 def _pixel_rays(distance: float) -> FloatArray:
     """(p², 3) rays through the pixels, of which the third coordinate, along the axis, is 1."""
-    half = 0.5 / np.sqrt(distance**2 - 0.25)  # the field of view holds the bounding sphere
+    half = 0.5 / np.sqrt(
+        distance**2 - 0.25
+    )  # the field of view holds the bounding sphere
     ticks = half * ((2 * np.arange(PIXELS) + 1) / PIXELS - 1)
     across, down = np.meshgrid(ticks, ticks)
     return np.column_stack([across.ravel(), down.ravel(), np.ones(PIXELS**2)])
@@ -183,12 +194,16 @@ LIMB, HOLE = 0.22, 0.08
 SPARSE = 0.1
 
 
-def left_by(damage: str, points: FloatArray, body: Body, rng: np.random.Generator) -> Mask:
+def left_by(
+    damage: str, points: FloatArray, body: Body, rng: np.random.Generator
+) -> Mask:
     """(n,) whether a damage leaves points of a scan."""
     height = _height(body.mesh)
     if damage == "hole":
         centre = points[rng.integers(len(points))]
-        return np.asarray(np.linalg.norm(points - centre, axis=1) >= HOLE * _length(body.mesh) / 2)
+        return np.asarray(
+            np.linalg.norm(points - centre, axis=1) >= HOLE * _length(body.mesh) / 2
+        )
     if damage == "limb":
         near = cKDTree(body.mesh.vertices).query(points)[1]
         return np.asarray((_from_an_end(body.mesh, rng) >= LIMB * height)[near])
@@ -226,7 +241,9 @@ def _is_limb(mesh: TriangleMesh, inside: Mask) -> bool:
         return False
     rest = TriangleMesh(mesh.vertices, mesh.faces[~cut_off])
     rim = open_edges(mesh.faces[cut_off])
-    length = np.linalg.norm(mesh.vertices[rim[:, 0]] - mesh.vertices[rim[:, 1]], axis=1).sum()
+    length = np.linalg.norm(
+        mesh.vertices[rim[:, 0]] - mesh.vertices[rim[:, 1]], axis=1
+    ).sum()
     return bool(components(rest).max() == 0 and length**2 / area < ROUND)
 
 
@@ -275,8 +292,12 @@ def _touching(
     placed += away * ahead
     # They touch where a vertex of one first meets the surface of the other.
     gaps = [
-        RayScene(placed, b.faces).cast(a.vertices, np.broadcast_to(ahead, a.vertices.shape))[0],
-        RayScene(a.vertices, a.faces).cast(placed, np.broadcast_to(-ahead, placed.shape))[0],
+        RayScene(placed, b.faces).cast(
+            a.vertices, np.broadcast_to(ahead, a.vertices.shape)
+        )[0],
+        RayScene(a.vertices, a.faces).cast(placed, np.broadcast_to(-ahead, placed.shape))[
+            0
+        ],
     ]
     gap = min(float(each.min()) for each in gaps)
     gap = (away if np.isinf(gap) else gap) + float(rng.uniform(*PUSH)) * a.diagonal

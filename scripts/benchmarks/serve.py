@@ -77,7 +77,8 @@ class Answered(NamedTuple):
         """The figures of a line."""
         median, late = np.quantile(self.times or [np.nan], [0.5, 0.99])
         shown = [
-            f"{1e3 * value:.0f} ms" for value in (median, late, max(self.times, default=np.nan))
+            f"{1e3 * value:.0f} ms"
+            for value in (median, late, max(self.times, default=np.nan))
         ]
         return self.rate, *shown, self.n_failed
 
@@ -85,10 +86,14 @@ class Answered(NamedTuple):
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
     parser = argument_parser(__doc__)
-    parser.add_argument("--shapes", type=positive, default=100_000, help="size of the catalogue")
+    parser.add_argument(
+        "--shapes", type=positive, default=100_000, help="size of the catalogue"
+    )
     parser.add_argument("--clients", type=positive, default=50, help="clients at a time")
     parser.add_argument("--seconds", type=positive, default=15, help="time for each line")
-    parser.add_argument("--meshes", type=positive, default=4_000, help="meshes to be ingested")
+    parser.add_argument(
+        "--meshes", type=positive, default=4_000, help="meshes to be ingested"
+    )
     given = parser.parse_args(arguments)
     if given.shapes % CLASS_SIZE:
         parser.error(f"--shapes must be a multiple of {CLASS_SIZE}, got {given.shapes}")
@@ -126,14 +131,27 @@ def _lines(folder: Path, n_clients: int, seconds: float) -> Iterator[str]:
 @contextmanager
 def serving(catalogue: Path, places: Mapping[str, str]) -> Iterator[str]:
     """Run the server of a catalogue, from when it has printed its address."""
-    command = [sys.executable, "-m", "pcretrieve", "serve", "-c", str(catalogue), "--port", "0"]
+    command = [
+        sys.executable,
+        "-m",
+        "pcretrieve",
+        "serve",
+        "-c",
+        str(catalogue),
+        "--port",
+        "0",
+    ]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=places
     ) as process:
         try:
-            address = process.stdout.readline().strip() if process.stdout is not None else ""
+            address = (
+                process.stdout.readline().strip() if process.stdout is not None else ""
+            )
             if not address:
-                raise BenchmarkError("pcretrieve serve ended before it has printed its address")
+                raise BenchmarkError(
+                    "pcretrieve serve ended before it has printed its address"
+                )
             yield address
         finally:
             process.terminate()
@@ -145,19 +163,32 @@ def ingesting(scans: Path, catalogue: Path, places: Mapping[str, str]) -> Iterat
     with Catalogue(catalogue) as store:
         before, started = store.revision(), time.monotonic()
         command = [
-            *(sys.executable, "-m", "pcretrieve", "ingest", str(scans), "-c", str(catalogue)),
+            *(
+                sys.executable,
+                "-m",
+                "pcretrieve",
+                "ingest",
+                str(scans),
+                "-c",
+                str(catalogue),
+            ),
             *("--workers", "1", "--quiet"),
         ]
         quiet = subprocess.DEVNULL
         with subprocess.Popen(command, stdout=quiet, stderr=quiet, env=places) as process:
             try:
                 while store.revision() == before:
-                    if process.poll() is not None or time.monotonic() > started + PATIENCE:
+                    if (
+                        process.poll() is not None
+                        or time.monotonic() > started + PATIENCE
+                    ):
                         raise BenchmarkError("pcretrieve ingest has stored no shape")
                     time.sleep(0.1)
                 yield
                 if process.poll() is not None:
-                    raise BenchmarkError("the ingest has ended too early: give more --meshes")
+                    raise BenchmarkError(
+                        "the ingest has ended too early: give more --meshes"
+                    )
             finally:
                 process.terminate()
 

@@ -52,7 +52,9 @@ def left_out(part: str, folder: Path) -> str | None:
     if folder.is_dir():
         return None
     layout = LAYOUTS.get(folder.name)
-    published = f"; the set is published at {layout.published}" if layout is not None else ""
+    published = (
+        f"; the set is published at {layout.published}" if layout is not None else ""
+    )
     return f"{part}: left out, {folder} is not there{published}"
 
 
@@ -64,7 +66,9 @@ def read_mesh(path: Path) -> TriangleMesh:
     return mesh
 
 
-def to_faces(n: int, mesh: TriangleMesh, rng: np.random.Generator | None = None) -> TriangleMesh:
+def to_faces(
+    n: int, mesh: TriangleMesh, rng: np.random.Generator | None = None
+) -> TriangleMesh:
     """The mesh with n faces, by subdivision and the quadric simplification of Open3D."""
     vertices, faces = mesh.vertices, mesh.faces
     while len(faces) < n:
@@ -75,7 +79,10 @@ def to_faces(n: int, mesh: TriangleMesh, rng: np.random.Generator | None = None)
 
 @contextmanager
 def ingested(
-    folder: Path, path: Path, options: PipelineOptions, labels: dict[str, str] | None = None
+    folder: Path,
+    path: Path,
+    options: PipelineOptions,
+    labels: dict[str, str] | None = None,
 ) -> Iterator[tuple[Catalogue, Summary]]:
     """A new catalogue of all scans of a folder, open while the context lasts."""
     labels = read_labels(folder / "labels.csv") if labels is None else labels
@@ -86,7 +93,10 @@ def ingested(
 def spread(things: Sequence[Thing], n: int | None) -> list[tuple[int, Thing]]:
     """Positions and values of n elements at equal steps, from the first to the last."""
     n = len(things) if n is None else min(n, len(things))
-    return [(k, things[k]) for k in np.linspace(0, len(things) - 1, n).round().astype(int).tolist()]
+    return [
+        (k, things[k])
+        for k in np.linspace(0, len(things) - 1, n).round().astype(int).tolist()
+    ]
 
 
 def _tosca(data: Path, limit: int | None) -> list[Item]:
@@ -104,16 +114,23 @@ def _humans(_: Path, limit: int | None) -> list[Item]:
     items = []
     for number, (subject, pose) in progress(spread(everybody, limit), "bodies"):
         individual = make_subject("person", np.random.default_rng(subject))
-        mesh = body(individual, POSES["person"][pose], np.random.default_rng((subject, number)))
+        mesh = body(
+            individual, POSES["person"][pose], np.random.default_rng((subject, number))
+        )
         items.append(Item(number, f"person{subject}_{pose}", f"person{subject}", mesh))
     return items
 
 
-SETS: dict[str, Callable[[Path, int | None], list[Item]]] = {"tosca": _tosca, "humans": _humans}
+SETS: dict[str, Callable[[Path, int | None], list[Item]]] = {
+    "tosca": _tosca,
+    "humans": _humans,
+}
 """Sets of clean meshes by name: functions of the folder of all sets and the number of meshes (None: all)."""
 
 
-def written_set(items: Sequence[Item], folder: Path, condition: str | None) -> dict[str, str]:
+def written_set(
+    items: Sequence[Item], folder: Path, condition: str | None
+) -> dict[str, str]:
     """Write the meshes of a set, or scans of them."""
     folder.mkdir(exist_ok=True)
     labels = {}
@@ -155,7 +172,9 @@ def described(
     failed = {record.id: record.label for record in catalogue.records()}
     for shape_id in signatures(catalogue).ids:
         with suppress(ShapeError):  # counts as a miss
-            values[shape_id] = describe(catalogue.shape(shape_id, descriptor.needs), options).values
+            values[shape_id] = describe(
+                catalogue.shape(shape_id, descriptor.needs), options
+            ).values
     labels = tuple(failed.pop(shape_id) for shape_id in values)
     table = SignatureTable(
         tuple(values),
@@ -197,11 +216,16 @@ SAMPLINGS = ("uniform", "uniform-sensors", "rig", "rig-sensors")
 # The condition that has no points: the clean mesh, damaged.
 DEFECTS = "defects"
 
-CONDITIONS = (*(f"{level}-{sampling}" for level in LEVELS for sampling in SAMPLINGS), DEFECTS)
+CONDITIONS = (
+    *(f"{level}-{sampling}" for level in LEVELS for sampling in SAMPLINGS),
+    DEFECTS,
+)
 """Names of the conditions: a level and a way of sampling, or `DEFECTS`."""
 
 
-def write_scan(stem: Path, mesh: TriangleMesh, condition: str, rng: np.random.Generator) -> Path:
+def write_scan(
+    stem: Path, mesh: TriangleMesh, condition: str, rng: np.random.Generator
+) -> Path:
     """Scan a mesh under a condition, and write the scan."""
     if condition == DEFECTS:
         path = stem.with_suffix(".off")
@@ -213,7 +237,9 @@ def write_scan(stem: Path, mesh: TriangleMesh, condition: str, rng: np.random.Ge
             mesh, UniformOptions(**LEVELS[level] | {"sensors": bool(sensors)}), rng
         )
     else:
-        numbers = {name: value for name, value in LEVELS[level].items() if name != "sensors"}
+        numbers = {
+            name: value for name, value in LEVELS[level].items() if name != "sensors"
+        }
         cloud = scan(mesh, RigOptions(**numbers | CAMERAS[level]), rng)
     if sensors:
         path = stem.with_suffix(".pcd")
@@ -240,14 +266,18 @@ class DamageOptions:
     shell_depth: float = 0.004
 
 
-def damaged(mesh: TriangleMesh, options: DamageOptions, rng: np.random.Generator) -> TriangleMesh:
+def damaged(
+    mesh: TriangleMesh, options: DamageOptions, rng: np.random.Generator
+) -> TriangleMesh:
     """Add defects to a mesh at random places. Other parts of the surface do not change."""
     middles = mesh.vertices[mesh.faces].mean(axis=1)  # (m, 3)
 
     def patch(radius: float) -> NDArray[np.bool_]:
         """A mask of the faces in a patch round a random face, (m,)."""
         centre = middles[rng.integers(len(middles))]
-        near: NDArray[np.bool_] = np.linalg.norm(middles - centre, axis=1) <= radius * mesh.diagonal
+        near: NDArray[np.bool_] = (
+            np.linalg.norm(middles - centre, axis=1) <= radius * mesh.diagonal
+        )
         return near
 
     # Flaps and the second surface are copied from the mesh before holes are cut.
@@ -256,7 +286,9 @@ def damaged(mesh: TriangleMesh, options: DamageOptions, rng: np.random.Generator
         for _ in range(options.n_flaps)
     ]
     if options.shell_radius > 0:
-        beneath = mesh.vertices - options.shell_depth * mesh.diagonal * vertex_normals(mesh)
+        beneath = mesh.vertices - options.shell_depth * mesh.diagonal * vertex_normals(
+            mesh
+        )
         sheets.append((beneath, mesh.faces[patch(options.shell_radius)]))
     faces = mesh.faces.copy()
     for _ in range(options.n_flipped):
@@ -267,7 +299,9 @@ def damaged(mesh: TriangleMesh, options: DamageOptions, rng: np.random.Generator
         whole &= ~patch(options.radius)
     faces = faces[whole]
     twice = faces[
-        rng.choice(len(faces), round(options.duplicated_share * len(faces)), replace=False)
+        rng.choice(
+            len(faces), round(options.duplicated_share * len(faces)), replace=False
+        )
     ]
     twice[::2] = twice[::2, ::-1]
     vertices, parts = [mesh.vertices], [faces, twice]
@@ -292,5 +326,7 @@ def vertex_normals(mesh: TriangleMesh) -> FloatArray:
     normals, of_faces = np.zeros_like(mesh.vertices), mesh.area_vectors
     for k in range(3):
         np.add.at(normals, mesh.faces[:, k], of_faces)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    normals /= np.maximum(
+        np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny
+    )
     return normals

@@ -59,8 +59,12 @@ class PointFeatures(NamedTuple):
 def heat() -> None:
     """Compute the point descriptors, and write them into the package."""
     made = list(features())
-    _write("shrec", HEAT_SAMPLE, np.concatenate([subject.heat for subject in made], axis=1))
-    _write("shrec", WAVELET_SAMPLE, np.concatenate([subject.wavelets for subject in made]))
+    _write(
+        "shrec", HEAT_SAMPLE, np.concatenate([subject.heat for subject in made], axis=1)
+    )
+    _write(
+        "shrec", WAVELET_SAMPLE, np.concatenate([subject.wavelets for subject in made])
+    )
 
 
 def _write(room: str, name: str, sample: FloatArray) -> None:
@@ -77,13 +81,18 @@ def features() -> Iterator[PointFeatures]:
     for family, poses in POSES.items():
         for number in range(N_HEAT_SUBJECTS):
             pose = list(poses.values())[number % len(poses)]
-            pairs = unit_eigenpairs(body(make_subject(family, rng), pose, rng), N_MODES + 1)
+            pairs = unit_eigenpairs(
+                body(make_subject(family, rng), pose, rng), N_MODES + 1
+            )
             share = np.asarray(pairs.mass.sum(axis=1))  # (n,)
             picked = rng.choice(
                 len(share), POINTS_PER_SUBJECT, replace=False, p=share / share.sum()
             )
             heat = np.array(
-                [heat_features(pairs, scale_invariant=kind)[picked] for kind in (False, True)]
+                [
+                    heat_features(pairs, scale_invariant=kind)[picked]
+                    for kind in (False, True)
+                ]
             )
             yield PointFeatures(heat, wavelet_signatures(pairs, N_MODES)[picked])
 
@@ -108,7 +117,9 @@ def surfaces(n_subjects: int, n_poses: int) -> Iterator[tuple[SurfacePoints, str
     """Point descriptors and labels of simulated bodies of all families."""
     for family, (name, poses) in enumerate(POSES.items()):
         for number in range(n_subjects):
-            subject = make_subject(name, np.random.default_rng((DICTIONARY_SEED, family, number)))
+            subject = make_subject(
+                name, np.random.default_rng((DICTIONARY_SEED, family, number))
+            )
             for turn in range(n_poses):
                 rng = np.random.default_rng((DICTIONARY_SEED, family, number, turn))
                 pose = list(poses.values())[
@@ -122,7 +133,8 @@ def dictionaries(bodies: Sequence[tuple[SurfacePoints, str]]) -> FloatArray:
     """(2, 32, d) the atoms learned without labels, and those learned from these with labels."""
     rng = np.random.default_rng(DICTIONARY_SEED)
     drawn = [
-        rng.choice(len(points.shares), N_POINTS_OF_ATOMS, p=points.shares) for points, _ in bodies
+        rng.choice(len(points.shares), N_POINTS_OF_ATOMS, p=points.shares)
+        for points, _ in bodies
     ]
     points = np.concatenate(
         [points.features[rows] for (points, _), rows in zip(bodies, drawn, strict=True)]

@@ -70,7 +70,9 @@ def _union(fields: Sequence[Field], blend: float) -> Field:
     return field
 
 
-def _meshed(field: Field, low: Sequence[float], high: Sequence[float], cell: float) -> TriangleMesh:
+def _meshed(
+    field: Field, low: Sequence[float], high: Sequence[float], cell: float
+) -> TriangleMesh:
     """The zero level of a field in a box, by marching cubes."""
     axes = [
         np.arange(one - 2 * cell, other + 3 * cell, cell)
@@ -138,12 +140,17 @@ def machine_part(rng: np.random.Generator, number: int) -> TriangleMesh:
     return TriangleMesh(0.2 * solid.vertices / solid.diagonal, solid.faces)
 
 
-def _extruded(outline: FloatArray, height: float, kernel: Sequence[float] = (0, 0)) -> TriangleMesh:
+def _extruded(
+    outline: FloatArray, height: float, kernel: Sequence[float] = (0, 0)
+) -> TriangleMesh:
     """A prism over a polygon (n, 2), all of which is seen from a point."""
     n = len(outline)
     after = np.roll(np.arange(n), -1)
     around = np.arange(n)
-    rings = [np.column_stack([outline[:, 0], np.full(n, y), outline[:, 1]]) for y in (0, height)]
+    rings = [
+        np.column_stack([outline[:, 0], np.full(n, y), outline[:, 1]])
+        for y in (0, height)
+    ]
     middles = np.array([[kernel[0], y, kernel[1]] for y in (0, height)])
     vertices = np.concatenate([*rings, middles])
     low, high = np.full(n, 2 * n), np.full(n, 2 * n + 1)
@@ -223,7 +230,11 @@ def _shaft(rng: np.random.Generator) -> TriangleMesh:
 
 def _filleted(rng: np.random.Generator) -> TriangleMesh:
     """A cylinder with rounded edges on a flange."""
-    radius, flange, height = rng.uniform(0.15, 0.25), rng.uniform(0.35, 0.5), rng.uniform(0.3, 0.9)
+    radius, flange, height = (
+        rng.uniform(0.15, 0.25),
+        rng.uniform(0.35, 0.5),
+        rng.uniform(0.3, 0.9),
+    )
     plate, fillet = rng.uniform(0.06, 0.14), rng.uniform(0.03, 0.08)
     angles = np.linspace(0, np.pi / 2, 7)
     foot = np.column_stack(
@@ -249,7 +260,11 @@ def _box(rng: np.random.Generator) -> TriangleMesh:
 
 def _pipe(rng: np.random.Generator) -> TriangleMesh:
     """A thick ring: genus 1."""
-    inner, outer, height = rng.uniform(0.18, 0.3), rng.uniform(0.4, 0.5), rng.uniform(0.15, 0.8)
+    inner, outer, height = (
+        rng.uniform(0.18, 0.3),
+        rng.uniform(0.4, 0.5),
+        rng.uniform(0.15, 0.8),
+    )
     profile = [[inner, 0], [outer, 0], [outer, height], [inner, height]]
     return _revolved(np.array(profile), 48, closed=True)
 

@@ -83,16 +83,25 @@ def _against_lapy(folder: Path) -> Iterator[str]:
     for name, mesh in _meshes(folder):
         operator = laplace_beltrami(mesh)
         stiffness, mass, shift = operator.stiffness, operator.mass, -1 / operator.area
-        reference = np.sort(eigsh(stiffness, N_PAIRS, mass, shift, return_eigenvectors=False))[1:]
+        reference = np.sort(
+            eigsh(stiffness, N_PAIRS, mass, shift, return_eigenvectors=False)
+        )[1:]
         residual = eigenpairs(operator, N_PAIRS).largest_residual
         solvers = [
             partial(lapy_eigenvalues, mesh.vertices, mesh.faces, N_PAIRS),
             partial(our_eigenvalues, mesh),
         ]
-        (their_times, their_values), (our_times, our_values) = timed_by_turns(solvers, N_REPEATS)
+        (their_times, their_values), (our_times, our_values) = timed_by_turns(
+            solvers, N_REPEATS
+        )
         theirs, ours = statistics.median(their_times), statistics.median(our_times)
-        errors = [np.abs(values[1:] / reference - 1).max() for values in (their_values, our_values)]
-        yield TABLE.row(name, len(mesh.vertices), theirs, ours, theirs / ours, *errors, residual)
+        errors = [
+            np.abs(values[1:] / reference - 1).max()
+            for values in (their_values, our_values)
+        ]
+        yield TABLE.row(
+            name, len(mesh.vertices), theirs, ours, theirs / ours, *errors, residual
+        )
 
 
 def _meshes(folder: Path) -> Iterator[tuple[str, TriangleMesh]]:
@@ -129,7 +138,9 @@ def _large(_: Path) -> Iterator[str]:
         path = Path(folder) / "mesh.npz"
         mesh = bumpy_sphere(LARGE)
         np.savez(path, vertices=mesh.vertices, faces=mesh.faces)
-        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        with ProcessPoolExecutor(
+            1, mp_context=multiprocessing.get_context("spawn")
+        ) as pool:
             seconds, peak, residual = pool.submit(_large_run, path).result()
     yield (
         f"{LARGE} vertices, {N_PAIRS} pairs: {seconds:.1f} s, peak {peak:.2f} GiB, residual {residual:.1e}"
@@ -148,7 +159,11 @@ def _large_run(path: Path) -> tuple[float, float, float]:
 
 def _signature(folder: Path) -> Iterator[str]:
     """From the vertices and faces of a mesh of 5000 vertices to r-bihdm."""
-    mesh = read_mesh(folder / f"{TOSCA[0]}.off") if folder.is_dir() else bumpy_sphere(SIZES[0])
+    mesh = (
+        read_mesh(folder / f"{TOSCA[0]}.off")
+        if folder.is_dir()
+        else bumpy_sphere(SIZES[0])
+    )
 
     def run() -> FloatArray:
         checked = TriangleMesh(mesh.vertices, mesh.faces)
@@ -174,14 +189,18 @@ def _square(_: Path) -> Iterator[str]:
             yield f"{boundary:<10} {(n + 1) ** 2:>4} vertices  error {error:.1e}  {order}"
 
 
-def square_errors(cells: tuple[int, ...], boundary: Boundary) -> tuple[FloatArray, FloatArray]:
+def square_errors(
+    cells: tuple[int, ...], boundary: Boundary
+) -> tuple[FloatArray, FloatArray]:
     """Errors of λ₁ by cubic elements on the unit square, and their order of convergence."""
     errors = []
     for n in cells:
         operator = laplace_beltrami(unit_square(n), "cubic", boundary=boundary)
         # LAPACK, because the smallest square has fewer unknowns than the iteration needs, and because
         # rounding errors must be smaller than the errors of the elements.
-        values = eigh(operator.stiffness.toarray(), operator.mass.toarray(), eigvals_only=True)
+        values = eigh(
+            operator.stiffness.toarray(), operator.mass.toarray(), eigvals_only=True
+        )
         first, exact = (1, np.pi**2) if boundary == "neumann" else (0, 2 * np.pi**2)
         errors.append(values[first] / exact - 1)
     orders = -np.diff(np.log(errors)) / np.diff(np.log(cells))

@@ -40,14 +40,22 @@ from benchmarks.measuring import (
     timed_by_turns,
 )
 from benchmarks.spectral import N_PAIRS, SIZES, lapy_eigenvalues, our_eigenvalues
-from benchmarks.synthetic import bumpy_sphere, signatures, synthetic_catalogue, synthetic_id
+from benchmarks.synthetic import (
+    bumpy_sphere,
+    signatures,
+    synthetic_catalogue,
+    synthetic_id,
+)
 from benchmarks.uniform import UniformOptions
 from pcretrieve.options import PipelineOptions, RetrievalOptions, SignatureOptions
 from pcretrieve.retrieval import SignatureIndex, fit_whitening, people
 from pcretrieve.values import FloatArray, SignatureTable
 
 TABLE = Table(
-    Column("", 60, align="<"), Column("ours", 12), Column("theirs", 12), Column("ratio", 7, ".2f")
+    Column("", 60, align="<"),
+    Column("ours", 12),
+    Column("theirs", 12),
+    Column("ratio", 7, ".2f"),
 )
 
 N_ROUNDS, N_SCANS, N_QUERIES, K = 5, 24, 50, 10
@@ -76,11 +84,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print_lines(PARTS[part](Path(folder)))
 
 
-def _row(title: str, ours: float, theirs: float, unit: str, *, by_us: bool = False) -> str:
+def _row(
+    title: str, ours: float, theirs: float, unit: str, *, by_us: bool = False
+) -> str:
     """One row; `by_us`: the ratio is ours to theirs."""
     ratio = ours / theirs if by_us else theirs / ours
     return TABLE.row(
-        title, f"{ours:.3g} {unit}", "" if np.isnan(theirs) else f"{theirs:.3g} {unit}", ratio
+        title,
+        f"{ours:.3g} {unit}",
+        "" if np.isnan(theirs) else f"{theirs:.3g} {unit}",
+        ratio,
     )
 
 
@@ -115,7 +128,9 @@ def _pairs(_: Path) -> Iterator[str]:
             partial(lapy_eigenvalues, mesh.vertices, mesh.faces, N_PAIRS),
         ]
         with threadpool_limits(1):
-            ours, theirs = (statistics.median(times) for times, _ in timed_by_turns(solvers, 3))
+            ours, theirs = (
+                statistics.median(times) for times, _ in timed_by_turns(solvers, 3)
+            )
         yield _row(f"{N_PAIRS} eigenpairs, {size:,} vertices; LaPy", ours, theirs, "s")
 
 
@@ -123,12 +138,16 @@ def _search(_: Path) -> Iterator[str]:
     rng = np.random.default_rng(0)
     options = SignatureOptions()
     drawn = np.stack(list(signatures(options, SEARCHED, rng)))
-    whitened = fit_whitening("people", drawn[:: SEARCHED // 1000], people=people(options)).apply(
-        drawn
+    whitened = fit_whitening(
+        "people", drawn[:: SEARCHED // 1000], people=people(options)
+    ).apply(drawn)
+    yield from _against_faiss(
+        f"{K} nearest of {SEARCHED:,} × {drawn.shape[1]}, people", whitened
     )
-    yield from _against_faiss(f"{K} nearest of {SEARCHED:,} × {drawn.shape[1]}, people", whitened)
     isotropic = rng.standard_normal((ISOTROPIC, LENGTH))
-    yield from _against_faiss(f"{K} nearest of {ISOTROPIC:,} × {LENGTH}, isotropic", isotropic)
+    yield from _against_faiss(
+        f"{K} nearest of {ISOTROPIC:,} × {LENGTH}, isotropic", isotropic
+    )
 
 
 def _against_faiss(title: str, points: FloatArray) -> Iterator[str]:
@@ -165,7 +184,9 @@ def _against_faiss(title: str, points: FloatArray) -> Iterator[str]:
                 times[name].append(timed(partial(search, row))[0] * 1e3)
     ours = statistics.median(times.pop("ours"))
     for name, theirs in times.items():
-        yield _row(f"{title}; faiss {name}", ours, statistics.median(theirs), "ms", by_us=True)
+        yield _row(
+            f"{title}; faiss {name}", ours, statistics.median(theirs), "ms", by_us=True
+        )
 
 
 def _query(folder: Path) -> Iterator[str]:
@@ -186,7 +207,9 @@ def _query(folder: Path) -> Iterator[str]:
 def _batch(folder: Path) -> Iterator[str]:
     with _watched() as sizes:
         one, two = (run_of(name, folder).rate for name in (ONE_WORKER, TWO_WORKERS))
-    yield TABLE.row("scans/s by two workers; by one", f"{two:.3g} /s", f"{one:.3g} /s", two / one)
+    yield TABLE.row(
+        "scans/s by two workers; by one", f"{two:.3g} /s", f"{one:.3g} /s", two / one
+    )
     middle = max(sizes[: len(sizes) // 2])
     yield TABLE.row(
         "largest worker, whole run; its first half",

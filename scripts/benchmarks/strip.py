@@ -13,7 +13,13 @@ from PIL import Image, ImageDraw, ImageFont
 from benchmarks.measuring import png
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.draw.axes import body_axes
-from pcretrieve.draw.pictures import CLAY, cameras_around, depth_picture, rgb, surface_picture
+from pcretrieve.draw.pictures import (
+    CLAY,
+    cameras_around,
+    depth_picture,
+    rgb,
+    surface_picture,
+)
 from pcretrieve.formats import read_scan
 from pcretrieve.gallery.answers import search
 from pcretrieve.pipeline.process import reconstruct
@@ -52,7 +58,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             ("raw scan", _cloud(points, axes)),
             ("surface", _surface(mesh.vertices, mesh.faces)),
         ]
-        for rank, shape_id in enumerate(found.ids[1:], start=1):  # the scan itself is the nearest
+        for rank, shape_id in enumerate(
+            found.ids[1:], start=1
+        ):  # the scan itself is the nearest
             other = catalogue.mesh(shape_id)
             tiles.append((f"{rank}. {shape_id}", _surface(other.vertices, other.faces)))
     sheet = captioned(tiles, len(tiles))
@@ -64,8 +72,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def captioned(tiles: Sequence[tuple[str, Image.Image]], n_columns: int) -> Image.Image:
     """Pictures in rows, each over its words."""
-    width, height, n_rows = TILE + MARGIN, TILE + MARGIN + LINE, -(-len(tiles) // n_columns)
-    sheet = Image.new("RGB", (n_columns * width + MARGIN, n_rows * height + MARGIN), "white")
+    width, height, n_rows = (
+        TILE + MARGIN,
+        TILE + MARGIN + LINE,
+        -(-len(tiles) // n_columns),
+    )
+    sheet = Image.new(
+        "RGB", (n_columns * width + MARGIN, n_rows * height + MARGIN), "white"
+    )
     pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(15)
     for number, (words, picture) in enumerate(tiles):
         x, y = MARGIN + number % n_columns * width, MARGIN + number // n_columns * height

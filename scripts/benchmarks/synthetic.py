@@ -54,7 +54,9 @@ def synthetic_id(number: int) -> str:
     return f"shape-{number:07}"
 
 
-def synthetic_catalogue(path: Path, options: PipelineOptions, n_shapes: int, seed: int) -> None:
+def synthetic_catalogue(
+    path: Path, options: PipelineOptions, n_shapes: int, seed: int
+) -> None:
     """Write a catalogue of records and signatures, without spectra and meshes.
 
     Coordinates of signatures are normally distributed within their class, and so are the means of the
@@ -64,7 +66,9 @@ def synthetic_catalogue(path: Path, options: PipelineOptions, n_shapes: int, see
     with Catalogue(path, options, create=True) as catalogue:
         for start in range(0, n_shapes, BLOCK):
             numbers = range(start, min(start + BLOCK, n_shapes))
-            catalogue.rows.add([_entry(number, next(made), options) for number in numbers])
+            catalogue.rows.add(
+                [_entry(number, next(made), options) for number in numbers]
+            )
 
 
 def _entry(number: int, values: FloatArray, options: PipelineOptions) -> Entry:
@@ -92,22 +96,32 @@ def write_small_meshes(folder: Path, n_meshes: int, n_vertices: int, seed: int) 
     for number in range(n_meshes):
         axes = rng.uniform(0.6, 1.6, size=3)
         write_mesh(
-            replace(sphere, vertices=sphere.vertices * axes), folder / f"body-{number:05}.off"
+            replace(sphere, vertices=sphere.vertices * axes),
+            folder / f"body-{number:05}.off",
         )
 
 
-def signatures(options: SignatureOptions, n_shapes: int, rng: Generator) -> Iterator[FloatArray]:
+def signatures(
+    options: SignatureOptions, n_shapes: int, rng: Generator
+) -> Iterator[FloatArray]:
     """Signatures (L,), one class after the other."""
     known = people(options)
     if known is None:
-        raise BenchmarkError(f"people must be known by {options.method}, which they are not")
+        raise BenchmarkError(
+            f"people must be known by {options.method}, which they are not"
+        )
     between, within = _root(known.total - known.within), _root(known.within)
     n_values = len(known.mean)
     for start in range(0, n_shapes, BLOCK):
         n = min(BLOCK, n_shapes - start)
         classes = known.mean + rng.normal(size=(n // CLASS_SIZE, n_values)) @ between
-        drawn = np.repeat(classes, CLASS_SIZE, axis=0) + rng.normal(size=(n, n_values)) @ within
-        yield from np.exp(drawn) if DESCRIPTORS[options.method].metric == "logarithms" else drawn
+        drawn = (
+            np.repeat(classes, CLASS_SIZE, axis=0)
+            + rng.normal(size=(n, n_values)) @ within
+        )
+        yield from (
+            np.exp(drawn) if DESCRIPTORS[options.method].metric == "logarithms" else drawn
+        )
 
 
 def _root(covariance: FloatArray) -> FloatArray:
@@ -126,10 +140,13 @@ def bumpy_sphere(n: int) -> TriangleMesh:
     height = 1 - (2 * np.arange(n) + 1) / n
     angle = np.pi * (1 + np.sqrt(5)) * np.arange(n)
     flat = np.sqrt(1 - height**2)
-    points = np.stack([flat * np.cos(angle), flat * np.sin(angle), height], axis=1)  # (n, 3)
+    points = np.stack(
+        [flat * np.cos(angle), flat * np.sin(angle), height], axis=1
+    )  # (n, 3)
     faces = ConvexHull(points).simplices
     normals = np.cross(
-        points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]]
+        points[faces[:, 1]] - points[faces[:, 0]],
+        points[faces[:, 2]] - points[faces[:, 0]],
     )
     inwards = (normals * points[faces[:, 0]]).sum(axis=1) < 0
     faces[inwards] = faces[inwards, ::-1]
@@ -150,9 +167,9 @@ def unit_square(n: int) -> TriangleMesh:
         part.ravel()
         for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
     )
-    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])]).astype(
-        np.int32
-    )
+    faces = np.concatenate(
+        [np.column_stack([a, b, c]), np.column_stack([a, c, d])]
+    ).astype(np.int32)
     x, y = np.divmod(number.ravel(), n + 1)
     return TriangleMesh(np.column_stack([x, y, 0 * x]) / n, faces)
 
@@ -176,7 +193,9 @@ def written_in(path: Path, n_shapes: int, n_repeats: int) -> WritingTimes:
         (page,) = catalogue.rows.pages(limit=n_shapes)
         stored = catalogue.rows.entries([record.id for record in page])
         new = [
-            replace(entry, record=replace(entry.record, id=f"new-{at}", path=f"/new/{at}.ply"))
+            replace(
+                entry, record=replace(entry.record, id=f"new-{at}", path=f"/new/{at}.ply")
+            )
             for at, entry in enumerate(stored)
         ]
         ids = [entry.record.id for entry in new]
@@ -205,7 +224,9 @@ def merged_in(
             with Catalogue(part, options, create=True) as store:
                 chosen = ids[number::n_parts]
                 for start in range(0, len(chosen), COPIED_AT_ONCE):
-                    store.rows.add(whole.rows.entries(chosen[start : start + COPIED_AT_ONCE]))
+                    store.rows.add(
+                        whole.rows.entries(chosen[start : start + COPIED_AT_ONCE])
+                    )
     return timed(lambda: merge_catalogues(parts, folder / "all.sqlite"))[0]
 
 

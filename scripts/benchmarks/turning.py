@@ -68,7 +68,9 @@ def turning_frames(
     """
     scene = RayScene(mesh.vertices, mesh.faces)
     steps = 1 + options.unevenness * rng.standard_normal(options.n_frames)
-    angles = options.turn / options.n_frames * (np.cumsum(steps) - steps[0])  # (n_frames,)
+    angles = (
+        options.turn / options.n_frames * (np.cumsum(steps) - steps[0])
+    )  # (n_frames,)
     motions = np.array([_motion(mesh, options, angle) for angle in angles])
     images = np.array([_image(scene, mesh, motion, options, rng) for motion in motions])
     return images, motions
@@ -91,7 +93,9 @@ def write_frames(folder: Path, images: FloatArray, options: TurningOptions) -> l
     files = []
     for number, image in enumerate(images):
         file = io.BytesIO()
-        Image.fromarray(np.round(MILLIMETRES * image).astype(np.uint16)).save(file, format="PNG")
+        Image.fromarray(np.round(MILLIMETRES * image).astype(np.uint16)).save(
+            file, format="PNG"
+        )
         files.append(folder / FRAME.format(number))
         write_file(files[-1], file.getvalue())
     return files

@@ -88,7 +88,9 @@ def _around(mesh: TriangleMesh, n: int, rng: np.random.Generator) -> FloatArray:
     """Random positions of sensors, (n, 3), uniform on a sphere round the surface."""
     directions = rng.standard_normal((n, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return np.asarray(box_centre(mesh) + RigOptions().distance * mesh.diagonal * directions)
+    return np.asarray(
+        box_centre(mesh) + RigOptions().distance * mesh.diagonal * directions
+    )
 
 
 def _blob(points: FloatArray) -> FloatArray:
@@ -105,7 +107,9 @@ BODIES: dict[str, Body] = {
     "sphere": lambda p: np.linalg.norm(p, axis=1) - 1,
     "ellipsoid": lambda p: ((p / [1, 0.7, 0.5]) ** 2).sum(axis=1) - 1,
     "torus": lambda p: np.hypot(np.hypot(p[:, 0], p[:, 1]) - 1, p[:, 2]) - 0.4,
-    "capsule": lambda p: np.linalg.norm(p - np.clip(p, [-0.8, 0, 0], [0.8, 0, 0]), axis=1) - 0.35,
+    "capsule": lambda p: (
+        np.linalg.norm(p - np.clip(p, [-0.8, 0, 0], [0.8, 0, 0]), axis=1) - 0.35
+    ),
     "blob": _blob,
     # An oval of Cassini, turned about the line through its foci.
     "dumbbell": lambda p: ((p * p).sum(axis=1) + 1) ** 2 - 4 * p[:, 0] ** 2 - 1.1**4,
@@ -135,13 +139,21 @@ def feet(body: Body, points: FloatArray) -> FloatArray:
     for _ in range(5):  # to the foot in the tangent plane, then down to the surface
         normals, height = _above(body, found)
         apart = points - found
-        found = points - (apart * normals).sum(axis=1, keepdims=True) * normals - height * normals
+        found = (
+            points
+            - (apart * normals).sum(axis=1, keepdims=True) * normals
+            - height * normals
+        )
     return found
 
 
-def _above(body: Body, points: FloatArray, step: float = 1e-5) -> tuple[FloatArray, FloatArray]:
+def _above(
+    body: Body, points: FloatArray, step: float = 1e-5
+) -> tuple[FloatArray, FloatArray]:
     """Unit normals (n, 3) and heights (n, 1) above the surface, to first order."""
     steps = step * np.eye(3)
-    slope = np.column_stack([body(points + by) - body(points - by) for by in steps]) / (2 * step)
+    slope = np.column_stack([body(points + by) - body(points - by) for by in steps]) / (
+        2 * step
+    )
     steepness = np.linalg.norm(slope, axis=1, keepdims=True)
     return slope / steepness, body(points)[:, None] / steepness

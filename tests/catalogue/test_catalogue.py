@@ -38,7 +38,9 @@ N_SHAPES = 6
 def egg(number: int) -> Shape:
     """What ingestion makes of an egg, one longer than the other; the last has two surfaces."""
     shape = process(shapes.ellipsoid((1, 1, 1 + number / 5), subdivisions=3), OPTIONS)
-    surfaces = (*shape.surfaces, *egg(0).surfaces) if number == N_SHAPES - 1 else shape.surfaces
+    surfaces = (
+        (*shape.surfaces, *egg(0).surfaces) if number == N_SHAPES - 1 else shape.surfaces
+    )
     return Shape(surfaces, provenance=shape.provenance)
 
 
@@ -48,7 +50,8 @@ def filled(location: str | Path, options: PipelineOptions = OPTIONS) -> Catalogu
         name, shape = f"egg{number}", egg(number)
         values = describe(shape, OPTIONS.signature).values
         store.put(
-            Record(name, f"/{name}.off", name, steps=shape.provenance), Content(shape, values)
+            Record(name, f"/{name}.off", name, steps=shape.provenance),
+            Content(shape, values),
         )
     return store
 
@@ -74,23 +77,37 @@ def test_what_is_not_there_is_named(catalogue: Catalogue) -> None:
 def test_a_catalogue_is_a_mapping_of_the_shapes_that_did_not_fail(tmp_path: Path) -> None:
     ids = [f"egg{number}" for number in range(N_SHAPES)]
     with filled(tmp_path / "c.sqlite") as store:
-        store.put(Record("a", "/a.off", "", status="failed", stage="read", error="E", message="no"))
+        store.put(
+            Record(
+                "a", "/a.off", "", status="failed", stage="read", error="E", message="no"
+            )
+        )
         assert isinstance(store, Mapping) and store == store
         assert [*store] == [*store.keys()] == ids and len(store) == N_SHAPES
-        assert dict(store) == {record.id: record for record in store.records(status="done")}
+        assert dict(store) == {
+            record.id: record for record in store.records(status="done")
+        }
         assert store["egg1"] == store.get("egg1") == store.record("egg1")
         assert "egg1" in store and "a" not in store
         assert store.get("a") is None and store.get("nobody") is None
         with pytest.raises(KeyError, match="shape 'a' failed in read: no"):
             store["a"]
-        with pytest.raises(InputError, match=r"holds no shape 'egg9'.*; did you mean 'egg"):
+        with pytest.raises(
+            InputError, match=r"holds no shape 'egg9'.*; did you mean 'egg"
+        ):
             store["egg9"]
         assert store.record("a").status == "failed"
 
 
-@pytest.mark.parametrize("keep", [(), ("meshes",), ("overlaps",), ("overlaps", "meshes")], ids=str)
-def test_what_options_name_is_stored_and_comes_back(keep: tuple[str, ...], tmp_path: Path) -> None:
-    with filled(tmp_path / "c.sqlite", OPTIONS.changed(catalogue={"keep": keep})) as store:
+@pytest.mark.parametrize(
+    "keep", [(), ("meshes",), ("overlaps",), ("overlaps", "meshes")], ids=str
+)
+def test_what_options_name_is_stored_and_comes_back(
+    keep: tuple[str, ...], tmp_path: Path
+) -> None:
+    with filled(
+        tmp_path / "c.sqlite", OPTIONS.changed(catalogue={"keep": keep})
+    ) as store:
         for number in range(N_SHAPES):
             sizes = store.rows.stored_bytes(f"egg{number}")
             parts = {name for name, n_bytes in sizes.items() if n_bytes}
@@ -169,5 +186,8 @@ def test_a_second_writer_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ):
         writer.execute("BEGIN IMMEDIATE")
         words = "is locked by another process: wait until that has finished"
-        with Catalogue(store.location) as other, pytest.raises(CatalogueError, match=words):
+        with (
+            Catalogue(store.location) as other,
+            pytest.raises(CatalogueError, match=words),
+        ):
             other.remove("egg0")

@@ -66,7 +66,9 @@ def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def created(url: str, schema: str) -> Rows:
-    return Rows(f"{url}{'&' if '?' in url else '?'}schema={schema}", SETTINGS, create=True)
+    return Rows(
+        f"{url}{'&' if '?' in url else '?'}schema={schema}", SETTINGS, create=True
+    )
 
 
 def connection_of(rows: Rows) -> Any:
@@ -90,7 +92,8 @@ def test_an_ingest_goes_on_when_the_server_comes_back(
 ) -> None:
     for number in range(6):
         write_mesh(
-            shapes.ellipsoid((1, 1 + number / 10, 2), subdivisions=2), tmp_path / f"{number}.off"
+            shapes.ellipsoid((1, 1 + number / 10, 2), subdivisions=2),
+            tmp_path / f"{number}.off",
         )
     timers = []
 
@@ -102,10 +105,17 @@ def test_an_ingest_goes_on_when_the_server_comes_back(
 
     url = f"{server.url}?schema={schema}"
     summary = pr.ingest(
-        tmp_path, url, options=OPTIONS, executor=in_this_process, on_shape=restart_after_two
+        tmp_path,
+        url,
+        options=OPTIONS,
+        executor=in_this_process,
+        on_shape=restart_after_two,
     )
     assert ids(summary.done) == [*"012345"]
-    assert len([text for text in warnings(caplog) if "is tried again for 300 s" in text]) == 1
+    assert (
+        len([text for text in warnings(caplog) if "is tried again for 300 s" in text])
+        == 1
+    )
     assert len(warnings(caplog)) == 1
     with pr.Catalogue(url) as catalogue:
         assert ids(catalogue.records()) == [*"012345"]
@@ -121,7 +131,9 @@ def test_a_server_that_is_away_for_longer_is_an_error_with_advice(
         server.stop()
         try:
             for _ in range(3):
-                with pytest.raises(CatalogueError, match="see to the server, and run the same"):
+                with pytest.raises(
+                    CatalogueError, match="see to the server, and run the same"
+                ):
                     rows.store(done("b"))
             assert len(warnings(caplog)) == 1
             with pytest.raises(CatalogueError, match=r"cannot be used: .*refused"):
@@ -163,7 +175,9 @@ def test_a_server_that_starts_is_waited_for(server: Server, schema: str) -> None
             carry(starting.accept()[0], server.port)
 
         threading.Thread(target=refuse_twice, daemon=True).start()
-        with created(f"{local(starting)}?sslmode=disable&gssencmode=disable", schema) as rows:
+        with created(
+            f"{local(starting)}?sslmode=disable&gssencmode=disable", schema
+        ) as rows:
             assert records(rows) == []
 
 
@@ -268,7 +282,10 @@ OPERATIONS: dict[str, Callable[[Rows], object]] = {
         moved={"/a.ply": "/z.ply"}, removed=["/b.ply"], labels={"/z.ply": "new"}
     ),
     "keep": lambda rows: rows.keep("new", [(done("a").record, b"12345678")]),
-    "read": lambda rows: [rows.listed("own").ids, [one.record for one in rows.entries(["a", "b"])]],
+    "read": lambda rows: [
+        rows.listed("own").ids,
+        [one.record for one in rows.entries(["a", "b"])],
+    ],
 }
 
 
@@ -280,7 +297,9 @@ def state(rows: Rows) -> Any:
     return with_entries, bytes(rows.listed("new").packed)
 
 
-@pytest.mark.parametrize("is_delivered", [False, True], ids=["request lost", "answer lost"])
+@pytest.mark.parametrize(
+    "is_delivered", [False, True], ids=["request lost", "answer lost"]
+)
 @pytest.mark.parametrize("name", OPERATIONS)
 def test_an_operation_that_is_cut_anywhere_happens_once(
     server: Server, name: str, is_delivered: bool, schema: str
@@ -337,10 +356,15 @@ def test_a_transaction_that_ends_its_connection_is_not_tried_for_ever(
         assert ids(records(rows)) == ["a"]
 
 
-def test_a_session_that_is_ended_by_an_administrator_goes_on(server: Server, schema: str) -> None:
+def test_a_session_that_is_ended_by_an_administrator_goes_on(
+    server: Server, schema: str
+) -> None:
     import psycopg
 
-    with created(server.url, schema) as rows, psycopg.connect(server.url, autocommit=True) as other:
+    with (
+        created(server.url, schema) as rows,
+        psycopg.connect(server.url, autocommit=True) as other,
+    ):
 
         def end_it() -> None:
             session = connection_of(rows).info.backend_pid
@@ -369,19 +393,28 @@ def test_a_session_that_is_ended_by_an_administrator_goes_on(server: Server, sch
 
 @pytest.mark.parametrize("place", ["url", "socket_url"])
 def test_a_server_that_stands_still_is_an_error_in_time(
-    server: Server, schema: str, place: str, hurried: None, caplog: pytest.LogCaptureFixture
+    server: Server,
+    schema: str,
+    place: str,
+    hurried: None,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     url = getattr(server, place)
     with created(url, schema) as rows:
         rows.store(done("a"))
         started = time.monotonic()
         with server.stands_still():
-            with pytest.raises(CatalogueError, match="see to the server, and run the same"):
+            with pytest.raises(
+                CatalogueError, match="see to the server, and run the same"
+            ):
                 rows.store(done("b"))
             with pytest.raises(CatalogueError, match="timeout"):
                 created(url, schema)
         assert time.monotonic() - started < 20
-        assert "the server has not answered for 1 s" in caplog.text or "timeout" in caplog.text
+        assert (
+            "the server has not answered for 1 s" in caplog.text
+            or "timeout" in caplog.text
+        )
         assert len(warnings(caplog)) == 1
         rows.store(done("b"))
         assert ids(records(rows)) == ["a", "b"]
@@ -416,19 +449,26 @@ def test_a_session_that_stands_still_is_given_up(
             os.kill(stopped, signal.SIGCONT)
 
 
-def test_time_limits_are_those_of_the_url_if_it_has_some(server: Server, schema: str) -> None:
+def test_time_limits_are_those_of_the_url_if_it_has_some(
+    server: Server, schema: str
+) -> None:
     for further, expected in (("", "10"), ("&connect_timeout=77", "77")):
         with created(f"{server.url}?sslmode=disable{further}", schema) as rows:
             known = connection_of(rows).info.get_parameters()
             assert known["connect_timeout"] == expected
             assert (known["keepalives_idle"], known["keepalives_count"]) == ("30", "3")
-            assert (known["keepalives_interval"], known["tcp_user_timeout"]) == ("10", "60000")
+            assert (known["keepalives_interval"], known["tcp_user_timeout"]) == (
+                "10",
+                "60000",
+            )
 
 
 # --- settings of others -------------------------------------------------------------------------------
 
 
-def test_settings_of_a_role_change_no_numbers_and_no_texts(server: Server, schema: str) -> None:
+def test_settings_of_a_role_change_no_numbers_and_no_texts(
+    server: Server, schema: str
+) -> None:
     import psycopg
 
     entry = done("a", path="/Łódź 😀.ply", area=0.1 + 0.2)
@@ -450,7 +490,10 @@ def test_settings_of_a_role_change_no_numbers_and_no_texts(server: Server, schem
             with created(url, schema) as rows:
                 assert records(rows) == [entry.record], setting
                 (found,) = rows.entries(["a"])
-                assert (found.signatures, found.payloads) == (entry.signatures, entry.payloads)
+                assert (found.signatures, found.payloads) == (
+                    entry.signatures,
+                    entry.payloads,
+                )
             admin.execute("ALTER ROLE odd RESET ALL")
 
 
@@ -498,7 +541,9 @@ def others(server: Server) -> None:
 
 
 @pytest.mark.parametrize("what", ACTING)
-def test_tables_that_act_are_refused(server: Server, others: None, schema: str, what: str) -> None:
+def test_tables_that_act_are_refused(
+    server: Server, others: None, schema: str, what: str
+) -> None:
     import psycopg
 
     with created(server.url, schema) as rows:
@@ -506,9 +551,7 @@ def test_tables_that_act_are_refused(server: Server, others: None, schema: str, 
         with psycopg.connect(server.url, autocommit=True) as owner:
             owner.execute(f"SET search_path = {schema}")
             owner.execute(ACTING[what])
-        said = (
-            rf"{schema} has the .*{re.escape(what)}.*, which no catalogue has, and which may act as"
-        )
+        said = rf"{schema} has the .*{re.escape(what)}.*, which no catalogue has, and which may act as"
         with pytest.raises(CatalogueError, match=said):
             created(server.url, schema)
         with pytest.raises(CatalogueError, match=said):
@@ -519,7 +562,9 @@ def test_tables_that_act_are_refused(server: Server, others: None, schema: str, 
             records(rows)
 
 
-def test_functions_of_the_schema_are_not_called(server: Server, others: None, schema: str) -> None:
+def test_functions_of_the_schema_are_not_called(
+    server: Server, others: None, schema: str
+) -> None:
     """PostgreSQL prefers functions whose types match exactly to its own ones."""
     import psycopg
 
@@ -568,7 +613,9 @@ def test_a_server_that_is_full_is_an_error_with_advice(
         while True:
             taken.append(psycopg.connect(usual))
     except psycopg.OperationalError:
-        with pytest.raises(CatalogueError, match=said):  # the remaining ones are of superusers
+        with pytest.raises(
+            CatalogueError, match=said
+        ):  # the remaining ones are of superusers
             created(usual, schema)
     try:
         while True:

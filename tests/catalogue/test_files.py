@@ -41,7 +41,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scans.mkdir()
     for number in range(N_SHAPES):
         write_mesh(
-            shapes.ellipsoid((1, 1.2, 1.5 + number / 5), subdivisions=3), scans / f"{number}.off"
+            shapes.ellipsoid((1, 1.2, 1.5 + number / 5), subdivisions=3),
+            scans / f"{number}.off",
         )
     (scans / "bad.off").write_text("OFF\n")
     return scans
@@ -69,7 +70,13 @@ def execute(path: Path, *statements: str) -> None:
 
 def failure(name: str) -> Record:
     return Record(
-        name, f"/{name}.ply", "", status="failed", stage="read", error="Bad", message="why"
+        name,
+        f"/{name}.ply",
+        "",
+        status="failed",
+        stage="read",
+        error="Bad",
+        message="why",
     )
 
 
@@ -86,7 +93,9 @@ def test_what_is_no_catalogue_is_left_as_it_is(tmp_path: Path, original: Path) -
         "TRIGGER a AFTER INSERT ON shapes BEGIN DELETE FROM meta; END",
         "VIEW a AS SELECT 1",
     ):
-        execute(Path(shutil.copy(original, tmp_path / f"{kind[:4]}.sqlite")), f"CREATE {kind}")
+        execute(
+            Path(shutil.copy(original, tmp_path / f"{kind[:4]}.sqlite")), f"CREATE {kind}"
+        )
     words = {
         ".db": "is an SQLite file, but no catalogue",
         ".sqlite": "has the (trigger|view) 'a', which no",
@@ -109,17 +118,21 @@ def test_what_is_no_catalogue_is_left_as_it_is(tmp_path: Path, original: Path) -
 
 def test_catalogues_of_other_versions(path: Path, original: Path) -> None:
     """One with other numbers is still listed, shown and exported."""
-    other = (
-        rf"another version of pcretrieve \(schema \d, this one knows {SCHEMA_VERSION}\): use that"
-    )
+    other = rf"another version of pcretrieve \(schema \d, this one knows {SCHEMA_VERSION}\): use that"
     setting = "UPDATE meta SET value = '{}' WHERE key = '{}_version'"
     for change, said in (
         (setting.format(SCHEMA_VERSION + 1, "schema"), other),
         (setting.format(SCHEMA_VERSION - 1, "schema"), other),
         ("DELETE FROM meta WHERE key = 'schema_version'", other),
-        ("INSERT INTO meta VALUES ('schema_version', 'x')", r"is damaged \(it has no version\)"),
+        (
+            "INSERT INTO meta VALUES ('schema_version', 'x')",
+            r"is damaged \(it has no version\)",
+        ),
         (setting.format(SCHEMA_VERSION, "schema"), ""),
-        (setting.format(6, "numbers"), r"whose numbers differ \(version 6 there, \d+ here\)"),
+        (
+            setting.format(6, "numbers"),
+            r"whose numbers differ \(version 6 there, \d+ here\)",
+        ),
     ):
         execute(path, change)
         if said:
@@ -164,7 +177,9 @@ def test_computers_that_share_a_file_share_no_memory(
     }.items():
         other = "21 27 0:0 / / rw - nfs server:/ rw\n"
         number = f"{os.major(device)}:{os.minor(device)}"
-        mounts.write_text(f"{other}22 27 {number} / {tmp_path} rw - {kind} server:/scans rw\n")
+        mounts.write_text(
+            f"{other}22 27 {number} / {tmp_path} rw - {kind} server:/scans rw\n"
+        )
         with Catalogue(tmp_path / f"{kind}.sqlite", create=True) as store:
             assert store.rows.database.execute("PRAGMA journal_mode") == [(mode,)]
 
@@ -185,13 +200,18 @@ def read_only(folder: Path) -> Iterator[None]:
 
 def test_a_catalogue_that_may_not_be_written_can_be_read(original: Path) -> None:
     """Unless changes are in the log alone, as a killed process leaves them, which cannot be applied there."""
-    with TemporaryDirectory(dir="/tmp") as place:  # that of pytest is closed to other users
+    with TemporaryDirectory(
+        dir="/tmp"
+    ) as place:  # that of pytest is closed to other users
         folder = Path(place)
         path = Path(shutil.copy(original, folder))
         path.chmod(0o644)
         with read_only(folder):
             with Catalogue(path) as reader:
-                assert (len(reader), reader.mesh("2").euler_characteristic) == (N_SHAPES, 2)
+                assert (len(reader), reader.mesh("2").euler_characteristic) == (
+                    N_SHAPES,
+                    2,
+                )
                 with pytest.raises(CatalogueError, match="cannot be written to"):
                     reader.remove("2")
             with pytest.raises(CatalogueError, match="cannot be written to"):
@@ -200,15 +220,15 @@ def test_a_catalogue_that_may_not_be_written_can_be_read(original: Path) -> None
             store.put(failure("other"))
             for suffix in ("", "-wal"):
                 shutil.copy(f"{path}{suffix}", folder / f"killed{suffix}")
-        words = (
-            r"is incomplete without its last changes in killed-wal, .*: copy both files elsewhere"
-        )
+        words = r"is incomplete without its last changes in killed-wal, .*: copy both files elsewhere"
         with read_only(folder), pytest.raises(CatalogueError, match=words):
             Catalogue(folder / "killed")
 
 
 # Another process holds the lock of writers, or, as an older version might, one that others may share.
-@pytest.mark.parametrize("held", [fcntl.LOCK_EX, fcntl.LOCK_SH], ids=["exclusive", "shared"])
+@pytest.mark.parametrize(
+    "held", [fcntl.LOCK_EX, fcntl.LOCK_SH], ids=["exclusive", "shared"]
+)
 @pytest.mark.parametrize("change", ["remove", "scrub"])
 def test_no_other_process_writes_while_one_ends_a_checkpoint(
     change: str, held: int, path: Path
@@ -296,9 +316,9 @@ def test_damaged_bytes_are_an_error(original: Path, tmp_path: Path) -> None:
             store.records()
             pr.signatures(store)
             store.mesh("2")
-        assert re.search(r"is damaged \(.*\): restore a copy, or", str(raised.value), re.DOTALL), (
-            damage
-        )
+        assert re.search(
+            r"is damaged \(.*\): restore a copy, or", str(raised.value), re.DOTALL
+        ), damage
 
 
 # --- checks and repairs ---------------------------------------------------------------------------------
@@ -330,11 +350,15 @@ def test_a_flipped_bit_of_a_record(
     """Wherever it is, the shape is named, and ingested again after the repair."""
     with Catalogue(path) as store:
         store.rows.revise(labels={str(folder / "2.off"): LABEL})
-    execute(path, f"UPDATE provenance SET versions = '{{\"versions of shape 2\": 1}}' {THIRD}")
+    execute(
+        path, f"UPDATE provenance SET versions = '{{\"versions of shape 2\": 1}}' {THIRD}"
+    )
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.row_factory = sqlite3.Row
         (row,) = connection.execute(f"{RECORDS} WHERE id = '2'")
-        connection.execute("UPDATE shapes SET checksum = ? WHERE id = '2'", [checksum(dict(row))])
+        connection.execute(
+            "UPDATE shapes SET checksum = ? WHERE id = '2'", [checksum(dict(row))]
+        )
     for number, text in enumerate(
         (LABEL, "/scans/2.off", "versions of shape 2", f"{LABEL}done", None)
     ):
@@ -350,7 +374,10 @@ def test_a_flipped_bit_of_a_record(
         assert not pr.check(copy, sample=0).is_whole
         repaired = pr.check(copy, sample=0, repair=True)
         last_defect = repaired.defects[-1]
-        assert (last_defect.shape_id, last_defect.repair) == ("2", "removed: ingest its file again")
+        assert (last_defect.shape_id, last_defect.repair) == (
+            "2",
+            "removed: ingest its file again",
+        )
         assert repaired.is_whole
         again = pr.ingest(folder, copy, executor=in_this_process)
         assert [record.id for record in again.done] == ["2"]
@@ -365,8 +392,14 @@ def test_a_flipped_bit_of_a_record(
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
-        (f"{FLIPPED_SIGNATURE} {THIRD}", "its signature cannot be read: its checksum does not fit"),
-        (f"{FLIPPED_MESH} {THIRD}", "its arrays cannot be read: its checksum does not fit"),
+        (
+            f"{FLIPPED_SIGNATURE} {THIRD}",
+            "its signature cannot be read: its checksum does not fit",
+        ),
+        (
+            f"{FLIPPED_MESH} {THIRD}",
+            "its arrays cannot be read: its checksum does not fit",
+        ),
         (f"DELETE FROM signatures {THIRD}", "its signature is missing"),
         (f"UPDATE arrays SET moments = NULL {THIRD}", "its moments are missing"),
     ],
@@ -398,7 +431,9 @@ def test_rows_of_no_shape_are_removed(path: Path) -> None:
 
 def test_a_damaged_sql_index_is_made_again(path: Path) -> None:
     definition = "CREATE INDEX shapes_by_content ON shapes (label)"
-    change = f"UPDATE sqlite_master SET sql = '{definition}' WHERE name = 'shapes_by_content'"
+    change = (
+        f"UPDATE sqlite_master SET sql = '{definition}' WHERE name = 'shapes_by_content'"
+    )
     execute(path, "PRAGMA writable_schema = ON", change)
     found = pr.check(path, sample=0, repair=True)
     assert {defect.kind for defect in found.defects} == {"database"}

@@ -30,7 +30,13 @@ FRAME = 24 + 4096
 def failure(number: int) -> Record:
     name = f"n{number}"
     return Record(
-        name, f"/{name}.ply", "", status="failed", stage="read", error="Bad", message="why" * 500
+        name,
+        f"/{name}.ply",
+        "",
+        status="failed",
+        stage="read",
+        error="Bad",
+        message="why" * 500,
     )
 
 

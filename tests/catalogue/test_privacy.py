@@ -57,7 +57,9 @@ def pieces(path: Path) -> list[bytes]:
     with Catalogue(path) as store:
         (entry,) = store.rows.entries([REMOVED])
         others = [origin.id for origin in store.rows.origins() if origin.id != REMOVED]
-        shared = b"".join(one.payloads.get("meshes", b"") for one in store.rows.entries(others))
+        shared = b"".join(
+            one.payloads.get("meshes", b"") for one in store.rows.entries(others)
+        )
     mesh = entry.payloads["meshes"]
     parts = [mesh[at : at + 16] for at in range(0, len(mesh) - 16, 100)]
     own = [part for part in parts if part not in shared]
@@ -81,7 +83,9 @@ def test_a_removed_shape_is_in_no_byte(
     log = path.with_name(f"{path.name}-wal")
     with Catalogue(path) as other:
         pr.index(other)
-        other.rows.revise(labels={other.record(REMOVED).path: f"{LABEL} and more"})  # in the log
+        other.rows.revise(
+            labels={other.record(REMOVED).path: f"{LABEL} and more"}
+        )  # in the log
         assert found([REMOVED.encode()], tmp_path / "cache") == 1
         assert found(wanted, path, log) == len(wanted)
         said = run("remove", REMOVED, "-c", path).stderr
@@ -91,7 +95,9 @@ def test_a_removed_shape_is_in_no_byte(
     assert "not removed: their 1 scans, and copies elsewhere" in said
 
 
-def test_what_sqlite_leaves_in_its_pages_is_in_no_backup(path: Path, tmp_path: Path) -> None:
+def test_what_sqlite_leaves_in_its_pages_is_in_no_backup(
+    path: Path, tmp_path: Path
+) -> None:
     """Bytes of rows that were removed without secure_delete, as an SQLite that has it off does."""
     wanted = pieces(path)
     with closing(sqlite3.connect(path)) as connection, connection:
@@ -124,10 +130,15 @@ def test_many_removals_leave_no_piece(tmp_path: Path) -> None:
     entries = []
     for name in names:
         record = records.Record(
-            name, f"/{'x' * int(rng.integers(300))}/{name}.ply", name, label=f"class of {name}"
+            name,
+            f"/{'x' * int(rng.integers(300))}/{name}.ply",
+            name,
+            label=f"class of {name}",
         )
         spectra = name.encode() * int(rng.integers(5, 300))
-        entries.append(records.Entry(record, {"own": name.encode() * 20}, {"spectra": spectra}))
+        entries.append(
+            records.Entry(record, {"own": name.encode() * 20}, {"spectra": spectra})
+        )
     with Catalogue(path, create=True) as store:
         for start in range(0, len(entries), 20):
             store.rows.add(entries[start : start + 20])
@@ -212,7 +223,15 @@ def test_a_copy_without_names_answers_and_has_no_names(
         connection.execute("UPDATE meta SET value = ? WHERE key = 'options'", [own])
     copy = tmp_path / "copy.sqlite"
     run("catalogue", "backup", path, copy, "--without-names")
-    named = [b"anna", b"ben", b"carl", b"class of", b".off", str(folder).encode(), b"batch"]
+    named = [
+        b"anna",
+        b"ben",
+        b"carl",
+        b"class of",
+        b".off",
+        str(folder).encode(),
+        b"batch",
+    ]
     with Catalogue(path) as store:
         named += [record.content_hash.encode() for record in store.records()]
     assert found(named, copy) == 0
@@ -230,7 +249,9 @@ def test_a_copy_without_names_answers_and_has_no_names(
     # Two copies have the same paths, and no merge takes one person for another.
     run("catalogue", "backup", path, tmp_path / "second.sqlite", "--without-names")
     with pytest.raises(CatalogueError, match="has different contents"):
-        pr.merge_catalogues([copy, tmp_path / "second.sqlite"], tmp_path / "merged.sqlite")
+        pr.merge_catalogues(
+            [copy, tmp_path / "second.sqlite"], tmp_path / "merged.sqlite"
+        )
 
 
 # --- links, pipes, and files that appear meanwhile --------------------------------------------------------
@@ -248,7 +269,9 @@ def test_pipes_and_links_are_not_opened(kind: str, suffix: str, path: Path) -> N
     else:
         place.symlink_to(path.with_name("elsewhere"))
     for create in (False, True):
-        with pytest.raises(CatalogueError, match="must be a file, and is a link, a pipe or"):
+        with pytest.raises(
+            CatalogueError, match="must be a file, and is a link, a pipe or"
+        ):
             Catalogue(path, create=create)
     assert not path.with_name("elsewhere").exists()
 
@@ -263,7 +286,9 @@ def test_a_journal_of_somebody_else_deletes_no_file(path: Path, tmp_path: Path) 
     end = struct.pack(">I", 0x40000000 // 4096 + 1) + name
     end += struct.pack(">2I", len(name), sum(name)) + magic
     Path(f"{path}-journal").write_bytes(header + end)
-    with pytest.raises(CatalogueError, match="names another file, which SQLite would delete"):
+    with pytest.raises(
+        CatalogueError, match="names another file, which SQLite would delete"
+    ):
         Catalogue(path)
     assert other.read_text() == "precious\n"
 
@@ -318,5 +343,9 @@ def test_an_export_follows_no_links(path: Path, tmp_path: Path) -> None:
 def test_meshes_of_a_folder_follow_no_links(folder: Path, tmp_path: Path) -> None:
     (tmp_path / f"{REMOVED}.ply").symlink_to(tmp_path / "precious")
     with pytest.raises(InputError, match="is a link, and what it leads to"):
-        [*pr.map_scans(pr.reconstruct, folder, output=tmp_path, suffix=".ply", kind="mesh")]
+        [
+            *pr.map_scans(
+                pr.reconstruct, folder, output=tmp_path, suffix=".ply", kind="mesh"
+            )
+        ]
     assert not (tmp_path / "precious").exists()

@@ -29,7 +29,14 @@ def done(name: str, **changes: Any) -> Entry:
     steps = (Step("read", 0.5, {"points": 7}, ("a note",)),)
     area = float(ord(name[0]) - ord("a") + 1)
     record = Record(
-        name, f"/{name}.ply", f"hash-{name}", "label", steps=steps, area=area, n_faces=4, euler=2
+        name,
+        f"/{name}.ply",
+        f"hash-{name}",
+        "label",
+        steps=steps,
+        area=area,
+        n_faces=4,
+        euler=2,
     )
     bits = name[:1].encode() * 8
     payloads = {payload: bits * number for number, payload in enumerate(PAYLOADS, 1)}
@@ -38,7 +45,13 @@ def done(name: str, **changes: Any) -> Entry:
 
 def failed(name: str, **changes: Any) -> Entry:
     record = Record(
-        name, f"/{name}.ply", "", status="failed", stage="clean", error="Bad", message="why"
+        name,
+        f"/{name}.ply",
+        "",
+        status="failed",
+        stage="clean",
+        error="Bad",
+        message="why",
     )
     return Entry(replace(record, **changes), {}, {})
 
@@ -57,7 +70,9 @@ def ids(records: list[Record]) -> list[str]:
     return [found.id for found in records]
 
 
-def test_records_are_found(rows: Rows, new_location: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_records_are_found(
+    rows: Rows, new_location: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert SETTINGS.items() <= rows.settings().items()
     assert rows.database.is_writable
     with Rows(new_location, {"options": "others"}, create=True) as again:
@@ -107,7 +122,10 @@ def test_wanted_shapes_are_those_of_a_sorted_list(rows: Rows) -> None:
             asked: dict[str, Any] = {"state": state, "label": label, "days": days}
             asked |= {"order": order, "descending": descending}
             assert rows.wanted(**asked) == (len(expected), expected)
-            assert rows.wanted(**asked, limit=2, offset=1) == (len(expected), expected[1:3])
+            assert rows.wanted(**asked, limit=2, offset=1) == (
+                len(expected),
+                expected[1:3],
+            )
             n_found += len(expected)
     assert n_found > 100
     assert sorted(rows.classes(9)) == ["", "label", "z"] and len(rows.classes(2)) == 2
@@ -120,7 +138,9 @@ def test_each_change_gives_the_rows_another_state(rows: Rows, new_location: str)
         changes: list[Callable[[Rows], object]] = [
             lambda store: store.store(failed("new")),
             lambda store: store.store(failed("new", message="other")),
-            lambda store: store.revise(moved={(path := store.record("b").path): path + "x"}),
+            lambda store: store.revise(
+                moved={(path := store.record("b").path): path + "x"}
+            ),
             lambda store: store.revise(labels={"/d.ply": "new label"}),
             lambda store: store.keep("digest", [(record, b"12345678")]),
             lambda store: store.remove("new"),
@@ -139,7 +159,12 @@ def test_each_change_gives_the_rows_another_state(rows: Rows, new_location: str)
 def test_signatures_are_listed_in_the_order_of_ids(rows: Rows) -> None:
     entry = rows.store(done("bb")), b"anew"
     rows.keep(
-        "new", [entry, (done("a").record, b"of a"), (done("c", content_hash="old").record, b"late")]
+        "new",
+        [
+            entry,
+            (done("a").record, b"of a"),
+            (done("c", content_hash="old").record, b"late"),
+        ],
     )
     for digest, has, packed in (
         (OWN, [True] * 5, b"".join(bytes([bits]) * 8 for bits in b"abbcd")),
@@ -159,7 +184,8 @@ def test_locations(tmp_path: Path) -> None:
         assert (store.location, store.options) == (str(tmp_path / "c.sqlite"), options)
     assert [path.name for path in tmp_path.iterdir()] == ["c.sqlite"]
     with pytest.raises(
-        OptionError, match=r"must be a file, or a database at postgresql://.* got mysql://"
+        OptionError,
+        match=r"must be a file, or a database at postgresql://.* got mysql://",
     ):
         Catalogue("mysql://host/shapes", create=True)
     with pytest.raises(CatalogueError, match="there is no catalogue"):
@@ -175,7 +201,10 @@ def test_a_failure_never_replaces_a_finished_shape(rows: Rows) -> None:
     assert (kept.signatures, kept.payloads) == (done("a").signatures, done("a").payloads)
     assert rows.store(failed("e", message="another reason")).message == "another reason"
     for name in "ae":
-        assert rows.store(done(name, content_hash="new")) == done(name, content_hash="new").record
+        assert (
+            rows.store(done(name, content_hash="new"))
+            == done(name, content_hash="new").record
+        )
     assert ids(records(rows)) == ["a", "b", "c", "d", "e"]
 
 
@@ -207,15 +236,22 @@ def catalogues(folder: Path, *entries: Entry) -> list[Path]:
             done("a", content_hash="other"),
             "/a.ply has different contents in .*part0.* and in .*part1",
         ),
-        (done("a", label="other"), "/a.ply has the labels 'label' and 'other' in .*part0"),
+        (
+            done("a", label="other"),
+            "/a.ply has the labels 'label' and 'other' in .*part0",
+        ),
         (done("b", id="a"), "'a' is /a.ply in .*part0.* and /b.ply in .*part1"),
     ],
     ids=["contents", "labels", "ids"],
 )
-def test_conflicts_are_named_and_nothing_is_merged(other: Entry, said: str, tmp_path: Path) -> None:
+def test_conflicts_are_named_and_nothing_is_merged(
+    other: Entry, said: str, tmp_path: Path
+) -> None:
     parts = catalogues(tmp_path, done("a"), other)
     for order in (parts, parts[::-1]):
-        with pytest.raises(CatalogueError, match="with conflicts cannot be merged: ") as raised:
+        with pytest.raises(
+            CatalogueError, match="with conflicts cannot be merged: "
+        ) as raised:
             merge_catalogues(order, tmp_path / "whole.sqlite")
         assert order is not parts or re.search(said, str(raised.value))
         assert not (tmp_path / "whole.sqlite").exists()
@@ -279,10 +315,15 @@ def test_a_writer_waits_for_another_and_says_so(
     import psycopg
 
     monkeypatch.setattr(postgresql_module, "LOCK_TIMEOUT", 0.05)
-    with opened(postgresql, "waiting", create=True) as rows, psycopg.connect(postgresql) as other:
+    with (
+        opened(postgresql, "waiting", create=True) as rows,
+        psycopg.connect(postgresql) as other,
+    ):
         other.execute("SELECT value FROM waiting.meta WHERE key = 'revision' FOR UPDATE")
         assert records(rows) == []
-        with pytest.raises(CatalogueError, match="is locked by another process: wait until"):
+        with pytest.raises(
+            CatalogueError, match="is locked by another process: wait until"
+        ):
             rows.store(failed("a"))
         other.rollback()
         rows.store(failed("a"))
@@ -293,17 +334,25 @@ def test_a_writer_waits_for_another_and_says_so(
 @pytest.mark.parametrize(
     ("url", "said"),
     [
-        ("postgresql://me:secret@127.0.0.1:1/none", "cannot be used: .*onnection.* refused"),
+        (
+            "postgresql://me:secret@127.0.0.1:1/none",
+            "cannot be used: .*onnection.* refused",
+        ),
         (
             "postgresql://me:secret@127.0.0.1:port/none",
             "must be postgresql://user@host:port/database",
         ),
-        ("postgresql://me:sec@ret@127.0.0.1/none", "must be postgresql://user@host:port/database"),
+        (
+            "postgresql://me:sec@ret@127.0.0.1/none",
+            "must be postgresql://user@host:port/database",
+        ),
         ("postgresql://me:secret@127.0.0.1/none?color=red", 'cannot be used: .*"color"'),
     ],
 )
 def test_a_server_that_is_not_there(url: str, said: str) -> None:
-    pytest.importorskip("psycopg", reason="psycopg is not installed (the extra postgresql)")
+    pytest.importorskip(
+        "psycopg", reason="psycopg is not installed (the extra postgresql)"
+    )
     with pytest.raises(CatalogueError, match=said) as raised:
         Catalogue(url, create=True)
     assert "secret" not in str(raised.value)

@@ -44,9 +44,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         egg = shapes.ellipsoid((1, 1, 1.2 + 0.1 * number), subdivisions=3)
         write_mesh(egg, place / "scans" / f"e{number}.off")
     (place / "scans" / "flat.xyz").write_text("1 2 3\n" * 200)
-    rows = [f"e{number}.off,{'small' if number < 2 else 'large'}" for number in range(N_EGGS)]
+    rows = [
+        f"e{number}.off,{'small' if number < 2 else 'large'}" for number in range(N_EGGS)
+    ]
     (place / "labels.csv").write_text("\n".join(["file,class", *rows]))
-    words = ("ingest", place / "scans", "--labels", place / "labels.csv", "-c", place / "c.sqlite")
+    words = (
+        "ingest",
+        place / "scans",
+        "--labels",
+        place / "labels.csv",
+        "-c",
+        place / "c.sqlite",
+    )
     run(*words, "--workers", 1, "--quiet", code=3)
     return place
 
@@ -55,9 +64,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 ASKED: dict[str, tuple[str, int, set[str], bool]] = {
     "lab reconstruct": ("scans/e0.off -o body.off", 0, {"mesh", "faces", "steps"}, True),
     "lab signature": ("scans/e0.off", 0, {"path", "kind", "values"}, True),
-    "inspect": ("scans/e0.off -o page.html --rescans 0", 0, {"page", "outcome", "checks"}, True),
+    "inspect": (
+        "scans/e0.off -o page.html --rescans 0",
+        0,
+        {"page", "outcome", "checks"},
+        True,
+    ),
     "lab report-problem": ("scans/flat.xyz -o problem.zip", 0, {"file", "failure"}, True),
-    "ingest": ("scans -c new.sqlite --workers 1 --quiet", 3, {"done", "failed", "held"}, True),
+    "ingest": (
+        "scans -c new.sqlite --workers 1 --quiet",
+        3,
+        {"done", "failed", "held"},
+        True,
+    ),
     "status": ("-c c.sqlite", 0, {"state", "n_shapes"}, False),
     "query": (
         "e0 -c c.sqlite -k 2",
@@ -170,12 +189,16 @@ def test_an_error_after_some_results_ends_the_list() -> None:
     assert (found["result"], found["error"]) == ([1], "CatalogueError")
     assert found["message"] == "the second is damaged"
     assert isinstance(done.exception, CatalogueError)
-    done = CliRunner().invoke(numbers_command, ["--jsonl"], prog_name="pcretrieve numbers")
+    done = CliRunner().invoke(
+        numbers_command, ["--jsonl"], prog_name="pcretrieve numbers"
+    )
     first, error = map(json.loads, done.stdout.splitlines())
     assert (first, [*error]) == (1, ERROR)
 
 
-def test_json_lines_have_an_element_each(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_json_lines_have_an_element_each(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(folder)
     rows = run("list", "-c", "c.sqlite", "--jsonl").stdout.splitlines()
     assert list(map(json.loads, rows)) == document("list", "-c", "c.sqlite")["result"]

@@ -29,8 +29,12 @@ def flags(words: tuple[str, ...]) -> set[str]:
     return {one.opts[0] for one in command.params if isinstance(one, click.Option)}
 
 
-@pytest.mark.parametrize("words", [(), *(tuple(name.split()) for name in NAMES)], ids=" ".join)
-def test_the_help_fits_a_screen_and_names_and_explains_all_options(words: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(
+    "words", [(), *(tuple(name.split()) for name in NAMES)], ids=" ".join
+)
+def test_the_help_fits_a_screen_and_names_and_explains_all_options(
+    words: tuple[str, ...],
+) -> None:
     short = shown(*words, "--help")
     assert len(short.splitlines()) <= MOST_LINES
     assert max(map(len, short.splitlines())) <= COLUMNS
@@ -40,7 +44,10 @@ def test_the_help_fits_a_screen_and_names_and_explains_all_options(words: tuple[
         return
     assert flags(words) <= {word.rstrip(",") for word in short.split()}
     listed = short.split("Options:")[1].split("More options")[0]
-    assert words[0] == "lab" or len(re.findall(r"^  -", listed, re.MULTILINE)) <= MOST_OPTIONS
+    assert (
+        words[0] == "lab"
+        or len(re.findall(r"^  -", listed, re.MULTILINE)) <= MOST_OPTIONS
+    )
     if "--help-all" in short:
         full = shown(*words, "--help-all")
         assert max(map(len, full.splitlines())) <= COLUMNS
@@ -58,11 +65,17 @@ def test_the_environment_names_the_catalogue(eggs: Path, tmp_path: Path) -> None
     listed = run("list", PCRETRIEVE_CATALOGUE=path).stdout
     assert (
         listed
-        == run("list", "-c", path, PCRETRIEVE_CATALOGUE=str(tmp_path / "absent.sqlite")).stdout
+        == run(
+            "list", "-c", path, PCRETRIEVE_CATALOGUE=str(tmp_path / "absent.sqlite")
+        ).stdout
     )
     run("list", PCRETRIEVE_CATALOGUE=None, code=2)
     for words in (("status",), ("catalogue", "check")):
-        assert run(*words, PCRETRIEVE_CATALOGUE=path).stdout == run(*words, "-c", path).stdout != ""
+        assert (
+            run(*words, PCRETRIEVE_CATALOGUE=path).stdout
+            == run(*words, "-c", path).stdout
+            != ""
+        )
         run(*words, PCRETRIEVE_CATALOGUE=None, code=2)
 
 
@@ -91,7 +104,10 @@ def test_a_similar_name_is_suggested(eggs: Path, monkeypatch: pytest.MonkeyPatch
         ("query Egg00 --method hapt+wsk", "did you mean 'wks'?"),
         ("query Egg00 --whitening peple", "did you mean 'people'?"),
         ("query Egg0", "did you mean 'Egg00'?"),
-        ("query Egg00 --filter label=kind --filter label=<kind_1>", "did you mean '<kind 1>'?"),
+        (
+            "query Egg00 --filter label=kind --filter label=<kind_1>",
+            "did you mean '<kind 1>'?",
+        ),
         ("ingest c.sqlit", "no file or folder c.sqlit"),
         ("list --catalog c.sqlite", "did you mean"),
         ("evaluate --labels shrec1", "did you mean 'shrec11'?"),
@@ -117,6 +133,10 @@ def test_the_shell_completes(eggs: Path) -> None:
         }
         program = [sys.executable, "-m", "pcretrieve"]
         done = subprocess.run(
-            program, env=os.environ | environment, capture_output=True, text=True, check=True
+            program,
+            env=os.environ | environment,
+            capture_output=True,
+            text=True,
+            check=True,
         )
         assert [line.partition(",")[2] for line in done.stdout.splitlines()] == completed

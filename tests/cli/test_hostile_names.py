@@ -19,9 +19,24 @@ from pcretrieve.formats import write_mesh
 
 # Names of files without their suffix. With the suffix .off, the longest has 255 bytes.
 NAMES = (
-    *("<script>alert(1)<!--", "\"><img src=x onerror='alert(1)'>", "<td><style>*{display:none}"),
-    *("two\nfailed: [lines", "tab\tand\rreturn", "\x1b[31mred\x1b]0;title\x07", "\x9b31m\x7f"),
-    *("reversed\u202egnp.exe", "separated\u2028lines", "'; DROP TABLE shapes; --", "-rf", "--help"),
+    *(
+        "<script>alert(1)<!--",
+        "\"><img src=x onerror='alert(1)'>",
+        "<td><style>*{display:none}",
+    ),
+    *(
+        "two\nfailed: [lines",
+        "tab\tand\rreturn",
+        "\x1b[31mred\x1b]0;title\x07",
+        "\x9b31m\x7f",
+    ),
+    *(
+        "reversed\u202egnp.exe",
+        "separated\u2028lines",
+        "'; DROP TABLE shapes; --",
+        "-rf",
+        "--help",
+    ),
     *(
         "=HYPERLINK(1)",
         "{{7*7}}%s%d\\",
@@ -35,12 +50,16 @@ NAMES = (
 IDS = [os.fsencode(name).decode("utf-8", "backslashreplace") for name in NAMES]
 
 
-def test_a_terminal_finds_nothing_to_act_on_and_each_shape_has_one_line(tmp_path: Path) -> None:
+def test_a_terminal_finds_nothing_to_act_on_and_each_shape_has_one_line(
+    tmp_path: Path,
+) -> None:
     """Two shapes of each name, the class of which is the id of the first, and one that fails."""
     for start, part in enumerate(("one", "two")):
         (tmp_path / part).mkdir()
         for number, name in enumerate(NAMES):
-            egg = shapes.ellipsoid((1, 1 + number / 40, 1.3 + start / 100), subdivisions=2)
+            egg = shapes.ellipsoid(
+                (1, 1 + number / 40, 1.3 + start / 100), subdivisions=2
+            )
             write_mesh(egg, tmp_path / part / f"{name}.off")
     (tmp_path / "one" / "flat\x1b[31m\n.xyz").write_text("1 2 3\n" * 200)
     ids = {shape_id + end: shape_id for shape_id in IDS for end in ("", "-2")}
@@ -65,6 +84,8 @@ def test_a_terminal_finds_nothing_to_act_on_and_each_shape_has_one_line(tmp_path
 def test_meshes_are_written_into_their_folder_alone(eggs: Path, tmp_path: Path) -> None:
     """Also if a catalogue from elsewhere has ids with slashes."""
     assert "/" in NASTY
-    run("catalogue", "export", "-c", eggs, "-o", tmp_path / "inside", "--", NASTY, "Egg00")
+    run(
+        "catalogue", "export", "-c", eggs, "-o", tmp_path / "inside", "--", NASTY, "Egg00"
+    )
     written = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.ply")}
     assert written == {f"inside/{NASTY.replace('/', '%2F')}.ply", "inside/Egg00.ply"}

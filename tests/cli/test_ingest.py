@@ -43,7 +43,14 @@ def folder(tmp_path: Path) -> Path:
 
 def ingest(folder: Path, *options: object, code: int | None = None) -> Result:
     return run(
-        "ingest", folder / "scans", "-c", folder / "c.sqlite", "--workers", 1, *options, code=code
+        "ingest",
+        folder / "scans",
+        "-c",
+        folder / "c.sqlite",
+        "--workers",
+        1,
+        *options,
+        code=code,
     )
 
 
@@ -61,26 +68,39 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(folder: Path) -> N
     answer = json.loads(done.stdout)["result"]
     bad = [f"bad-{number}" for number in range(N_BAD)]
     assert (answer["planned"], answer["done"]) == (["a", "b", *bad], [])
-    assert [Path(duplicate["path"]).name for duplicate in answer["duplicates"]] == ["copy.off"]
+    assert [Path(duplicate["path"]).name for duplicate in answer["duplicates"]] == [
+        "copy.off"
+    ]
     assert "5 to process, 0 failed, 0 known already, 1 duplicates" in done.stderr
     # With a catalogue, it knows what that has: `test_orders`.
-    failures = [line for line in ingest(folder).stderr.splitlines() if line.startswith("failed: [")]
+    failures = [
+        line
+        for line in ingest(folder).stderr.splitlines()
+        if line.startswith("failed: [")
+    ]
     assert [line.split()[1] for line in failures] == [f"[{name}" for name in bad], (
         "one message each"
     )
-    answer = json.loads(ingest(folder, "--dry-run", "--json", "--retry-failed").stdout)["result"]
+    answer = json.loads(ingest(folder, "--dry-run", "--json", "--retry-failed").stdout)[
+        "result"
+    ]
     assert (answer["planned"], answer["held"]) == (bad, ["a", "b"])
 
 
-def test_after_so_many_failures_the_ingest_stops_and_can_be_continued(folder: Path) -> None:
+def test_after_so_many_failures_the_ingest_stops_and_can_be_continued(
+    folder: Path,
+) -> None:
     log = folder / "night.log"
     stopped = ingest(folder, "--max-failures", 2, "--log-file", log, code=1)
-    assert "stopped after 2 scans that failed, which is the limit (--max-failures)" in str(
-        stopped.exception
+    assert (
+        "stopped after 2 scans that failed, which is the limit (--max-failures)"
+        in str(stopped.exception)
     )
     with pr.Catalogue(folder / "c.sqlite") as catalogue:
         assert len(catalogue.records(status="failed")) == 2
-    progress = ingest(folder, "--max-failures", 2, "--progress", "json", "--quiet", code=3)
+    progress = ingest(
+        folder, "--max-failures", 2, "--progress", "json", "--quiet", code=3
+    )
     # Progress in JSON is one line for each scan, and the log has each stage of each scan.
     lines = [json.loads(line) for line in progress.stderr.splitlines()]
     assert [line["finished"] for line in lines] == list(range(1, 7))
@@ -104,7 +124,11 @@ def test_the_status_of_an_ingest_and_a_retry_of_its_failures(folder: Path) -> No
     assert pr.status(catalogue).state == "none"
     assert "no ingest into it is known" in run("status", "-c", catalogue).stdout
     for seconds, state in ((0, "running"), (4000, "killed"), (-1e30, "none")):
-        counts = {"state": "running", "updated": time.time() - seconds, "computer": "another"}
+        counts = {
+            "state": "running",
+            "updated": time.time() - seconds,
+            "computer": "another",
+        }
         with pr.Catalogue(catalogue) as store, store.rows.database.writing():
             store.rows.keep_setting("batch", json.dumps(counts))
         assert pr.status(catalogue).state == state
@@ -124,7 +148,12 @@ def test_the_status_of_an_ingest_and_a_retry_of_its_failures(folder: Path) -> No
     assert pr.status(catalogue).seconds_left == pytest.approx(20, rel=0.1)
     ingest(folder)
     found = pr.status(catalogue)
-    assert (found.state, found.n_scans, found.n_done, found.n_failed) == ("finished", 6, 2, N_BAD)
+    assert (found.state, found.n_scans, found.n_done, found.n_failed) == (
+        "finished",
+        6,
+        2,
+        N_BAD,
+    )
     assert (found.n_shapes, found.failures, found.seconds_left) == (
         2,
         {"ScanReadError in read": N_BAD},
@@ -134,17 +163,22 @@ def test_the_status_of_an_ingest_and_a_retry_of_its_failures(folder: Path) -> No
     assert {"read", "spectrum"} <= found.stages.keys()
     assert result("status", "-c", catalogue)["stages"] == found.stages
     assert (
-        pr.backup(catalogue, folder / "d.sqlite") and pr.status(folder / "d.sqlite").state == "none"
+        pr.backup(catalogue, folder / "d.sqlite")
+        and pr.status(folder / "d.sqlite").state == "none"
     )
     said = run("status", "-c", catalogue).stdout
     assert f"ingest finished: 6 of 6 scans: 2 done, {N_BAD} failed" in said
     assert f"2 shapes, {N_BAD} failed\n" in said
     table = [line.split() for line in said.splitlines()[-2:]]
     assert table == [["NUMBER", "FAILURE"], [str(N_BAD), "ScanReadError", "in", "read"]]
-    with pytest.raises(InputError, match="failed in the stage surface; stages with failures: read"):
+    with pytest.raises(
+        InputError, match="failed in the stage surface; stages with failures: read"
+    ):
         pr.retry(catalogue, stage="surface")
     again = pr.retry(catalogue, stage="read", executor=in_this_process)
-    assert {record.id for record in again.failed} == {f"bad-{number}" for number in range(N_BAD)}
+    assert {record.id for record in again.failed} == {
+        f"bad-{number}" for number in range(N_BAD)
+    }
 
 
 @pytest.mark.slow
@@ -156,17 +190,24 @@ def test_a_running_ingest_and_one_that_was_killed(tmp_path: Path) -> None:
         write_mesh(body, tmp_path / "scans" / f"{number}.off")
     words = ("ingest", tmp_path / "scans", "-c", catalogue, "--workers", 1)
     command = [sys.executable, "-m", "pcretrieve", *map(str, words)]
-    with subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True) as running:
+    with subprocess.Popen(
+        command, stderr=subprocess.DEVNULL, start_new_session=True
+    ) as running:
         try:
             # The file is empty for a moment before it is a catalogue.
-            assert wait_for(lambda: run("status", "-c", catalogue, code=None).exit_code == 0)
+            assert wait_for(
+                lambda: run("status", "-c", catalogue, code=None).exit_code == 0
+            )
             assert wait_for(lambda: result("status", "-c", catalogue)["n_shapes"] > 0)
             found = result("status", "-c", catalogue)
             assert (found["state"], found["n_scans"]) == ("running", n_scans)
         finally:
             os.killpg(running.pid, signal.SIGKILL)
     assert pr.status(catalogue).state == "killed"
-    assert "the same command of ingest goes on from there" in run("status", "-c", catalogue).stdout
+    assert (
+        "the same command of ingest goes on from there"
+        in run("status", "-c", catalogue).stdout
+    )
     run(*words)
     found = result("status", "-c", catalogue)
     assert (found["state"], found["n_shapes"]) == ("finished", n_scans)
@@ -190,7 +231,11 @@ def test_a_file_arrives_when_it_has_stopped_growing(tmp_path: Path) -> None:
     place.mkdir()
     whole = egg(place / "a.off", 2).read_bytes()
     arrivals = Arrivals(place)
-    assert [arrivals.look(), arrivals.look(), arrivals.look()] == [[], [place / "a.off"], []]
+    assert [arrivals.look(), arrivals.look(), arrivals.look()] == [
+        [],
+        [place / "a.off"],
+        [],
+    ]
     with (place / "b.off").open("wb") as growing:
         for start in range(0, len(whole), len(whole) // 3):
             growing.write(whole[start : start + len(whole) // 3])
@@ -206,7 +251,9 @@ def test_a_file_arrives_when_it_has_stopped_growing(tmp_path: Path) -> None:
     assert [arrivals.look(), arrivals.look()] == [[], []]
 
 
-def test_a_scan_of_several_files_arrives_with_the_last_of_its_views(tmp_path: Path) -> None:
+def test_a_scan_of_several_files_arrives_with_the_last_of_its_views(
+    tmp_path: Path,
+) -> None:
     conf = tmp_path / "bun.conf"
     conf.write_text("bmesh front.off 0 0 0 0 0 0 1\nbmesh back.off 0 0 0 0 0 0 1\n")
     arrivals = Arrivals(tmp_path)
@@ -232,7 +279,9 @@ def test_scans_that_arrive_are_ingested_until_ctrl_c(tmp_path: Path) -> None:
         except pr.CatalogueError:  # it is being created
             return set()
 
-    command = [*(sys.executable, "-m", "pcretrieve", "watch", tmp_path / "scans", "-c", location)]
+    command = [
+        *(sys.executable, "-m", "pcretrieve", "watch", tmp_path / "scans", "-c", location)
+    ]
     command += ["--interval", "0.5", "--workers", "1"]
     with subprocess.Popen(
         [*map(str, command)],
@@ -253,5 +302,8 @@ def test_scans_that_arrive_are_ingested_until_ctrl_c(tmp_path: Path) -> None:
     assert running.returncode == 130
     assert "Traceback" not in said
     assert f"done: [late] {Path('scans', 'late.off')}\n" in said
-    assert f"stopped; 2 shapes are in {location}, and the same command goes on from there" in said
+    assert (
+        f"stopped; 2 shapes are in {location}, and the same command goes on from there"
+        in said
+    )
     assert wait_for(lambda: not living(running.pid))

@@ -41,14 +41,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     place = tmp_path_factory.mktemp("refusals")
     write_mesh(shapes.ellipsoid(), place / "egg.off")
     write_mesh(shapes.icosphere(3), place / "ball.off")
-    assert run("ingest", place / "egg.off", place / "ball.off", "-c", place / "good.sqlite") == 0
+    assert (
+        run("ingest", place / "egg.off", place / "ball.off", "-c", place / "good.sqlite")
+        == 0
+    )
     pr.write_matrix(pr.matrix(place / "good.sqlite"), place / "m.txt")
     (place / "value.toml").write_text("[surface]\npoisson_depth = 80\n")
     (place / "empty").mkdir()
     (place / "folder.ply").mkdir()
     write_ply(place / "ball.ply", shapes.points_on(shapes.icosphere(3), 500))
     write_ply(place / "few.ply", shapes.points_on(shapes.icosphere(3), 5))
-    (place / "two.conf").write_text("bmesh few.ply 0 0 0 0 0 0 1\nbmesh ball.ply 0 0 0 0 0 0 1\n")
+    (place / "two.conf").write_text(
+        "bmesh few.ply 0 0 0 0 0 0 1\nbmesh ball.ply 0 0 0 0 0 0 1\n"
+    )
     (place / "no.conf").write_text("camera 0 0 0\n")
     for deed in ("crash", "hang", "fill"):
         (place / f"{deed}.vicious").write_text(deed)
@@ -60,10 +65,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 CASES = (
     ("query egg.off -c missing.sqlite", 1, "there is no catalogue"),
-    ("ingest egg.off -c good.sqlite --surface keep", 1, "surface.mode: 'auto' there, 'keep' here"),
+    (
+        "ingest egg.off -c good.sqlite --surface keep",
+        1,
+        "surface.mode: 'auto' there, 'keep' here",
+    ),
     ("ingest empty -c good.sqlite", 1, "no scans"),
     ("ingest egg.off -c new.sqlite --config value.toml", 2, "poisson_depth"),
-    ("ingest egg.off -c new.sqlite --log-file no/night.log", 1, "cannot write the log file"),
+    (
+        "ingest egg.off -c new.sqlite --log-file no/night.log",
+        1,
+        "cannot write the log file",
+    ),
     ("ingest -c good.sqlite", 2, "name at least one scan"),
     ("query egg.off", 2, "Missing option"),
     ("query good.sqlite egg", 2, "write -c before a catalogue: -c good.sqlite"),
@@ -76,13 +89,25 @@ CASES = (
     ),
     ("evaluate -c good.sqlite", 1, "give --labels"),
     ("remove egg nobody -c good.sqlite", 1, "holds no shape 'nobody'"),
-    ("lab signature --from-catalogue good.sqlite --surface keep", 2, "own: leave out --surface"),
-    ("query egg -c good.sqlite --matrix m.txt --unit mm", 2, "no scan is read: leave out --unit"),
+    (
+        "lab signature --from-catalogue good.sqlite --surface keep",
+        2,
+        "own: leave out --surface",
+    ),
+    (
+        "query egg -c good.sqlite --matrix m.txt --unit mm",
+        2,
+        "no scan is read: leave out --unit",
+    ),
     ("lab reconstruct egg.off -o egg.doc", 1, ".ply .obj .off .stl .glb"),
     ("lab reconstruct egg.off -o nowhere/egg.ply", 1, "no folder nowhere"),
     ("lab reconstruct egg.off -o a.ply --suffix .ply", 2, "--suffix is for folders"),
     ("lab reconstruct *.off -o a.ply", 1, "names 2 scans: name one of them"),
-    ("lab reconstruct . -o meshes", 1, "whose files are read: name another folder with -o"),
+    (
+        "lab reconstruct . -o meshes",
+        1,
+        "whose files are read: name another folder with -o",
+    ),
     ("inspect empty", 2, "name a folder for the pages of the scans"),
     ("inspect few.ply -o folder.ply", 1, "is a folder"),
     ("merge -o out.ply", 2, "name at least two views"),
@@ -100,8 +125,16 @@ BY_WORKERS = (
     ("inspect value.toml", 1, "no reader"),
     ("inspect few.ply --rescans 1", 2, "at least 2 rescans, got 1"),
     ("merge ball.ply few.ply -o out.ply", 1, "view 1 must have more than 16"),
-    ("lab signature crash.vicious", 3, "the process that worked on it ended with SIGSEGV"),
-    ("query crash.vicious -c good.sqlite", 1, "the process that worked on it ended with SIGSEGV"),
+    (
+        "lab signature crash.vicious",
+        3,
+        "the process that worked on it ended with SIGSEGV",
+    ),
+    (
+        "query crash.vicious -c good.sqlite",
+        1,
+        "the process that worked on it ended with SIGSEGV",
+    ),
     (
         "query hang.vicious -c good.sqlite --timeout 2",
         1,
@@ -129,11 +162,14 @@ def test_one_message_and_the_right_exit_code(
     for arguments, code, words in cases:
         ended = run(*arguments.split())
         printed, said = capsys.readouterr()
-        assert words in said and "Traceback" not in said and not printed, (arguments, said)
-        assert ended == code, (arguments, said)
-        assert sorted(path for path in folder.iterdir() if path.suffix != ".lock") == before, (
-            arguments
+        assert words in said and "Traceback" not in said and not printed, (
+            arguments,
+            said,
         )
+        assert ended == code, (arguments, said)
+        assert (
+            sorted(path for path in folder.iterdir() if path.suffix != ".lock") == before
+        ), arguments
     # After all of the above, the catalogue still answers.
     assert run("query", folder / "egg.off", "-c", folder / "good.sqlite", "-k", "1") == 0
     assert "egg" in capsys.readouterr().out

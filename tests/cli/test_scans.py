@@ -58,19 +58,32 @@ def test_signatures_are_those_of_the_single_scans_in_their_order(
     alone = run("lab", "signature", path)
     assert (alone.stdout.strip().split("\t")[1:], alone.stderr) == (values, "")
     # From a catalogue they are those of what it stores, also if the files are gone.
-    catalogue, *files = tmp_path / "c.sqlite", *(tmp_path / name for name in ("b.off", "bad.off"))
+    catalogue, *files = (
+        tmp_path / "c.sqlite",
+        *(tmp_path / name for name in ("b.off", "bad.off")),
+    )
     for file in files:
         file.write_bytes((folder / file.name).read_bytes())
     run("ingest", *files, "-c", catalogue, "--workers", 1, "--quiet", code=3)
     for file in files:
         file.unlink()
     stored = run(
-        "lab", "signature", "--from-catalogue", catalogue, "bad", "b", "--method", "wks", code=3
+        "lab",
+        "signature",
+        "--from-catalogue",
+        catalogue,
+        "bad",
+        "b",
+        "--method",
+        "wks",
+        code=3,
     )
     assert stored.stderr.startswith("failed: [bad / read] ")
     name, *numbers = stored.stdout.strip().split("\t")
     direct = (
-        run("lab", "signature", folder / "b.off", "--method", "wks").stdout.strip().split("\t")[1:]
+        run("lab", "signature", folder / "b.off", "--method", "wks")
+        .stdout.strip()
+        .split("\t")[1:]
     )
     assert name == "b"
     np.testing.assert_allclose([*map(float, numbers)], [*map(float, direct)], rtol=1e-6)
@@ -90,8 +103,14 @@ def test_each_scan_of_a_folder_is_reconstructed(folder: Path, tmp_path: Path) ->
         "--json",
         code=3,
     )
-    assert {path.name for path in (tmp_path / "meshes").iterdir()} == {"a.obj", "b.obj", "c.obj"}
-    by_name = {Path(found["path"]).stem: found for found in json.loads(done.stdout)["result"]}
+    assert {path.name for path in (tmp_path / "meshes").iterdir()} == {
+        "a.obj",
+        "b.obj",
+        "c.obj",
+    }
+    by_name = {
+        Path(found["path"]).stem: found for found in json.loads(done.stdout)["result"]
+    }
     assert by_name["bad"]["error"] == "ScanReadError"
     for name, length in LENGTHS.items():
         mesh = pr.read_scan(tmp_path / "meshes" / f"{name}.obj")
@@ -139,7 +158,9 @@ def test_an_inspection_has_checks_numbers_and_pictures(
         assert sheet.format == "PNG" and sheet.width > 1000
 
 
-def test_a_scan_that_fails_gets_its_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scan_that_fails_gets_its_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     write_ply(Path("few.ply"), shapes.points_on(shapes.body(), 50))
     Path("garbage.ply").write_bytes(b"\x00\xff" * 500)
@@ -147,7 +168,12 @@ def test_a_scan_that_fails_gets_its_page(tmp_path: Path, monkeypatch: pytest.Mon
         done = run("inspect", scan, "--png", "sheet.png", "--json", code=3)
         answer = json.loads(done.stdout)["result"]
         assert answer["failure"]["stage"] == stage
-        assert answer["signature"] is answer["rescan_errors"] is answer["rescan_error"] is None
+        assert (
+            answer["signature"]
+            is answer["rescan_errors"]
+            is answer["rescan_error"]
+            is None
+        )
         page = unescape(Path(answer["page"]).read_text(encoding="utf-8"))
         assert f"the {stage} stage failed" in page
         assert answer["failure"]["message"].replace(f"{tmp_path}/", "") in page
@@ -178,7 +204,10 @@ def test_a_scan_that_fails_is_packed_without_its_points_and_its_folder(
     assert found["versions"]["pcretrieve"] == pr.__version__
     assert found["scan"]["name"] == "sheet.xyz"
     assert found["scan"]["bytes"] == scan.stat().st_size
-    assert f"failed in {found['failure']['stage']}: {found['failure']['message']}" in done.stderr
+    assert (
+        f"failed in {found['failure']['stage']}: {found['failure']['message']}"
+        in done.stderr
+    )
     assert "Jane Doe" not in "".join(files.values())
     Path("options.toml").write_text(files["options.toml"])
     assert pr.PipelineOptions.from_toml("options.toml").scan.unit == "cm"
@@ -186,9 +215,18 @@ def test_a_scan_that_fails_is_packed_without_its_points_and_its_folder(
     assert packed("p.zip")["scan/sheet.xyz"] == scan.read_text()
     # Where the process is ended and nothing measured, there are the versions, the options and the error.
     write_mesh(shapes.icosphere(6), private / "ball.off")
-    run("lab", "report-problem", private / "ball.off", "--timeout", 1, "--surface", "reconstruct")
+    run(
+        "lab",
+        "report-problem",
+        private / "ball.off",
+        "--timeout",
+        1,
+        "--surface",
+        "reconstruct",
+    )
     assert (
-        json.loads(packed("ball-problem.zip")["problem.json"])["failure"]["error"] == "StageTimeout"
+        json.loads(packed("ball-problem.zip")["problem.json"])["failure"]["error"]
+        == "StageTimeout"
     )
 
 
@@ -222,11 +260,16 @@ def views(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for number, view in enumerate(scan_views(shapes.body(), RIG, rng)[2:4]):
         assert view.viewpoints is not None
         away = np.eye(4)
-        away[:3, :3], away[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.normal(0, 2, 3)
+        away[:3, :3], away[:3, 3] = (
+            Rotation.random(rng=rng).as_matrix(),
+            rng.normal(0, 2, 3),
+        )
         names.append(f"views/view{number}.pcd")
         motions.append(np.linalg.inv(away))
         sensor = moved(away, view.viewpoints[:1])[0]
-        write_pcd(place / names[-1], moved(away, view.points), sensor, Rotation.identity())
+        write_pcd(
+            place / names[-1], moved(away, view.points), sensor, Rotation.identity()
+        )
     write_conf(place / "body.conf", names, np.array(motions))
     torus = scan_views(shapes.torus(major=2.0), RIG, rng)[0]
     assert torus.viewpoints is not None
@@ -257,7 +300,9 @@ def test_the_poses_of_a_conf_and_the_largest_range_are_kept(
     direct = pr.read_scan("body.conf")
     assert isinstance(direct, pr.PointCloud) and direct.viewpoints is not None
     for suffix in (".ply", ".pcd", ".xyzn"):
-        assert run("merge", "body.conf", "--no-refine", "-o", f"kept{suffix}").stdout == ""
+        assert (
+            run("merge", "body.conf", "--no-refine", "-o", f"kept{suffix}").stdout == ""
+        )
         kept = pr.read_scan(f"kept{suffix}")
         assert isinstance(kept, pr.PointCloud) and kept.normals is not None
         np.testing.assert_allclose(kept.points, direct.points, atol=1e-5)
@@ -278,7 +323,9 @@ def test_the_demo_has_a_class_for_each_scan_that_it_ingests() -> None:
     shipped = Path(batches.__file__).parent / "demo"
     with (shipped / "scans" / "labels.csv").open(newline="", encoding="utf-8") as file:
         labels = {row["file"]: row["class"] for row in csv.DictReader(file)}
-    scans = {path.relative_to(shipped / "scans") for path in shipped.glob("scans/*/*.ply")}
+    scans = {
+        path.relative_to(shipped / "scans") for path in shipped.glob("scans/*/*.ply")
+    }
     assert scans == {Path(name) for name in labels}
     assert (shipped / batches.DEMO_QUERY).is_file()
     assert batches.DEMO_QUERY.parent.name in labels.values()
@@ -287,7 +334,9 @@ def test_the_demo_has_a_class_for_each_scan_that_it_ingests() -> None:
 @pytest.mark.slow
 def test_the_demonstration_finds_whose_the_new_scan_is(tmp_path: Path) -> None:
     """Outside a checkout, in a folder that has to be made and whose name has to be quoted."""
-    done = program("demo", "my demo", cwd=tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "compiled"))
+    done = program(
+        "demo", "my demo", cwd=tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "compiled")
+    )
     assert done.stderr.count("compiling, once after an installation") == 1
     head, first, *_ = done.stdout.splitlines()
     assert head.split()[:4] == ["RANK", "DISTANCE", "SCORE", "CLASS"]
@@ -299,7 +348,11 @@ def test_the_demonstration_finds_whose_the_new_scan_is(tmp_path: Path) -> None:
     page = Path(unquote(urlparse(done.stderr.split()[-1]).path))
     assert page == tmp_path / "my demo" / "index.html"
     assert page.read_text(encoding="utf-8").count("data:image/png") > 10
-    shown = [shlex.split(line[2:]) for line in done.stderr.splitlines() if line.startswith("$ ")]
+    shown = [
+        shlex.split(line[2:])
+        for line in done.stderr.splitlines()
+        if line.startswith("$ ")
+    ]
     assert [words[:2] for words in shown] == [
         ["pcretrieve", command] for command in ("ingest", "query", "evaluate", "report")
     ]
@@ -310,4 +363,7 @@ def test_the_demonstration_finds_whose_the_new_scan_is(tmp_path: Path) -> None:
 def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     said = refusal("demo", tmp_path / "file")
-    assert f"cannot write scans into {tmp_path / 'file'}: Not a directory; name another" in said
+    assert (
+        f"cannot write scans into {tmp_path / 'file'}: Not a directory; name another"
+        in said
+    )

@@ -35,7 +35,9 @@ def eggs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for kind in range(N_KINDS):
         for number in range(N_EACH):
             axes = (1 + 0.1 * number, 1, 1.2 + 0.08 * kind)
-            write_mesh(shapes.ellipsoid(axes, subdivisions=3), place / f"{kind}{number}.off")
+            write_mesh(
+                shapes.ellipsoid(axes, subdivisions=3), place / f"{kind}{number}.off"
+            )
             labels[f"{kind}{number}.off"] = f"kind{kind}"
     (place / "labels.csv").write_text(
         "\n".join(["file,class", *(f"{name},{label}" for name, label in labels.items())])
@@ -51,16 +53,34 @@ def test_a_file_gives_commands_their_options_and_flags_override_it(
     eggs: Path, tmp_path: Path
 ) -> None:
     """Of R-BiHDM, whose values have a scale."""
-    mine, asked = tmp_path / "mine.toml", ("evaluate", "-c", eggs / "eggs.sqlite", *METHOD)
-    mine.write_text("[signature]\nn_values = 9\n[retrieval]\nwhitening = 'pca'\ndistance = 'd1'\n")
+    mine, asked = (
+        tmp_path / "mine.toml",
+        ("evaluate", "-c", eggs / "eggs.sqlite", *METHOD),
+    )
+    mine.write_text(
+        "[signature]\nn_values = 9\n[retrieval]\nwhitening = 'pca'\ndistance = 'd1'\n"
+    )
     by_file = result(*asked, "--config", mine)
-    assert (by_file["n_values"], by_file["whitening"], by_file["distance"]) == (9, "pca", "d1")
+    assert (by_file["n_values"], by_file["whitening"], by_file["distance"]) == (
+        9,
+        "pca",
+        "d1",
+    )
     assert by_file == result(*asked, *PCA)
     back = ("--whitening", "auto", "--distance", "log", "--n-values", 23)
     assert result(*asked, "--config", mine, *back) == result(*asked)
     query = ("query", eggs / "10.off", *asked[1:])
     assert result(*query, "--config", mine) == result(*query, *PCA) != result(*query)
-    run("report", *asked[1:], "-o", tmp_path / "page.html", "--queries", 1, "--config", mine)
+    run(
+        "report",
+        *asked[1:],
+        "-o",
+        tmp_path / "page.html",
+        "--queries",
+        1,
+        "--config",
+        mine,
+    )
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     for name, value in {"distance": "d1", "whitening": "pca: the cov"}.items():
         assert re.search(rf"<dt>{name}</dt>\s*<dd>{value}", page), name
@@ -68,25 +88,36 @@ def test_a_file_gives_commands_their_options_and_flags_override_it(
 
 def test_sizes_are_compared_in_one_unit_or_not_at_all(tmp_path: Path) -> None:
     """Bodies of one form whose areas differ by 1.44; in metres as files say, and in a file without a unit."""
-    catalogue, query, sized = tmp_path / "c.sqlite", tmp_path / "query.off", ("--size-weight", 6)
+    catalogue, query, sized = (
+        tmp_path / "c.sqlite",
+        tmp_path / "query.off",
+        ("--size-weight", 6),
+    )
     body = shapes.ellipsoid((1, 1, 1.7), subdivisions=3)
     for name, height in (("small.glb", 1.0), ("large.glb", 1.2), ("query.off", 120.0)):
         write_mesh(pr.TriangleMesh(body.vertices * height, body.faces), tmp_path / name)
     run("ingest", *sorted(tmp_path.glob("*.glb")), "-c", catalogue, "--workers", 1)
-    first, second = result("query", query, "-c", catalogue, *sized, "--unit", "cm")[0]["neighbors"]
+    first, second = result("query", query, "-c", catalogue, *sized, "--unit", "cm")[0][
+        "neighbors"
+    ]
     assert (first["id"], second["id"]) == ("large", "small")
     assert first["distance"] < 0.05
     assert second["distance"] == pytest.approx(6 * np.log(1.2**2), rel=0.01)
     options = {"signature": {"size_weight": 6}}
-    known = pr.search(catalogue, pr.read_scan(query), options=options, unit="cm").neighbors
+    known = pr.search(
+        catalogue, pr.read_scan(query), options=options, unit="cm"
+    ).neighbors
     assert known.distances.tolist() == [first["distance"], second["distance"]]
     signed = pr.signature(query, {**options, "scan": {"unit": "cm"}})
     assert pr.search(catalogue, signed, options=options).neighbors == known
     said = refusal("query", query, "-c", catalogue, "--scale", "absolute")
-    assert "the shapes are in metres, the unit of the query is unknown; say the unit" in said
+    assert (
+        "the shapes are in metres, the unit of the query is unknown; say the unit" in said
+    )
     for unknown in (query, pr.signature(query, options), pr.read_scan(query)):
         with pytest.raises(
-            pr.InputError, match=r"say the unit of the query by --unit \(scan.unit\), or comp"
+            pr.InputError,
+            match=r"say the unit of the query by --unit \(scan.unit\), or comp",
         ):
             pr.search(catalogue, unknown, options=options)
     run("ingest", query, "-c", catalogue, "--workers", 1)
@@ -98,16 +129,26 @@ def test_sizes_are_compared_in_one_unit_or_not_at_all(tmp_path: Path) -> None:
         ("report", "-o", tmp_path / "page.html"),
     ):
         said = refusal(*command, "-c", catalogue, *sized)
-        assert "some shapes are in metres, the unit of others is unknown; ingest all" in said
+        assert (
+            "some shapes are in metres, the unit of others is unknown; ingest all" in said
+        )
         run(*command, "-c", catalogue)
 
 
 def test_incomplete_scans_are_counted_and_a_query_says_so(tmp_path: Path) -> None:
     ball, body, catalogue = shapes.icosphere(3), shapes.body(3), tmp_path / "c.sqlite"
-    for name, mesh, first in (("open", ball, 12), ("whole", body, 0), ("other", body, 12)):
-        write_mesh(pr.TriangleMesh(mesh.vertices, mesh.faces[first:]), tmp_path / f"{name}.off")
+    for name, mesh, first in (
+        ("open", ball, 12),
+        ("whole", body, 0),
+        ("other", body, 12),
+    ):
+        write_mesh(
+            pr.TriangleMesh(mesh.vertices, mesh.faces[first:]), tmp_path / f"{name}.off"
+        )
     scans = tmp_path / "open.off", tmp_path / "whole.off"
-    done = run("ingest", *scans, "-c", catalogue, "--surface", "keep", "--workers", 1, "--json")
+    done = run(
+        "ingest", *scans, "-c", catalogue, "--surface", "keep", "--workers", 1, "--json"
+    )
     assert "1 incomplete, which may answer wrongly: " in done.stderr
     assert "the same is wrong with 1 of them: the mesh has holes" in done.stderr
     advice = done.stderr.split("`")[1].split()
@@ -115,9 +156,13 @@ def test_incomplete_scans_are_counted_and_a_query_says_so(tmp_path: Path) -> Non
     assert "the mesh has holes" in run(*advice[1:]).stdout
     assert json.loads(done.stdout)["result"]["incomplete"] == ["open"]
     asked = run("query", "-c", catalogue, tmp_path / "other.off")
-    assert "other.off is incomplete, may answer wrongly: the mesh has holes" in asked.stderr
+    assert (
+        "other.off is incomplete, may answer wrongly: the mesh has holes" in asked.stderr
+    )
     assert [
-        line.split()[4] for line in asked.stdout.splitlines() if line.endswith("  incomplete")
+        line.split()[4]
+        for line in asked.stdout.splitlines()
+        if line.endswith("  incomplete")
     ] == ["open"]
 
 
@@ -125,11 +170,15 @@ def test_good_only_asks_for_good_scans_in_the_whole_gallery(tmp_path: Path) -> N
     catalogue, options = tmp_path / "c.sqlite", pr.PipelineOptions()
     with pr.Catalogue(catalogue, create=True) as store:
         for number, (kind, width) in enumerate(product("ab", (1, 1.1))):
-            shape = pr.process(shapes.ellipsoid((width, 1, 1.8 if kind == "a" else 2.3), 3))
+            shape = pr.process(
+                shapes.ellipsoid((width, 1, 1.8 if kind == "a" else 2.3), 3)
+            )
             grade = pr.Grade("poor" if number == 3 else "good", 0.5)
             values = pr.describe(shape, options.signature).values
             content = Content(replace(shape, grade=grade), values)
-            store.put(Record(f"{number}", f"/{number}.off", f"hash {number}", kind), content)
+            store.put(
+                Record(f"{number}", f"/{number}.off", f"hash {number}", kind), content
+            )
     assert run("evaluate", "-c", catalogue).stderr.startswith("4 queries in 4 shapes")
     good = run("evaluate", "-c", catalogue, "--good-only")
     assert good.stderr.startswith("3 of 4 queries in 4 shapes")
@@ -151,8 +200,16 @@ def test_a_size_that_a_wrong_unit_explains_is_told(eggs: Path, tmp_path: Path) -
     """With the option that mends it; by `query`, in JSON, and by `ingest`."""
     catalogue = tmp_path / "c.sqlite"
     for name, scale, words in (
-        ("mm", 1000, "about 1,000 times as large as the others; if its unit is mm, give --unit mm"),
-        ("cm", 100, "about 100 times as large as the others; if its unit is cm, give --unit cm"),
+        (
+            "mm",
+            1000,
+            "about 1,000 times as large as the others; if its unit is mm, give --unit mm",
+        ),
+        (
+            "cm",
+            100,
+            "about 100 times as large as the others; if its unit is cm, give --unit cm",
+        ),
         (
             "km",
             0.001,
@@ -171,7 +228,8 @@ def test_a_size_that_a_wrong_unit_explains_is_told(eggs: Path, tmp_path: Path) -
         "ingest", tmp_path / "mm.off", eggs / "00.off", "-c", catalogue, "--workers", 1
     ).stderr
     assert (
-        f"the size of 1 scans, such as {tmp_path / 'mm.off'}, is about 1,000 times as large" in said
+        f"the size of 1 scans, such as {tmp_path / 'mm.off'}, is about 1,000 times as large"
+        in said
     )
 
 
@@ -180,7 +238,9 @@ def test_a_query_of_fewer_faces_is_told_too(eggs: Path) -> None:
     with pr.Catalogue(eggs / "eggs.sqlite") as store:
         question = Question(store.options, 3)
         for n_faces, said in ((80, ("it has 0.062 times the faces",)), (640, ())):
-            notes = answer_to(store, Described(signature, n_faces=n_faces), question).notes
+            notes = answer_to(
+                store, Described(signature, n_faces=n_faces), question
+            ).notes
             assert tuple(note.partition(" of the")[0] for note in notes) == said
 
 
@@ -188,16 +248,25 @@ def test_a_false_match_rate_needs_as_many_pairs(eggs: Path) -> None:
     asked = ("query", "-c", eggs / "eggs.sqlite", "00", "--far")
     assert run(*asked, 0.1).stderr == ""
     said = run(*asked, 1e-6).stderr
-    assert "00: the 96 pairs of two classes are too few for a false-match rate of 1e-06" in said
+    assert (
+        "00: the 96 pairs of two classes are too few for a false-match rate of 1e-06"
+        in said
+    )
 
 
 def test_a_catalogue_of_failures_has_pages(tmp_path: Path) -> None:
     """With the reasons; one without any shapes has none."""
     catalogue, page = tmp_path / "c.sqlite", tmp_path / "page.html"
     with pr.Catalogue(catalogue, create=True) as store:
-        assert "an index needs at least 1 shape" in refusal("report", "-c", catalogue, "-o", page)
-        assert "an index needs at least 1 shape" in refusal("serve", "-c", catalogue, "--port", 0)
-        failed = Record("bad", "/bad.off", "", status="failed", stage="read", error="ScanReadError")
+        assert "an index needs at least 1 shape" in refusal(
+            "report", "-c", catalogue, "-o", page
+        )
+        assert "an index needs at least 1 shape" in refusal(
+            "serve", "-c", catalogue, "--port", 0
+        )
+        failed = Record(
+            "bad", "/bad.off", "", status="failed", stage="read", error="ScanReadError"
+        )
         store.put(replace(failed, message="it is empty"))
     run("report", "-c", catalogue, "-o", page)
     assert "it is empty" in page.read_text()
@@ -229,7 +298,9 @@ def test_a_matcher_makes_a_matrix_that_ranks(eggs: Path, tmp_path: Path) -> None
     found = result("evaluate", "-c", catalogue, "--matrix", path)
     assert (found["n_queries"], found["n_failed"]) == (17, 1)
     assert (
-        result("query", "-c", catalogue, eggs / "10.off", "--matrix", path)[0]["neighbors"][0]["id"]
+        result("query", "-c", catalogue, eggs / "10.off", "--matrix", path)[0][
+            "neighbors"
+        ][0]["id"]
         == "10"
     )
     with pytest.raises(
@@ -238,7 +309,9 @@ def test_a_matcher_makes_a_matrix_that_ranks(eggs: Path, tmp_path: Path) -> None
         pr.matrix(catalogue, matcher="sift")
 
 
-def test_re_ranking_is_a_row_more_and_works_by_a_matrix(eggs: Path, tmp_path: Path) -> None:
+def test_re_ranking_is_a_row_more_and_works_by_a_matrix(
+    eggs: Path, tmp_path: Path
+) -> None:
     catalogue, labels = eggs / "eggs.sqlite", eggs / "labels.csv"
     chosen = ("-c", catalogue, *PLAIN)
     plain = {"retrieval": {"whitening": "none"}}
@@ -246,7 +319,13 @@ def test_re_ranking_is_a_row_more_and_works_by_a_matrix(eggs: Path, tmp_path: Pa
     own = run("evaluate", *chosen, "--rerank", "k-reciprocal").stdout.splitlines()
     assert own[1].endswith("  micro-average, plain")
     assert own[2].endswith("  micro-average, k-reciprocal")
-    by_matrix = ("evaluate", "--matrix", tmp_path / "eggs.npy", "--rerank", "k-reciprocal")
+    by_matrix = (
+        "evaluate",
+        "--matrix",
+        tmp_path / "eggs.npy",
+        "--rerank",
+        "k-reciprocal",
+    )
     assert run(*by_matrix, "--labels", labels).stdout.splitlines() == own
     assert run(*by_matrix, "-c", catalogue).stdout.splitlines() == own
     np.save(tmp_path / "far.npy", np.where(np.eye(16) > 0, 0, np.inf))
@@ -257,7 +336,9 @@ def test_re_ranking_is_a_row_more_and_works_by_a_matrix(eggs: Path, tmp_path: Pa
     assert "re-ranking needs finite distances, got 240 that are infinite" in said
 
 
-def test_two_settings_matrices_and_files_give_one_comparison(eggs: Path, tmp_path: Path) -> None:
+def test_two_settings_matrices_and_files_give_one_comparison(
+    eggs: Path, tmp_path: Path
+) -> None:
     catalogue = eggs / "eggs.sqlite"
     plain = {"retrieval": {"whitening": "none"}, "signature": {"method": "r-bihdm"}}
     short = {
@@ -270,7 +351,9 @@ def test_two_settings_matrices_and_files_give_one_comparison(eggs: Path, tmp_pat
     }
     for name, (options, flags) in settings.items():
         pr.write_matrix(pr.matrix(catalogue, options=options), tmp_path / f"{name}.txt")
-        run("evaluate", "-c", catalogue, *PLAIN, *METHOD, *flags, "--csv", tmp_path / name)
+        run(
+            "evaluate", "-c", catalogue, *PLAIN, *METHOD, *flags, "--csv", tmp_path / name
+        )
     expected = pr.compare(catalogue, catalogue, options=plain, second_options=short)
     assert (expected.difference != 0).any()
     matrices = (tmp_path / "one.txt", tmp_path / "two.txt")
@@ -285,30 +368,47 @@ def test_two_settings_matrices_and_files_give_one_comparison(eggs: Path, tmp_pat
 @pytest.fixture(scope="module")
 def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Six eggs of two kinds; the third of each is almost the second, the last one coarse and incomplete."""
-    location, options = tmp_path_factory.mktemp("near") / "eggs.sqlite", pr.PipelineOptions()
+    location, options = (
+        tmp_path_factory.mktemp("near") / "eggs.sqlite",
+        pr.PipelineOptions(),
+    )
     with pr.Catalogue(location, create=True) as store:
         for number, (kind, width) in enumerate(product(("a", None), (1, 1.08, 1.0801))):
             shape = pr.process(
-                shapes.ellipsoid((width, 1, 1.8 if kind else 2.3), 2 if number == 5 else 3)
+                shapes.ellipsoid(
+                    (width, 1, 1.8 if kind else 2.3), 2 if number == 5 else 3
+                )
             )
             grade = pr.Grade("incomplete", 0.5) if number == 5 else pr.Grade("good", 0.01)
             content = Content(
                 replace(shape, grade=grade), pr.describe(shape, options.signature).values
             )
-            store.put(Record(f"{number}", f"/{number}.off", f"hash {number}", kind), content)
+            store.put(
+                Record(f"{number}", f"/{number}.off", f"hash {number}", kind), content
+            )
     return location
 
 
 def test_copies_of_other_resolution_are_duplicates(near: Path) -> None:
     pair, coarse = pr.duplicates(near)
     assert (
-        pair[:2] == ("1", "2") and coarse[:2] == ("4", "5") and coarse.distance > 5 * pair.distance
+        pair[:2] == ("1", "2")
+        and coarse[:2] == ("4", "5")
+        and coarse.distance > 5 * pair.distance
     )
     page = near.with_name("pairs.html")
     done = run("duplicates", "-c", near, "--html", page)
-    assert [line.split()[2:] for line in done.stdout.splitlines()[1:]] == [["1", "2"], ["4", "5"]]
+    assert [line.split()[2:] for line in done.stdout.splitlines()[1:]] == [
+        ["1", "2"],
+        ["4", "5"],
+    ]
     assert done.stderr == f"page: {page}\n2 pairs\n"
-    assert re.findall('alt="(.*?)" src="data:', page.read_text("utf-8")) == ["1", "2", "4", "5"]
+    assert re.findall('alt="(.*?)" src="data:', page.read_text("utf-8")) == [
+        "1",
+        "2",
+        "4",
+        "5",
+    ]
     assert result("duplicates", "-c", near) == [pair._asdict(), coarse._asdict()]
 
 
@@ -319,9 +419,19 @@ def test_a_map_is_a_picture_or_a_page(near: Path, tmp_path: Path) -> None:
     with Image.open(picture) as opened:
         assert opened.size[0] > 600
     text = page.read_text("utf-8")
-    assert len(re.findall(r'role="img".*data-picture="data:image/png;base64,iVBOR', text)) == 6
-    for name in ("again.html", "once_more.html"):  # with the thumbnails that the first one kept
+    assert (
+        len(re.findall(r'role="img".*data-picture="data:image/png;base64,iVBOR', text))
+        == 6
+    )
+    for name in (
+        "again.html",
+        "once_more.html",
+    ):  # with the thumbnails that the first one kept
         pr.draw_map(near, tmp_path / name)
-    assert (tmp_path / "again.html").read_bytes() == (tmp_path / "once_more.html").read_bytes()
-    with pytest.raises(pr.InputError, match=r"a picture \.png or a page \.html, got map\.gif"):
+    assert (tmp_path / "again.html").read_bytes() == (
+        tmp_path / "once_more.html"
+    ).read_bytes()
+    with pytest.raises(
+        pr.InputError, match=r"a picture \.png or a page \.html, got map\.gif"
+    ):
         pr.draw_map(near, tmp_path / "map.gif")

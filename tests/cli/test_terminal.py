@@ -28,7 +28,9 @@ COLUMNS = 80
 DEEP = "/".join(f"a-folder-with-a-long-name-{number}" for number in range(4))
 REASON = "gaps: " + " ".join(["some are wide, others are wider"] * 4)
 FULL = Path("/dev/full")  # a device without space
-needs_full = pytest.mark.skipif(not FULL.exists(), reason="needs a device without space, /dev/full")
+needs_full = pytest.mark.skipif(
+    not FULL.exists(), reason="needs a device without space, /dev/full"
+)
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +48,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             store.put(record, Content(replace(shape, grade=grade), values))
         store.put(
             Record(
-                "bad", str(place / "bad.off"), "", status="failed", stage="read", message="no scan"
+                "bad",
+                str(place / "bad.off"),
+                "",
+                status="failed",
+                stage="read",
+                message="no scan",
             )
         )
     return place
@@ -69,12 +76,22 @@ def on_terminal(
     os.write(ours, types.encode())
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, COLUMNS, 0, 0))
     known = {
-        name: value for name, value in os.environ.items() if name not in ("COLUMNS", "NO_COLOR")
+        name: value
+        for name, value in os.environ.items()
+        if name not in ("COLUMNS", "NO_COLOR")
     }
-    command = [sys.executable, *(("-c", program) if program else ("-m", "pcretrieve", *words))]
+    command = [
+        sys.executable,
+        *(("-c", program) if program else ("-m", "pcretrieve", *words)),
+    ]
     errors = theirs if says else subprocess.DEVNULL
     with subprocess.Popen(
-        command, stdin=theirs, stdout=theirs, stderr=errors, cwd=folder, env=known | environment
+        command,
+        stdin=theirs,
+        stdout=theirs,
+        stderr=errors,
+        cwd=folder,
+        env=known | environment,
     ) as running:
         os.close(theirs)
         text = b""
@@ -97,18 +114,33 @@ def plain(line: str) -> str:
 
 def test_nothing_is_wider_than_the_terminal(folder: Path) -> None:
     shown = {}
-    for words in ("list", "list --incomplete", "list --failed", "query egg0", "show egg1"):
+    for words in (
+        "list",
+        "list --incomplete",
+        "list --failed",
+        "query egg0",
+        "show egg1",
+    ):
         lines = on_terminal(folder, *words.split(), "-c", "c.sqlite").splitlines()
         assert max(len(plain(line)) for line in lines) <= COLUMNS
         shown[words] = " ".join(" ".join(map(plain, lines)).split())
     for words in ("list", "query egg0"):
         # There is no place for the column of files.
-        assert "egg2" in shown[words] and "FILE" not in shown[words] and ".off" not in shown[words]
+        assert (
+            "egg2" in shown[words]
+            and "FILE" not in shown[words]
+            and ".off" not in shown[words]
+        )
     incomplete = shown["list --incomplete"]
-    assert incomplete.count("wider") + incomplete.count("others") == 2 * REASON.count("wider")
+    assert incomplete.count("wider") + incomplete.count("others") == 2 * REASON.count(
+        "wider"
+    )
     # A path that is a result is not broken, so that a page can be opened from the terminal.
     page = f"{'a page with blanks ' * 5}.html"
-    assert on_terminal(folder, "lab", "map", "-c", "c.sqlite", "-o", page).splitlines()[-1] == page
+    assert (
+        on_terminal(folder, "lab", "map", "-c", "c.sqlite", "-o", page).splitlines()[-1]
+        == page
+    )
 
 
 def test_ids_are_whole_however_narrow_the_terminal_is(
@@ -125,18 +157,30 @@ def test_ids_are_whole_however_narrow_the_terminal_is(
         assert second.split()[0] == long
 
 
-def test_several_shapes_are_removed_after_a_question(folder: Path, tmp_path: Path) -> None:
+def test_several_shapes_are_removed_after_a_question(
+    folder: Path, tmp_path: Path
+) -> None:
     """Not one shape, and not where nobody can answer, or with --yes."""
     catalogue = tmp_path / "c.sqlite"
     run("catalogue", "backup", folder / "c.sqlite", catalogue)
     words = ("remove", "egg0", "egg1", "-c", "c.sqlite")
     said = on_terminal(tmp_path, *words, says=True, code=1, types="n\n")
-    assert "Remove 2 shapes from c.sqlite? [y/N]" in said and "nothing was removed" in said
     assert (
-        "would remove 2 from" in run("remove", "egg0", "egg1", "-c", catalogue, "--dry-run").stderr
+        "Remove 2 shapes from c.sqlite? [y/N]" in said and "nothing was removed" in said
     )
-    assert [row["id"] for row in result("list", "-c", catalogue)] == ["bad", "egg0", "egg1", "egg2"]
-    assert "Remove" not in on_terminal(tmp_path, "remove", "bad", "-c", "c.sqlite", says=True)
+    assert (
+        "would remove 2 from"
+        in run("remove", "egg0", "egg1", "-c", catalogue, "--dry-run").stderr
+    )
+    assert [row["id"] for row in result("list", "-c", catalogue)] == [
+        "bad",
+        "egg0",
+        "egg1",
+        "egg2",
+    ]
+    assert "Remove" not in on_terminal(
+        tmp_path, "remove", "bad", "-c", "c.sqlite", says=True
+    )
     assert "removed 2 from" in on_terminal(tmp_path, *words, says=True, types="y\n")
     assert [row["id"] for row in result("list", "-c", catalogue)] == ["egg2"]
     run("catalogue", "backup", folder / "c.sqlite", tmp_path / "d.sqlite")
@@ -146,7 +190,9 @@ def test_several_shapes_are_removed_after_a_question(folder: Path, tmp_path: Pat
     assert result("list", "-c", tmp_path / "d.sqlite") == []
 
 
-def test_messages_are_broken_between_words(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_messages_are_broken_between_words(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """On a terminal; elsewhere each is one line."""
     monkeypatch.chdir(folder)
     query = ("query", "-c", "c.sqlite", "egg0")
@@ -171,10 +217,12 @@ def test_programs_get_whole_values_under_headings(
     assert row.endswith(f"  incomplete, may answer wrongly: {REASON}\n")
     rows = run("query", "-c", "c.sqlite", "egg0").stdout.splitlines()
     assert rows[0].split() == ["RANK", "DISTANCE", "SCORE", "CLASS", "ID", "FILE", "SCAN"]
-    assert [line[line.index("incomplete") :] for line in rows if "incomplete" in line] == [
-        "incomplete"
-    ]
-    starts = {line.index(word) for line, word in zip(rows, ("FILE", *[DEEP] * 3), strict=False)}
+    assert [
+        line[line.index("incomplete") :] for line in rows if "incomplete" in line
+    ] == ["incomplete"]
+    starts = {
+        line.index(word) for line, word in zip(rows, ("FILE", *[DEEP] * 3), strict=False)
+    }
     assert len(starts) == 1, "columns are aligned"
     assert not any("\x1b" in line for line in (*lines, *rows))
 
@@ -192,7 +240,9 @@ def test_colours_are_for_terminals_that_want_them(folder: Path) -> None:
 def test_wide_characters_take_two_columns(capsys: pytest.CaptureFixture[str]) -> None:
     rows = [("猫", "cat"), ("é", "e"), ("a\u0301", "a"), ("dog", "dog")]
     write_table({"ID": "text", "NAME": "text"}, rows)
-    assert capsys.readouterr().out == "ID   NAME\n猫   cat\né    e\na\u0301    a\ndog  dog\n"
+    assert (
+        capsys.readouterr().out == "ID   NAME\n猫   cat\né    e\na\u0301    a\ndog  dog\n"
+    )
 
 
 # --- waiting --------------------------------------------------------------------------------------------
@@ -220,7 +270,9 @@ def test_the_line_of_waiting_has_the_latest_message_and_makes_place_for_others(
     shown = on_terminal(tmp_path, program=WORKS, says=True)
     states = [state.strip() for state in shown.replace("\n", "\r").split("\r")]
     assert any(state.startswith("count: at work, ") for state in states)
-    counted = next(state for state in states if state.startswith("count: counted: 1 of 2 ?[31mooo"))
+    counted = next(
+        state for state in states if state.startswith("count: counted: 1 of 2 ?[31mooo")
+    )
     assert len(counted) < COLUMNS
     assert "2 of 2" not in shown, "nothing is said when results are shown"
     assert "\x1b[31mfailed:\x1b[0m the second" in states
@@ -252,7 +304,9 @@ def redirected(folder: Path, command: str) -> subprocess.CompletedProcess[str]:
 def test_what_cannot_be_printed_ends_no_batch(redirection: str, tmp_path: Path) -> None:
     """Neither messages nor results, of one good scan and one that fails."""
     (tmp_path / "scans").mkdir()
-    write_mesh(shapes.ellipsoid((1, 1, 2), subdivisions=3), tmp_path / "scans" / "egg.off")
+    write_mesh(
+        shapes.ellipsoid((1, 1, 2), subdivisions=3), tmp_path / "scans" / "egg.off"
+    )
     (tmp_path / "scans" / "flat.xyz").write_text("1 2 3\n" * 200)
     done = redirected(tmp_path, f"ingest scans -c c.sqlite --json {redirection}")
     assert done.returncode == 3, done

@@ -134,4 +134,6 @@ def test_records_that_declare_what_does_not_exist() -> None:
         ),
     ):
         with pytest.raises(OptionError, match=message):
-            Descriptor("x", lambda shape, options: Signature(np.ones(1), kind="x"), **declared)
+            Descriptor(
+                "x", lambda shape, options: Signature(np.ones(1), kind="x"), **declared
+            )

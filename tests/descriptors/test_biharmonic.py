@@ -49,7 +49,9 @@ def test_one_eigenvalue_is_positive_and_their_sum_zero() -> None:
             r_bihdm(pairs, n_values=n_values, n_modes=n_modes)
 
 
-@pytest.mark.parametrize("mesh", [shapes.body(3), shapes.torus(24, 12)], ids=["body", "torus"])
+@pytest.mark.parametrize(
+    "mesh", [shapes.body(3), shapes.torus(24, 12)], ids=["body", "torus"]
+)
 def test_the_spectrum_of_bihdm_is_that_of_the_dense_kernel(mesh: TriangleMesh) -> None:
     operator = laplace_beltrami(mesh, mass="lumped")
     pairs = eigenpairs(operator, n_pairs=N_MODES + 1)
@@ -57,7 +59,9 @@ def test_the_spectrum_of_bihdm_is_that_of_the_dense_kernel(mesh: TriangleMesh) -
     dense = np.linalg.eigvalsh(root[:, None] * squared_distances(pairs) * root)
     dense = dense[np.argsort(-np.abs(dense))]
     small = np.linalg.eigvalsh(full_matrix(pairs, N_MODES))
-    np.testing.assert_allclose(np.sort(dense[: N_MODES + 2]), np.sort(small), atol=1e-12 * dense[0])
+    np.testing.assert_allclose(
+        np.sort(dense[: N_MODES + 2]), np.sort(small), atol=1e-12 * dense[0]
+    )
     assert np.abs(dense[N_MODES + 2 :]).max() < 1e-12 * dense[0], "rank m + 2"
     reduced = np.linalg.eigvalsh(reduced_matrix(pairs, N_MODES))
     assert np.abs(reduced[-1] - dense[0]) > 1e-9 * dense[0], "R-BiHDM is another matrix"
@@ -73,7 +77,9 @@ def test_r_bihdm_approaches_bihdm_as_modes_are_added() -> None:
     assert 0 < gaps[-1] < 1e-3 * gaps[0]
 
 
-def test_sampled_eigenvalues_are_those_of_the_matrix_of_distances_between_vertices() -> None:
+def test_sampled_eigenvalues_are_those_of_the_matrix_of_distances_between_vertices() -> (
+    None
+):
     pairs = unit_eigenpairs(shapes.body(2), 31)
     distances = squared_distances(pairs)
     magnitudes = -np.linalg.eigvalsh(distances)[:9] * pairs.area / len(distances)

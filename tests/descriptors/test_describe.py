@@ -33,14 +33,20 @@ from pcretrieve.values import FloatArray, Shape, Signature, TriangleMesh
 N_VALUES = 9
 
 # With other vertex numbers the simplified mesh of the geodesic distances differs: ties are broken by number.
-TOLERANCE = dict.fromkeys(METHODS, 1e-6) | {"sd-gdm": 0.05, "sd-gdm-sampled": 0.05, "hapt": 1e-3}
+TOLERANCE = dict.fromkeys(METHODS, 1e-6) | {
+    "sd-gdm": 0.05,
+    "sd-gdm-sampled": 0.05,
+    "hapt": 1e-3,
+}
 
 
 @pytest.fixture(params=METHODS)
 def method(request: pytest.FixtureRequest) -> str:
     name: str = request.param
     if name.startswith("sd-gdm"):
-        pytest.importorskip("potpourri3d", reason="geodesic distances come from potpourri3d")
+        pytest.importorskip(
+            "potpourri3d", reason="geodesic distances come from potpourri3d"
+        )
     return name
 
 
@@ -72,7 +78,9 @@ LENGTHS = {
     "ispm": (1 + 2 + 4 + 8) * N_VALUES,
     "hapt": 5 * 9,
     "moments": 6,
-    **dict.fromkeys(("hks-bow-spatial", "si-hks-bow-spatial"), N_VALUES * (N_VALUES + 1) // 2),
+    **dict.fromkeys(
+        ("hks-bow-spatial", "si-hks-bow-spatial"), N_VALUES * (N_VALUES + 1) // 2
+    ),
     **dict.fromkeys(("dl", "dl-supervised"), 32),
 }
 
@@ -117,15 +125,22 @@ def test_size_is_kept_where_it_is_asked_for_and_nowhere_else(method: str) -> Non
         return
     power, absolute = np.array(POWERS[method]), values(twice, method, "absolute")
     np.testing.assert_allclose(by_area * twice.area ** (power / 2), absolute, rtol=1e-5)
-    np.testing.assert_allclose(absolute / values(body(), method, "absolute"), 2.0**power, rtol=1e-5)
+    np.testing.assert_allclose(
+        absolute / values(body(), method, "absolute"), 2.0**power, rtol=1e-5
+    )
 
 
 @pytest.mark.parametrize("function", [r_bihdm, bihdm])
 def test_a_descriptor_by_itself_is_that_of_the_default_options(
     function: Callable[..., Signature],
 ) -> None:
-    described = describe(body(), SignatureOptions(method=function.__name__.replace("_", "-")))
-    by_itself, relative = function(body().spectrum), function(body().spectrum, scale="relative")
+    described = describe(
+        body(), SignatureOptions(method=function.__name__.replace("_", "-"))
+    )
+    by_itself, relative = (
+        function(body().spectrum),
+        function(body().spectrum, scale="relative"),
+    )
     assert (described, described.digest) == (by_itself, by_itself.digest)
     assert not np.allclose(described.values, relative.values, rtol=0.1)
 
@@ -137,13 +152,20 @@ def test_the_compact_shape_descriptor_of_a_sphere_is_that_of_each_of_its_points(
     found = csd(pairs, 9, n_modes=48).values
     np.testing.assert_allclose(found[:6], 6**-0.5, rtol=0.02)
     times = np.geomspace(0.001, 1, 97)
-    kernel = np.exp(-4 * np.pi * np.outer(times, degrees * (degrees + 1))) @ (2 * degrees + 1)
+    kernel = np.exp(-4 * np.pi * np.outer(times, degrees * (degrees + 1))) @ (
+        2 * degrees + 1
+    )
     frequencies = np.abs(np.fft.rfft(np.diff(np.log(kernel))))[:3]
-    np.testing.assert_allclose(found[6:], frequencies / np.linalg.norm(frequencies), atol=0.002)
-    assert len(csd(body().eigenpairs, 147).values) == 147  # as the heat kernel has frequencies
+    np.testing.assert_allclose(
+        found[6:], frequencies / np.linalg.norm(frequencies), atol=0.002
+    )
+    assert (
+        len(csd(body().eigenpairs, 147).values) == 147
+    )  # as the heat kernel has frequencies
     for n_values in (2, 148):
         with pytest.raises(
-            OptionError, match=f"n_values must be between 3 and 147 for csd, got {n_values}"
+            OptionError,
+            match=f"n_values must be between 3 and 147 for csd, got {n_values}",
         ):
             csd(body().eigenpairs, n_values)
 
@@ -151,7 +173,9 @@ def test_the_compact_shape_descriptor_of_a_sphere_is_that_of_each_of_its_points(
 def test_shape_dna_by_its_first_value_is_a_ratio_that_needs_no_area() -> None:
     spectrum = body().spectrum
     ratios = shape_dna(spectrum, 8, normalized_by="first").values
-    np.testing.assert_allclose(1 / ratios, spectrum.eigenvalues[2:10] / spectrum.eigenvalues[1])
+    np.testing.assert_allclose(
+        1 / ratios, spectrum.eigenvalues[2:10] / spectrum.eigenvalues[1]
+    )
 
 
 def test_waves_are_spread_evenly_over_a_sphere_only() -> None:
@@ -193,17 +217,24 @@ def test_a_shape_of_several_surfaces_is_described_by_their_mean(method: str) -> 
     assert mean.errors.max() > 0
     assert describe(body(), options(method)).errors is None
     log = np.log if mean.metric == "logarithms" else np.asarray
-    rows = np.array([log(describe(shape, options(method)).values) for shape in (body(), longer())])
+    rows = np.array(
+        [log(describe(shape, options(method)).values) for shape in (body(), longer())]
+    )
     np.testing.assert_allclose(log(mean.values), rows.mean(axis=0), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(mean.errors, np.abs(rows[0] - rows[1]) / np.sqrt(2), atol=1e-12)
+    np.testing.assert_allclose(
+        mean.errors, np.abs(rows[0] - rows[1]) / np.sqrt(2), atol=1e-12
+    )
 
 
 def test_size_is_one_value_more_beside_the_form(method: str) -> None:
-    shape = Shape((replace(body().surfaces[0], area=3.0), replace(longer().surfaces[0], area=3.3)))
+    shape = Shape(
+        (replace(body().surfaces[0], area=3.0), replace(longer().surfaces[0], area=3.3))
+    )
     weighted = options(method).model_copy(update={"size_weight": 6.0})
     if DESCRIPTORS[method].metric == "histograms":
         with pytest.raises(
-            OptionError, match=f"size_weight must be 0 for {method}, whose values are a hist"
+            OptionError,
+            match=f"size_weight must be 0 for {method}, whose values are a hist",
         ):
             describe(shape, weighted)
         return

@@ -8,7 +8,13 @@ import shapes
 import trimesh
 
 from pcretrieve.descriptors import hapt
-from pcretrieve.descriptors.hapt import CELL, _vertex_normals, interior, moments, projected_areas
+from pcretrieve.descriptors.hapt import (
+    CELL,
+    _vertex_normals,
+    interior,
+    moments,
+    projected_areas,
+)
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.points.grid import Grid
 from pcretrieve.values import FloatArray, TriangleMesh
@@ -35,10 +41,19 @@ def tube(radius: float, length: float, *, bend: float = 0.0) -> TriangleMesh:
         )
     here = np.arange(x.size).reshape(x.shape)
     beside = np.roll(here, -1, axis=1)
-    a, b, c, d = (corner.ravel() for corner in (here[:-1], beside[:-1], beside[1:], here[1:]))
+    a, b, c, d = (
+        corner.ravel() for corner in (here[:-1], beside[:-1], beside[1:], here[1:])
+    )
     first, last = np.full(n_around, x.size), np.full(n_around, x.size + 1)
-    faces = ((a, b, c), (a, c, d), (beside[0], here[0], first), (here[-1], beside[-1], last))
-    return TriangleMesh(vertices, np.concatenate([np.column_stack(corners) for corners in faces]))
+    faces = (
+        (a, b, c),
+        (a, c, d),
+        (beside[0], here[0], first),
+        (here[-1], beside[-1], last),
+    )
+    return TriangleMesh(
+        vertices, np.concatenate([np.column_stack(corners) for corners in faces])
+    )
 
 
 def roots(mesh: TriangleMesh) -> FloatArray:
@@ -50,7 +65,9 @@ def test_the_area_of_a_sphere_arrives_at_its_centre() -> None:
     radius = 1 / np.sqrt(4 * np.pi)
     transform = projected_areas(shapes.icosphere(4), np.array([radius]), 0.25)
     assert transform.max() == pytest.approx(1, abs=0.01)
-    assert transform.shape[1] * CELL**3 == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.01)
+    assert transform.shape[1] * CELL**3 == pytest.approx(
+        4 / 3 * np.pi * radius**3, rel=0.01
+    )
     expected = radius * np.repeat(np.sqrt([1 / 3, 3 / 5]), 3)  # σ² = R² / 3, m₄ = R⁴ / 5
     np.testing.assert_allclose(moments(shapes.icosphere(4)).values, expected, rtol=0.01)
 
@@ -81,7 +98,9 @@ def test_rotation_reflection_scale_and_orientation_change_nothing(make) -> None:
     expected = make(body).values
     turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     for moved in (turn, turn @ np.diag([1.0, 1.0, -1.0])):  # one of them is a reflection
-        found = make(TriangleMesh(3e-4 * body.vertices @ moved + [5, -7, 1], body.faces)).values
+        found = make(
+            TriangleMesh(3e-4 * body.vertices @ moved + [5, -7, 1], body.faces)
+        ).values
         np.testing.assert_allclose(found, expected, atol=2e-6)
     turned = TriangleMesh(body.vertices, body.faces[:, ::-1])
     np.testing.assert_allclose(make(turned).values, expected, rtol=1e-12)
@@ -121,7 +140,9 @@ def filled(mesh: TriangleMesh, around: TriangleMesh) -> tuple[np.ndarray, FloatA
 
 def test_voxels_of_a_ball_are_inside_and_those_of_a_cavity_are_not() -> None:
     ball, inner = shapes.icosphere(4), shapes.icosphere(3, radius=0.6)
-    turned, cavity = (TriangleMesh(mesh.vertices, mesh.faces[:, ::-1]) for mesh in (ball, inner))
+    turned, cavity = (
+        TriangleMesh(mesh.vertices, mesh.faces[:, ::-1]) for mesh in (ball, inner)
+    )
     above = ball.vertices[ball.faces].mean(axis=1)[:, 2] > 0.95
     # A hole is closed by the lines along two other axes.
     pricked = TriangleMesh(ball.vertices, ball.faces[~above])
@@ -129,13 +150,18 @@ def test_voxels_of_a_ball_are_inside_and_those_of_a_cavity_are_not() -> None:
         inside, distance = filled(mesh, ball)
         assert inside[distance < depth].all() and not inside[distance > 1].any()
     inside, distance = filled(shapes.joined(ball, cavity), ball)
-    assert inside[(distance > 0.62) & (distance < 0.97)].all() and not inside[distance < 0.58].any()
+    assert (
+        inside[(distance > 0.62) & (distance < 0.97)].all()
+        and not inside[distance < 0.58].any()
+    )
 
 
 def test_lines_through_vertices_and_edges_are_counted_once() -> None:
     """A cube whose vertices, edges and faces are on the lines of the grid."""
     corners = (
-        np.array(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij")).reshape(3, -1).T
+        np.array(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij"))
+        .reshape(3, -1)
+        .T
     )
     faces = np.array(
         [
@@ -143,7 +169,11 @@ def test_lines_through_vertices_and_edges_are_counted_once() -> None:
             *([2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]),
         ]
     )
-    inside = interior(TriangleMesh(corners, faces), Grid(np.full(3, -0.5), 0.25, (9, 9, 9)))
-    assert inside[3:6, 3:6, 3:6].all(), "the voxels whose centres are inside, not on the surface"
+    inside = interior(
+        TriangleMesh(corners, faces), Grid(np.full(3, -0.5), 0.25, (9, 9, 9))
+    )
+    assert inside[3:6, 3:6, 3:6].all(), (
+        "the voxels whose centres are inside, not on the surface"
+    )
     inside[2:7, 2:7, 2:7] = False
     assert not inside.any()

@@ -29,18 +29,26 @@ def test_rays_meet_the_same_in_any_unit() -> None:
             np.testing.assert_array_equal(found, known)
         unscaled = there.cast(unit * origins, directions)[0]
         np.testing.assert_array_equal(unscaled / unit, expected[0])
-        np.testing.assert_array_equal(there.distance(unit * origins) / unit, here.distance(origins))
+        np.testing.assert_array_equal(
+            there.distance(unit * origins) / unit, here.distance(origins)
+        )
 
 
 def test_rays_meet_the_sphere_where_they_should_even_far_from_the_origin() -> None:
     """In single precision, its vertices would be 64 or more apart there, or coincide."""
     origins = np.array([[3.0, 0.1, 0.2], [3.0, 0.0, 0.0], [0.0, 0.0, 5.0]])
     directions = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -2.0]])
-    for place in (np.zeros(3), np.array([2.0**20, -(2.0**24), 0]), np.array([0, 3e8, 1e9])):
+    for place in (
+        np.zeros(3),
+        np.array([2.0**20, -(2.0**24), 0]),
+        np.array([0, 3e8, 1e9]),
+    ):
         scene = RayScene(BALL.vertices + place, BALL.faces)
         distance, normals, face = scene.cast(origins + place, directions)
         # The last in lengths of the direction.
-        np.testing.assert_allclose(distance, [3 - np.sqrt(1 - 0.05), np.inf, 2.0], atol=0.01)
+        np.testing.assert_allclose(
+            distance, [3 - np.sqrt(1 - 0.05), np.inf, 2.0], atol=0.01
+        )
         assert face[1] == -1
         for ray in (0, 2):
             corners = BALL.vertices[BALL.faces[face[ray]]]

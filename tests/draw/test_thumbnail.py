@@ -23,7 +23,14 @@ def thumbnail(mesh: TriangleMesh, **more: float) -> bytes:
 
 
 CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float) / 2
-CUBE_SIDES = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+CUBE_SIDES = [
+    [0, 1, 3, 2],
+    [4, 6, 7, 5],
+    [0, 4, 5, 1],
+    [2, 3, 7, 6],
+    [0, 2, 6, 4],
+    [1, 5, 7, 3],
+]
 
 
 def surface(vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh:
@@ -31,9 +38,12 @@ def surface(vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh:
     return TriangleMesh(points.astype(np.float64), corners.astype(np.int32))
 
 
-def box(centre: tuple[float, float, float], sides: tuple[float, float, float]) -> TriangleMesh:
+def box(
+    centre: tuple[float, float, float], sides: tuple[float, float, float]
+) -> TriangleMesh:
     return surface(
-        CUBE * sides + centre, [side[:k] + side[k + 1 :] for side in CUBE_SIDES for k in (1, 3)]
+        CUBE * sides + centre,
+        [side[:k] + side[k + 1 :] for side in CUBE_SIDES for k in (1, 3)],
     )
 
 
@@ -42,19 +52,30 @@ def pear() -> TriangleMesh:
     ball = icosphere(5)
     x, y, z = ball.vertices.T
     moved = np.stack(
-        [1.1 * x + 0.35 * y**2, 2 * y * (1.3 + 0.6 * y), 0.6 * z + 0.2 * x**2 + 0.1 * x * y], axis=1
+        [
+            1.1 * x + 0.35 * y**2,
+            2 * y * (1.3 + 0.6 * y),
+            0.6 * z + 0.2 * x**2 + 0.1 * x * y,
+        ],
+        axis=1,
     )
     return TriangleMesh(moved, ball.faces)
 
 
 def horse() -> TriangleMesh:
-    legs = [box((x, -0.9, z), (0.15, 1.2, 0.1)) for x in (-0.9, 0.9) for z in (-0.15, 0.15)]
-    return joined(box((0, 0, 0), (2.2, 0.7, 0.5)), box((1.3, 0.4, 0), (0.4, 0.5, 0.3)), *legs)
+    legs = [
+        box((x, -0.9, z), (0.15, 1.2, 0.1)) for x in (-0.9, 0.9) for z in (-0.15, 0.15)
+    ]
+    return joined(
+        box((0, 0, 0), (2.2, 0.7, 0.5)), box((1.3, 0.4, 0), (0.4, 0.5, 0.3)), *legs
+    )
 
 
 def person() -> TriangleMesh:
     legs = [box((x, -1.2, 0), (0.2, 1.4, 0.15)) for x in (-0.2, 0.2)]
-    return joined(box((0, 0, 0), (0.7, 1.2, 0.4)), box((0, 0.8, 0), (0.3, 0.3, 0.3)), *legs)
+    return joined(
+        box((0, 0, 0), (0.7, 1.2, 0.4)), box((0, 0.8, 0), (0.3, 0.3, 0.3)), *legs
+    )
 
 
 def any_turn(seed: int) -> Rotation:
@@ -114,7 +135,9 @@ def test_bodies_stand_on_their_legs_and_their_pictures_tell() -> None:
 
 def test_people_are_upright_in_every_pose() -> None:
     subject = make_subject("person", np.random.default_rng(3))
-    for seed, pose in enumerate(("stand", "sit", "run", "point", "kick", "crouch", "bow")):
+    for seed, pose in enumerate(
+        ("stand", "sit", "run", "point", "kick", "crouch", "bow")
+    ):
         mesh, rotation = body(subject, POSES["person"][pose]), any_turn(seed)
         _, up, towards = draw_axes.body_axes(turned(mesh, rotation).vertices, mesh.faces)
         assert towards @ rotation.apply([0, 0, 1]) > -0.3, f"{pose} is seen from behind"
@@ -142,18 +165,25 @@ def test_a_scan_stands_on_the_ground_that_was_removed() -> None:
     mesh = person()
     assert mesh.up is None
     crop = Step("crop", 0.1, {"up_x": 0.0, "up_y": 0.0, "up_z": -1.0})
-    scanned = replace(mesh, provenance=(Step("read", 0.1), crop, Step("reconstruct", 0.1)))
+    scanned = replace(
+        mesh, provenance=(Step("read", 0.1), crop, Step("reconstruct", 0.1))
+    )
     np.testing.assert_array_equal(scanned.up, [0, 0, -1])
 
 
 def test_a_surface_without_area_cannot_be_drawn() -> None:
-    for mesh in (surface([], []), surface([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]])):
+    for mesh in (
+        surface([], []),
+        surface([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]]),
+    ):
         assert drawing.thumbnail(mesh.vertices, mesh.faces) is None
 
 
 def test_a_cloud_looks_like_its_surface() -> None:
     mesh = pear()
     points = mesh.vertices[mesh.faces].mean(axis=1)
-    here, there = (covered(drawing.cloud_thumbnail(cloud)) for cloud in (points, 1000 * points + 5))
+    here, there = (
+        covered(drawing.cloud_thumbnail(cloud)) for cloud in (points, 1000 * points + 5)
+    )
     assert 0.1 < here.mean() < 0.8
     np.testing.assert_array_equal(here, there)

@@ -19,7 +19,13 @@ from pcretrieve.evaluation.rankings import (
     within_class_subsets,
 )
 from pcretrieve.options import RetrievalOptions
-from pcretrieve.retrieval import DISTANCES, DistanceBlock, coordinates, fit_whitening, pairwise
+from pcretrieve.retrieval import (
+    DISTANCES,
+    DistanceBlock,
+    coordinates,
+    fit_whitening,
+    pairwise,
+)
 from pcretrieve.retrieval.reranking import NeighbourLists, rerank
 from pcretrieve.values import SignatureTable
 
@@ -94,10 +100,14 @@ def test_queries_are_ranked_against_the_whole_gallery_or_re_ranked_in_their_fold
 
 @pytest.mark.parametrize("whitening", ["none", "pca", "within-class"])
 @pytest.mark.parametrize("distance", DISTANCES)
-def test_an_evaluation_whitens_the_gallery_in_any_order(distance: str, whitening: str) -> None:
+def test_an_evaluation_whitens_the_gallery_in_any_order(
+    distance: str, whitening: str
+) -> None:
     table = a_table()
     options = RetrievalOptions(distance=distance, whitening=whitening)
-    shuffled = table.select([table.ids[i] for i in np.random.default_rng(5).permutation(60)])
+    shuffled = table.select(
+        [table.ids[i] for i in np.random.default_rng(5).permutation(60)]
+    )
     measured = asdict(evaluate_table(table, options))
     assert asdict(evaluate_table(shuffled, options)) == pytest.approx(measured)
     if whitening == "within-class":
@@ -130,7 +140,9 @@ def test_re_ranking_keeps_the_nearest_shape_and_gives_the_plain_rankings_too(
 def test_overlapping_classes_are_ranked_better() -> None:
     table = round_classes(noise=0.45)
     plain = evaluate_table(table, PLAIN)
-    again = evaluate_table(table, RetrievalOptions(whitening="none", rerank="k-reciprocal"))
+    again = evaluate_table(
+        table, RetrievalOptions(whitening="none", rerank="k-reciprocal")
+    )
     assert plain.map < 0.9
     assert again.map > plain.map + 0.03
 
@@ -146,11 +158,14 @@ def test_ranks_are_those_of_the_re_ranked_lists_and_then_of_the_distances() -> N
     found = rank_subsets([Subset(np.arange(n), [block])], ids, labels, again=True)[0]
     own_first = np.where(np.eye(n, dtype=bool), -1, distances)
     nearest = np.argsort(own_first, axis=1, kind="stable")[:, :101]
-    again = rerank(NeighbourLists(nearest, np.take_along_axis(distances, nearest, axis=1)))
+    again = rerank(
+        NeighbourLists(nearest, np.take_along_axis(distances, nearest, axis=1))
+    )
     for number, query in enumerate(map(int, found.ids)):
         order = list(again[query])
         rest = sorted(
-            set(range(n)).difference(order), key=lambda other: (distances[query, other], other)
+            set(range(n)).difference(order),
+            key=lambda other: (distances[query, other], other),
         )
         ranked = [labels[other] == labels[query] for other in order + rest]
         expected = np.flatnonzero(ranked)[1:]

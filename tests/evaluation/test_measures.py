@@ -36,17 +36,26 @@ def rank_gallery(
     labels: Sequence[str | None],
     failed: Mapping[str, str | None] = NO_FAILURES,
 ) -> Rankings:
-    return rank_subsets([Subset(np.arange(len(ids)), blocks)], ids, labels, failed=failed)[0]
+    return rank_subsets(
+        [Subset(np.arange(len(ids)), blocks)], ids, labels, failed=failed
+    )[0]
 
 
-def ranked(orders: dict[str, str], labels: Mapping[str, str], failed: str = "") -> Rankings:
+def ranked(
+    orders: dict[str, str], labels: Mapping[str, str], failed: str = ""
+) -> Rankings:
     """Shapes that find each other in these orders; and failed ones of some classes."""
     distances = [
-        [0 if j == i else 1 + order.index(j) for j in orders] for i, order in orders.items()
+        [0 if j == i else 1 + order.index(j) for j in orders]
+        for i, order in orders.items()
     ]
     block = DistanceBlock(np.arange(len(orders)), np.array(distances, dtype=np.float64))
-    lost: dict[str, str | None] = {f"failed {number}": label for number, label in enumerate(failed)}
-    return rank_gallery([block], list(orders), [labels.get(i) for i in orders], failed=lost)
+    lost: dict[str, str | None] = {
+        f"failed {number}": label for number, label in enumerate(failed)
+    }
+    return rank_gallery(
+        [block], list(orders), [labels.get(i) for i in orders], failed=lost
+    )
 
 
 def by_rows(distances: FloatArray) -> Iterator[DistanceBlock]:
@@ -82,7 +91,9 @@ def test_rows_of_plain_distances_are_in_order() -> None:
 
 def test_distances_that_fit_no_labels_are_refused() -> None:
     square = np.ones((3, 3))
-    with pytest.raises(BenchmarkError, match="no row of the distances has a class: give labels"):
+    with pytest.raises(
+        BenchmarkError, match="no row of the distances has a class: give labels"
+    ):
         pr.evaluate(square)
     with pytest.raises(InputError, match=r"labels must be as many as ids \(3\), got 2"):
         pr.evaluate(square, ["a", "a"])
@@ -90,7 +101,9 @@ def test_distances_that_fit_no_labels_are_refused() -> None:
         InputError, match=r"a distance matrix must have shape \(2, 2\), got \(2, 3\)"
     ):
         pr.evaluate(square[:2], ["a", "a"])
-    with pytest.raises(InputError, match="labels of a catalogue must be a label file or a layout"):
+    with pytest.raises(
+        InputError, match="labels of a catalogue must be a label file or a layout"
+    ):
         pr.evaluate("bodies.sqlite", ["a", "a"])
 
 
@@ -106,13 +119,19 @@ def test_hand_worked_scores() -> None:
     # All 4 others are among the 32 nearest: recall is 1, precision R / 4.
     np.testing.assert_allclose(scores.e, [2 / 3, 2 / 3, 2 / 3, 2 / 5, 2 / 5])
     # Ranks 1 and 2 gain 1 each, rank 3 gains 1 / log₂ 3 and rank 4 a half.
-    np.testing.assert_allclose(scores.dcg, [(1 + third) / 2, (third + 1 / 2) / 2, 1, 1, 1])
-    np.testing.assert_allclose(scores.ap, [(1 + 2 / 3) / 2, (1 / 3 + 2 / 4) / 2, 1, 1, 1 / 2])
+    np.testing.assert_allclose(
+        scores.dcg, [(1 + third) / 2, (third + 1 / 2) / 2, 1, 1, 1]
+    )
+    np.testing.assert_allclose(
+        scores.ap, [(1 + 2 / 3) / 2, (1 / 3 + 2 / 4) / 2, 1, 1, 1 / 2]
+    )
     means = evaluate_rankings(result)
     values = [getattr(means, name) for name in MEASURES]
     assert values == pytest.approx(scores.columns.mean(axis=0).tolist())
     assert means.nn == pytest.approx(3 / 5)
-    macro = evaluate_rankings(result, average="macro")  # in which the classes have one weight
+    macro = evaluate_rankings(
+        result, average="macro"
+    )  # in which the classes have one weight
     assert macro.nn == pytest.approx((2 / 3 + 1 / 2) / 2)
     assert (means.n_queries, means.n_failed, means.n_single) == (5, 0, 0)
 
@@ -120,10 +139,14 @@ def test_hand_worked_scores() -> None:
 def test_shapes_that_are_no_queries_stand_in_the_way() -> None:
     """A class of one, and shapes without a label, which have no class in common."""
     labels = {"a": "A", "b": "A"}
-    alone = evaluate_rankings(ranked({"a": "xb", "b": "xa", "x": "ab"}, {**labels, "x": "alone"}))
+    alone = evaluate_rankings(
+        ranked({"a": "xb", "b": "xa", "x": "ab"}, {**labels, "x": "alone"})
+    )
     assert (alone.n_queries, alone.n_single) == (2, 1)
     assert (alone.nn, alone.st, alone.map) == (0, 1, 1 / 2)
-    strangers = evaluate_rankings(ranked({"a": "xyb", "b": "ayx", "x": "yab", "y": "xab"}, labels))
+    strangers = evaluate_rankings(
+        ranked({"a": "xyb", "b": "ayx", "x": "yab", "y": "xab"}, labels)
+    )
     assert (strangers.n_queries, strangers.n_single) == (2, 0)
     # The second tier of a class of two has two places, and b is third on a's list.
     assert (strangers.nn, strangers.st, strangers.map) == (1 / 2, 1 / 2, (1 / 3 + 1) / 2)
@@ -148,11 +171,15 @@ def test_classes_larger_than_the_list_of_e_and_than_the_second_tier() -> None:
 
     def of_class_at(own: float) -> RetrievalMeasures:
         rows = np.tile(np.where(np.arange(45) < 40, own, 1.5), (40, 1))
-        return evaluate_rankings(rank_gallery([DistanceBlock(np.arange(40), rows)], ids, labels))
+        return evaluate_rankings(
+            rank_gallery([DistanceBlock(np.arange(40), rows)], ids, labels)
+        )
 
     near, far = of_class_at(1.0), of_class_at(2.0)
     assert near.e == pytest.approx(2 / (1 / 1 + 39 / 32))
-    assert (near.nn, near.ft, near.st, near.dcg, near.map) == pytest.approx((1, 1, 1, 1, 1))
+    assert (near.nn, near.ft, near.st, near.dcg, near.map) == pytest.approx(
+        (1, 1, 1, 1, 1)
+    )
     assert (far.nn, far.st) == (0, 1)
     assert far.ft == pytest.approx(34 / 39)
     assert far.e == pytest.approx(2 * 27 / (32 + 39))
@@ -164,16 +191,22 @@ def test_ranks_are_those_of_sorting_by_distance_and_id() -> None:
 
     rng = np.random.default_rng(0)
     labels: list[str | None] = [f"class {number}" for number in rng.integers(0, 8, 200)]
-    ids, distances = [f"T{number}" for number in rng.permutation(200)], rng.random((200, 200))
+    ids, distances = (
+        [f"T{number}" for number in rng.permutation(200)],
+        rng.random((200, 200)),
+    )
     result = rank_gallery(by_rows(np.round(distances, 1)), ids, labels)
     assert (
-        rank_gallery([DistanceBlock(np.arange(200), np.round(distances, 1))], ids, labels) == result
+        rank_gallery([DistanceBlock(np.arange(200), np.round(distances, 1))], ids, labels)
+        == result
     )
     scores = query_scores(rank_gallery(by_rows(distances), ids, labels))
     names = np.array(labels, dtype=str)
     rates, pairs = verification(result.genuine, result.impostor), ~np.eye(200, dtype=bool)
     same = (names[:, None] == names)[pairs]
-    matched, accepted, _ = roc_curve(same, -np.round(distances, 1)[pairs], drop_intermediate=False)
+    matched, accepted, _ = roc_curve(
+        same, -np.round(distances, 1)[pairs], drop_intermediate=False
+    )
     assert rates is not None
     np.testing.assert_allclose(rates.false_match, matched)
     np.testing.assert_allclose(1 - rates.false_non_match, accepted, atol=1e-12)
@@ -185,7 +218,9 @@ def test_ranks_are_those_of_sorting_by_distance_and_id() -> None:
         )
         assert scores.ap[query] == pytest.approx(precision)
         others.sort(key=lambda i: (round(distances[query, i], 1), ids[i]))
-        expected = [rank for rank, i in enumerate(others, start=1) if labels[i] == labels[query]]
+        expected = [
+            rank for rank, i in enumerate(others, start=1) if labels[i] == labels[query]
+        ]
         assert result.hit_rank[result.hit_query == query].tolist() == expected
 
 
@@ -204,7 +239,9 @@ def test_precision_recall_hand_worked() -> None:
     )
     curve = precision_recall(result, n_points=5)
     assert curve.recall.tolist() == [0, 0.25, 0.5, 0.75, 1]
-    np.testing.assert_allclose(curve.precision, [1, 1, 1, (2 / 3 + 1 + 1) / 3, (2 / 3 + 1 + 1) / 3])
+    np.testing.assert_allclose(
+        curve.precision, [1, 1, 1, (2 / 3 + 1 + 1) / 3, (2 / 3 + 1 + 1) / 3]
+    )
 
 
 # --- classes and files ----------------------------------------------------------------------------------
@@ -212,7 +249,14 @@ def test_precision_recall_hand_worked() -> None:
 
 def test_measures_confusions_and_files_of_classes(tmp_path: Path) -> None:
     """X = abc, Y = de and a failed shape; and z has no class."""
-    orders = {"a": "bczde", "b": "dacez", "c": "zabde", "d": "eabcz", "e": "abcdz", "z": "abcde"}
+    orders = {
+        "a": "bczde",
+        "b": "dacez",
+        "c": "zabde",
+        "d": "eabcz",
+        "e": "abcdz",
+        "z": "abcde",
+    }
     result = ranked(orders, dict(zip("abcde", "XXXYY", strict=True)), failed="Y")
     scores = query_scores(result)
     x, y = class_measures(result)
@@ -248,7 +292,10 @@ def test_measures_confusions_and_files_of_classes(tmp_path: Path) -> None:
 def test_files_that_hold_no_measures(tmp_path: Path) -> None:
     head = "id,label,nn,ft,st,e,dcg"
     for text, message in (
-        (f"{head}\na,X,1,1,1,1,1\n", "must have the columns id, label, nn, ft, st, e, dcg, ap"),
+        (
+            f"{head}\na,X,1,1,1,1,1\n",
+            "must have the columns id, label, nn, ft, st, e, dcg, ap",
+        ),
         (f"{head},ap\na,X,1,1,1,1,1,one\n", "must have the columns"),
         (f"{head},ap\na,X,1,1,1,1\n", "must have the columns"),
         (f"{head},ap\n", "must have each query once, got 0 rows of 0 queries"),
@@ -293,7 +340,9 @@ def test_queries_are_matched_by_their_ids() -> None:
     """The largest changes come first; queries that one result lacks are left out and named."""
     order = np.random.default_rng(2).permutation(100)
     changed = EASE / 2 + 0.25
-    shuffled = replace(equal_scores(changed[order]), ids=tuple(f"{row:03}" for row in order))
+    shuffled = replace(
+        equal_scores(changed[order]), ids=tuple(f"{row:03}" for row in order)
+    )
     found = compare_scores(equal_scores(EASE), shuffled)
     np.testing.assert_allclose(found.difference, (changed - EASE).mean())
     steps = [abs(one.second - one.first) for one in found.changes]
@@ -308,11 +357,14 @@ def test_queries_are_matched_by_their_ids() -> None:
 
 
 def test_results_of_other_shapes_or_classes() -> None:
-    with pytest.raises(InputError, match="must have queries in common, got none of 100 and 100"):
+    with pytest.raises(
+        InputError, match="must have queries in common, got none of 100 and 100"
+    ):
         compare_scores(equal_scores(EASE), equal_scores(EASE, start=500))
     other = replace(equal_scores(EASE), labels=("X",) * 98 + ("Y", "Z"))
     with pytest.raises(
-        InputError, match="the same class in both results, 2 have another, such as 098, 099"
+        InputError,
+        match="the same class in both results, 2 have another, such as 098, 099",
     ):
         compare_scores(equal_scores(EASE), other)
 
@@ -320,6 +372,10 @@ def test_results_of_other_shapes_or_classes() -> None:
 def test_the_interval_agrees_with_that_of_scipy() -> None:
     values = np.random.default_rng(0).beta(5, 1, size=(200, 2))
     low, high = bootstrap_interval(values, level=0.9)
-    expected = bootstrap((values,), np.mean, confidence_level=0.9, method="percentile", rng=1)
+    expected = bootstrap(
+        (values,), np.mean, confidence_level=0.9, method="percentile", rng=1
+    )
     ends = expected.confidence_interval
-    assert (np.abs([low - ends.low, high - ends.high]) < 0.1 * (ends.high - ends.low)).all()
+    assert (
+        np.abs([low - ends.low, high - ends.high]) < 0.1 * (ends.high - ends.low)
+    ).all()

@@ -53,7 +53,8 @@ TABLES = {
     "named.csv": "id,intensity,z,y,x\n"
     + "\n".join(f"P{k},5,{z},{y},{x}" for k, (x, y, z) in enumerate(POINTS)),
     "pandas.csv": ",x,y,z\n" + lines("17,{},{},{}"),
-    "words_in_names.txt": "Point ID\tX coord\tY coord\tZ coord\n" + lines("17\t{}\t{}\t{}"),
+    "words_in_names.txt": "Point ID\tX coord\tY coord\tZ coord\n"
+    + lines("17\t{}\t{}\t{}"),
     "more_columns.asc": "# x y z\n" + lines("{} {} {} 17 18"),
     "words_behind.txt": lines("{} {} {} ground"),
     "bom.txt": "\ufeff" + lines("{} {} {}"),
@@ -104,7 +105,9 @@ def test_normals_that_are_named_or_of_unit_length_are_no_colours(tmp_path: Path)
         ("plain.txt", "", "{} {} {} {} {} {}"),
         ("plain.xyzn", "", "{} {} {} {} {} {}"),
     ):
-        (tmp_path / name).write_text(header + "\n".join(form.format(*row) for row in rows.tolist()))
+        (tmp_path / name).write_text(
+            header + "\n".join(form.format(*row) for row in rows.tolist())
+        )
         found = cloud(tmp_path / name)
         np.testing.assert_array_equal(found.points, 3 * BALL.vertices)
         assert found.normals is not None, name
@@ -122,7 +125,9 @@ def test_what_is_left_out_is_noted(tmp_path: Path) -> None:
         "dropped 2 of 7 points at zero: readings without an answer",
         "dropped 1 of 5 points that were NaN or infinite",
     )
-    (tmp_path / "a.xyzn").write_text("0 0 0 1 0 0\nnan 0 0 0 1 0\n1 2 3 0 0 1\n1 inf 3 0 0 1\n")
+    (tmp_path / "a.xyzn").write_text(
+        "0 0 0 1 0 0\nnan 0 0 0 1 0\n1 2 3 0 0 1\n1 inf 3 0 0 1\n"
+    )
     found = cloud(tmp_path / "a.xyzn")
     np.testing.assert_array_equal(found.points, [[0, 0, 0], [1, 2, 3]])
     np.testing.assert_array_equal(found.normals, [[1, 0, 0], [0, 0, 1]])
@@ -145,7 +150,12 @@ def test_what_is_left_out_is_noted(tmp_path: Path) -> None:
 
 def test_arrays_of_points(tmp_path: Path) -> None:
     for array in (
-        *(POINTS, np.asfortranarray(POINTS), POINTS.astype(np.float32), POINTS.astype(">f8")),
+        *(
+            POINTS,
+            np.asfortranarray(POINTS),
+            POINTS.astype(np.float32),
+            POINTS.astype(">f8"),
+        ),
         *(np.column_stack([POINTS, np.arange(5)]), POINTS[:4].reshape(2, 2, 3)),
         (1000 * POINTS).astype(np.int16),
     ):
@@ -156,10 +166,14 @@ def test_arrays_of_points(tmp_path: Path) -> None:
             np.testing.assert_array_equal(cloud(tmp_path / name).points, expected)
         assert is_scan(tmp_path / "a.npy")
     rows = np.column_stack([BALL.vertices, np.ones(42), NORMALS])
-    types = [(name, np.float64) for name in ("x", "y", "z", "intensity", "nx", "ny", "nz")]
+    types = [
+        (name, np.float64) for name in ("x", "y", "z", "intensity", "nx", "ny", "nz")
+    ]
     np.save(tmp_path / "records.npy", np.array([tuple(row) for row in rows], dtype=types))
     np.save(tmp_path / "table.npy", rows[:, [0, 1, 2, 4, 5, 6]])
-    np.savez(tmp_path / "named.npz", xyz=BALL.vertices, normals=NORMALS, viewpoint=[0, 0, 9.0])
+    np.savez(
+        tmp_path / "named.npz", xyz=BALL.vertices, normals=NORMALS, viewpoint=[0, 0, 9.0]
+    )
     for name in ("records.npy", "table.npy", "named.npz"):
         found = cloud(tmp_path / name)
         np.testing.assert_array_equal(found.points, BALL.vertices)
@@ -201,7 +215,9 @@ def row(form: str, *values: Value) -> bytes:
             items, length_type, type_ = value
             words += [str(len(items)), *map(repr, items)]
             packed += struct.pack(order + SCALARS[length_type][0], len(items))
-            packed += b"".join(struct.pack(order + SCALARS[type_][0], item) for item in items)
+            packed += b"".join(
+                struct.pack(order + SCALARS[type_][0], item) for item in items
+            )
     return packed if order else " ".join(words).encode() + b"\n"
 
 
@@ -216,14 +232,23 @@ def test_every_type_of_number(tmp_path: Path) -> None:
             ]
             (tmp_path / "a.ply").write_bytes(ply(form, header, *rows))
             stored = [
-                struct.unpack(f"<{code}", struct.pack(f"<{code}", value))[0] for value in values
+                struct.unpack(f"<{code}", struct.pack(f"<{code}", value))[0]
+                for value in values
             ]
             found = cloud(tmp_path / "a.ply").points
             np.testing.assert_array_equal(found, [[value, 0.25, 0.5] for value in stored])
 
 
 def test_faces_among_lists_of_other_lengths(tmp_path: Path) -> None:
-    polygons = [(0, 1, 2), (2, 1, 3), (0, 1, 2, 3), (3, 2, 1), (1, 2), (4, 3, 2, 1, 0), ()]
+    polygons = [
+        (0, 1, 2),
+        (2, 1, 3),
+        (0, 1, 2, 3),
+        (3, 2, 1),
+        (1, 2),
+        (4, 3, 2, 1, 0),
+        (),
+    ]
     triangles = [
         (0, 1, 2),
         (2, 1, 3),
@@ -237,9 +262,12 @@ def test_faces_among_lists_of_other_lengths(tmp_path: Path) -> None:
     for form in ORDERS:
         for length in ("uchar", "char", "ushort", "short", "uint", "int"):
             header = f"element vertex 5\n{XYZ}element face 7\nproperty uchar red\n"
-            header += f"property list uchar float uv\nproperty list {length} int vertex_index\n"
+            header += (
+                f"property list uchar float uv\nproperty list {length} int vertex_index\n"
+            )
             rows = [
-                row(form, *((float(k * k + axis), "float") for axis in range(3))) for k in range(5)
+                row(form, *((float(k * k + axis), "float") for axis in range(3)))
+                for k in range(5)
             ]
             rows += [
                 row(
@@ -259,7 +287,9 @@ def test_line_ends_comments_and_what_stands_behind_the_points(tmp_path: Path) ->
     text += "property list uchar int vertex_indices\nend_header\n0 1 2\n1 2 3\n1 0"
     for line_end in ("\n", "\r\n", "\r"):
         (tmp_path / "a.ply").write_bytes(text.replace("\n", line_end).encode("latin-1"))
-        np.testing.assert_array_equal(cloud(tmp_path / "a.ply").points, [[0, 1, 2], [1, 2, 3]])
+        np.testing.assert_array_equal(
+            cloud(tmp_path / "a.ply").points, [[0, 1, 2], [1, 2, 3]]
+        )
     (tmp_path / "a.ply").write_text(
         f"ply\nformat ascii 1.0\nelement vertex 3\n{XYZ}element face 2\n"
         "property list uchar int vertex_indices\nend_header\n0 0 1\n0 1 0\n1 0 0\n2 0 1\n2 1 2\n"
@@ -285,10 +315,14 @@ def test_pcd_encodings_and_sensors(tmp_path: Path) -> None:
                 np.testing.assert_array_equal(found.viewpoints, np.tile(position, (8, 1)))
             else:
                 assert found.viewpoints is None  # of programs that do not know the sensor
-    header = pcd_header("x", "y", "z", "vp_x", "vp_y", "vp_z", n=2, viewpoint="9 9 9 1 0 0 0")
+    header = pcd_header(
+        "x", "y", "z", "vp_x", "vp_y", "vp_z", n=2, viewpoint="9 9 9 1 0 0 0"
+    )
     for body in ("0 0 0 1 2 3\n1 1 1 4 5 6\n", " 0  0 0 1 2 3 \n1\t1 1 4 5 6\r\n"):
         (tmp_path / "a.pcd").write_text(header + body)
-        np.testing.assert_array_equal(cloud(tmp_path / "a.pcd").viewpoints, [[1, 2, 3], [4, 5, 6]])
+        np.testing.assert_array_equal(
+            cloud(tmp_path / "a.pcd").viewpoints, [[1, 2, 3], [4, 5, 6]]
+        )
 
 
 # --- writing ----------------------------------------------------------------------------------------------
@@ -303,7 +337,9 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
         np.testing.assert_allclose(found.normals, NORMALS, rtol=0, atol=max(error, 1e-12))
         assert (found.viewpoints is None) == (suffix == ".xyzn")
         if found.viewpoints is not None:
-            np.testing.assert_allclose(found.viewpoints, 3 * NORMALS, rtol=0, atol=3 * error)
+            np.testing.assert_allclose(
+                found.viewpoints, 3 * NORMALS, rtol=0, atol=3 * error
+            )
     for suffix in (".ply", ".pcd"):
         write_cloud(PointCloud(BALL.vertices), tmp_path / f"ball{suffix}")
         found = cloud(tmp_path / f"ball{suffix}")

@@ -9,7 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
-from scan_files import CUBE, HALVES, SIDES, SQUARE, XYZ, cloud, glb, gltf, mesh, pcd_header, ply
+from scan_files import (
+    CUBE,
+    HALVES,
+    SIDES,
+    SQUARE,
+    XYZ,
+    cloud,
+    glb,
+    gltf,
+    mesh,
+    pcd_header,
+    ply,
+)
 
 from pcretrieve import read_scan
 from pcretrieve.errors import ScanReadError
@@ -26,7 +38,11 @@ def is_cube(path: Path, content: str | bytes) -> bool:
     """Whether a file with this content is a closed cube."""
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     found = mesh(path)
-    return len(found.vertices) == 8 and not defects(found) and abs(found.volume) == pytest.approx(1)
+    return (
+        len(found.vertices) == 8
+        and not defects(found)
+        and abs(found.volume) == pytest.approx(1)
+    )
 
 
 def refusal(path: Path, content: str | bytes) -> str:
@@ -72,7 +88,9 @@ def test_comments_behind_numbers(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("columns", ["number", "row column"])
-@pytest.mark.parametrize(("name", "separator"), [("a.xyz", " "), ("a.txt", ","), ("a.csv", ";")])
+@pytest.mark.parametrize(
+    ("name", "separator"), [("a.xyz", " "), ("a.txt", ","), ("a.csv", ";")]
+)
 def test_columns_that_count_need_a_header(
     columns: str, name: str, separator: str, tmp_path: Path
 ) -> None:
@@ -118,7 +136,10 @@ def test_a_table_with_an_odd_row_is_no_list_of_scans(tmp_path: Path) -> None:
         assert words in refusal(tmp_path / name, "\n".join(rows))
         assert discover([tmp_path / name]) == [tmp_path / name]
     (tmp_path / "list.txt").write_text("gone.ply\na.txt\n")
-    assert discover([tmp_path / "list.txt"]) == [tmp_path / "gone.ply", tmp_path / "a.txt"]
+    assert discover([tmp_path / "list.txt"]) == [
+        tmp_path / "gone.ply",
+        tmp_path / "a.txt",
+    ]
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.stl", "a.obj", "a.off", "a.pcd"])
@@ -131,7 +152,9 @@ def test_decimal_commas_are_named(name: str, tmp_path: Path) -> None:
         "a.off": "OFF\n8 0 0\n" + "\n".join(rows),
         "a.pcd": pcd_header("x", "y", "z", n=8) + "\n".join(rows),
     }
-    assert "export it with decimal points, not commas" in refusal(tmp_path / name, texts[name])
+    assert "export it with decimal points, not commas" in refusal(
+        tmp_path / name, texts[name]
+    )
 
 
 # --- PCD --------------------------------------------------------------------------------------------------
@@ -139,7 +162,9 @@ def test_decimal_commas_are_named(name: str, tmp_path: Path) -> None:
 
 def test_rows_of_pcd_that_are_filled_up(tmp_path: Path) -> None:
     """The point type of a lidar: fields of no values, several of the name _, types in lower case."""
-    row = np.dtype([("x", "<f4"), ("a", "u1", 3), ("b", "u1", 0), ("yz", "<f4", 2), ("c", "u1", 0)])
+    row = np.dtype(
+        [("x", "<f4"), ("a", "u1", 3), ("b", "u1", 0), ("yz", "<f4", 2), ("c", "u1", 0)]
+    )
     table = np.zeros(8, row)
     table["x"], table["yz"] = CUBE[:, 0], CUBE[:, 1:]
     header = (
@@ -164,7 +189,10 @@ def test_continued_lines_and_names_of_obj(encoding: str, tmp_path: Path) -> None
     name = "人体" if encoding == "gbk" else "Körper"
     lines = [f"mtllib {name}.mtl", "g C:\\scans\\"]
     lines += [f"v {x:g} \\\n{y:g}\\\n {z:g}" for x, y, z in CUBE]
-    lines += [f"o {name}\\", *(f"f {a + 1}//1 \\\n {b + 1}//1 {c + 1}//1" for a, b, c in TRIANGLES)]
+    lines += [
+        f"o {name}\\",
+        *(f"f {a + 1}//1 \\\n {b + 1}//1 {c + 1}//1" for a, b, c in TRIANGLES),
+    ]
     for end in ("\n", "\r\n", "\r"):
         text = "\n".join(lines).replace("\n", end)
         assert is_cube(tmp_path / "a.obj", text.encode(encoding))
@@ -210,7 +238,9 @@ STL_TEXTS = {
     + WHOLE[len(WHOLE) // 2 - 9 :],
     "no end": WHOLE.rpartition("endsolid")[0],
     "name": stl_text("vertex buffer of Körper"),
-    "normals of Microsoft": WHOLE.replace("normal 0 0 0", "normal -nan(ind) 1.#QNAN 1.#IND"),
+    "normals of Microsoft": WHOLE.replace(
+        "normal 0 0 0", "normal -nan(ind) 1.#QNAN 1.#IND"
+    ),
     "one line": " ".join(WHOLE.split()),
 }
 
@@ -229,7 +259,9 @@ def test_binary_stl_of_others(tmp_path: Path) -> None:
         assert is_cube(tmp_path / "a.stl", content)
         assert is_cube(tmp_path / "a.stl", content + b"tail")
     assert "or 12 triangles in 600 bytes" in refusal(tmp_path / "a.stl", content[:600])
-    assert "in the middle of a triangle" in refusal(tmp_path / "a.stl", "solid\nvertex 0 0 1\n")
+    assert "in the middle of a triangle" in refusal(
+        tmp_path / "a.stl", "solid\nvertex 0 0 1\n"
+    )
 
 
 # --- PLY --------------------------------------------------------------------------------------------------
@@ -241,8 +273,14 @@ ROWS = [*POINTS, *(f"3 {a} {b} {c}" for a, b, c in TRIANGLES)]
 def test_lines_of_text_ply(tmp_path: Path) -> None:
     head = f"element vertex 8\n{XYZ}{FACES}"
     for end in ("\n", "\r\n", "\r"):
-        for rows in (["", *ROWS], [f"{row}\n \n" for row in ROWS], [f"\t{row} " for row in ROWS]):
-            text = ply("ascii", head, "\n".join(rows).encode()).replace(b"\n", end.encode())
+        for rows in (
+            ["", *ROWS],
+            [f"{row}\n \n" for row in ROWS],
+            [f"\t{row} " for row in ROWS],
+        ):
+            text = ply("ascii", head, "\n".join(rows).encode()).replace(
+                b"\n", end.encode()
+            )
             assert is_cube(tmp_path / "a.ply", text)
     assert is_cube(
         tmp_path / "a.ply", b"\xef\xbb\xbf" + ply("ascii", head, "\n".join(ROWS).encode())
@@ -253,7 +291,9 @@ def test_lines_of_text_ply(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["Int", "int64", "INT32"])
 def test_types_of_ply_by_other_names(kind: str, tmp_path: Path) -> None:
-    head = f"element vertex 8\n{XYZ}{FACES}".replace("int ", f"{kind} ").replace("float", "Float32")
+    head = f"element vertex 8\n{XYZ}{FACES}".replace("int ", f"{kind} ").replace(
+        "float", "Float32"
+    )
     assert is_cube(tmp_path / "a.ply", ply("ascii", head, "\n".join(ROWS).encode()))
 
 
@@ -279,20 +319,26 @@ def test_names_of_normals(form: str, tmp_path: Path) -> None:
     table = np.column_stack([BALL.vertices, normals]).astype("<f8")
     axes = "".join(f"property double {axis}\n" for axis in "XYZ")
     head = f"element vertex {len(table)}\n{axes}"
-    (tmp_path / "a.ply").write_bytes(ply("binary_little_endian", head + names, table.tobytes()))
+    (tmp_path / "a.ply").write_bytes(
+        ply("binary_little_endian", head + names, table.tobytes())
+    )
     found = cloud(tmp_path / "a.ply").normals
     assert found is not None
     np.testing.assert_allclose(found, normals)
 
 
 def test_faint_splats_are_named(tmp_path: Path) -> None:
-    table = np.column_stack([BALL.vertices, np.repeat([3.0, -5.0], [30, 12]), np.ones(42)])
+    table = np.column_stack(
+        [BALL.vertices, np.repeat([3.0, -5.0], [30, 12]), np.ones(42)]
+    )
     names = ["x", "y", "z", "opacity", "scale_0"]
     head = "element vertex 42\n" + "".join(f"property float {name}\n" for name in names)
     content = ply("binary_little_endian", head, table.astype("<f4").tobytes())
     (tmp_path / "a.ply").write_bytes(content)
     (note,) = cloud(tmp_path / "a.ply").provenance[0].notes
-    assert note.startswith("12 of 42 splats are almost transparent by their column opacity")
+    assert note.startswith(
+        "12 of 42 splats are almost transparent by their column opacity"
+    )
     (tmp_path / "a.ply").write_bytes(content.replace(b"opacity", b"density"))
     assert not cloud(tmp_path / "a.ply").provenance[0].notes
 
@@ -314,5 +360,8 @@ def test_extensions_that_gltf_requires(tmp_path: Path) -> None:
         tree["bufferViews"] = []
         (tmp_path / "a.gltf").write_text(json.dumps(tree))
         said = refusal(tmp_path / "a.glb", glb(tree, binary))
-        assert f"stored by the extension {name}: export them without it, uncompressed" in said
+        assert (
+            f"stored by the extension {name}: export them without it, uncompressed"
+            in said
+        )
         assert "copy" not in said

@@ -27,7 +27,11 @@ WIDTH, HEIGHT = 80, 60
 FX, FY, CX, CY = 70.0, 72.0, 38.0, 31.0
 CENTER, RADIUS = np.array([0.1, -0.05, 1.5]), 0.4  # of a ball, in metres
 FLAT = f"fx = {FX}\nfy = {FY}\ncx = {CX}\ncy = {CY}\n"
-OPEN3D = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [FX, 0, 0, 0, FY, 0, CX, CY, 1]}
+OPEN3D = {
+    "width": WIDTH,
+    "height": HEIGHT,
+    "intrinsic_matrix": [FX, 0, 0, 0, FY, 0, CX, CY, 1],
+}
 
 
 def readings(
@@ -38,10 +42,15 @@ def readings(
     """(h, w, 3) points of a ball before a wall of that depth, in metres; zero where there is none."""
     fx, fy, cx, cy = camera
     u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
-    rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones(u.shape)], axis=2)  # with depth 1
+    rays = np.stack(
+        [(u - cx) / fx, (v - cy) / fy, np.ones(u.shape)], axis=2
+    )  # with depth 1
     a, b = (rays**2).sum(axis=2), rays @ CENTER
     inside = b**2 - a * (CENTER @ CENTER - RADIUS**2)
-    return rays * np.where(inside > 0, (b - np.sqrt(np.maximum(inside, 0))) / a, wall)[..., None]
+    return (
+        rays
+        * np.where(inside > 0, (b - np.sqrt(np.maximum(inside, 0))) / a, wall)[..., None]
+    )
 
 
 def write(path: Path, image: NDArray[Any]) -> None:
@@ -78,7 +87,11 @@ MILLIMETRES = np.round(1000 * DEPTH).astype(np.uint16)
 def test_millimetres_and_metres(tmp_path: Path) -> None:
     (tmp_path / "camera.toml").write_text(FLAT)
     for name, image in (
-        *(("a.png", MILLIMETRES), ("a.tif", MILLIMETRES), ("a.tiff", DEPTH.astype(np.float32))),
+        *(
+            ("a.png", MILLIMETRES),
+            ("a.tif", MILLIMETRES),
+            ("a.tiff", DEPTH.astype(np.float32)),
+        ),
         *(("a.npy", MILLIMETRES), ("a.npy", DEPTH)),
         ("a.npy", np.where(DEPTH > 0, DEPTH, np.nan).astype(np.float32)),
     ):
@@ -93,8 +106,12 @@ CAMERAS = {
     "a.toml": FLAT,
     "camera.json": json.dumps(OPEN3D),
     "camera_intrinsic.json": json.dumps(OPEN3D),
-    "intrinsics.json": json.dumps({"intrinsic": OPEN3D, "extrinsic": np.eye(4).ravel().tolist()}),
-    "intrinsic.json": json.dumps({"fx": FX, "fy": FY, "ppx": CX, "ppy": CY, "depth_units": 0.001}),
+    "intrinsics.json": json.dumps(
+        {"intrinsic": OPEN3D, "extrinsic": np.eye(4).ravel().tolist()}
+    ),
+    "intrinsic.json": json.dumps(
+        {"fx": FX, "fy": FY, "ppx": CX, "ppy": CY, "depth_units": 0.001}
+    ),
     "camera.toml": f"K = [{FX}, 0, {CX}, 0, {FY}, {CY}, 0, 0, 1]",
     "intrinsics.toml": f"depth_scale = 1e3\nintrinsic_matrix = [[{FX}, 0, {CX}], [0, {FY}, {CY}], [0, 0, 1]]",
 }
@@ -141,7 +158,9 @@ def test_the_folder_of_the_tum_benchmark(tmp_path: Path) -> None:
     assert is_ball(cloud(folder / "depth" / "1.0.png"), tolerance=1e-3)
 
 
-def test_the_default_is_the_camera_of_a_kinect_for_images_of_its_size(tmp_path: Path) -> None:
+def test_the_default_is_the_camera_of_a_kinect_for_images_of_its_size(
+    tmp_path: Path,
+) -> None:
     for size, camera in KINECTS.items():
         assert size is not None
         image = readings((*camera.focal, *camera.center), size)[..., 2]
@@ -150,7 +169,9 @@ def test_the_default_is_the_camera_of_a_kinect_for_images_of_its_size(tmp_path: 
         assert is_ball(found, tolerance=1e-3)
         assert found.provenance[0].notes[0] == camera.note
         assert camera.note.startswith("assumed the camera of a Kinect")
-    assert not is_scan(tmp_path / "a.png")  # a 16-bit image in a folder need not be a depth image
+    assert not is_scan(
+        tmp_path / "a.png"
+    )  # a 16-bit image in a folder need not be a depth image
 
 
 def test_readings_without_an_answer_are_dropped_with_a_note(tmp_path: Path) -> None:
@@ -217,7 +238,13 @@ def test_images_that_are_no_depth_images(tmp_path: Path) -> None:
 def test_the_parameters_of_open3d_are_read_by_columns(tmp_path: Path) -> None:
     intrinsic = open3d.camera.PinholeCameraIntrinsic(WIDTH, HEIGHT, FX, FY, CX, CY)
     open3d.io.write_pinhole_camera_intrinsic(tmp_path / "camera.json", intrinsic)
-    assert camera_of(tmp_path / "camera.json") == ((FX, FY), (CX, CY), None, (WIDTH, HEIGHT), "")
+    assert camera_of(tmp_path / "camera.json") == (
+        (FX, FY),
+        (CX, CY),
+        None,
+        (WIDTH, HEIGHT),
+        "",
+    )
 
 
 # --- PTX --------------------------------------------------------------------------------------------------
@@ -230,7 +257,9 @@ def ptx(turn: Rotation, sensor: NDArray[np.float64], grid: NDArray[np.float64]) 
     """A header of ten lines and the readings; points are rows, so that the matrix is transposed."""
     axes = turn.as_matrix().T
     rows = [*grid.shape[:2], sensor, *axes, *([*axis, 0] for axis in axes), [*sensor, 1]]
-    head = "".join(" ".join(f"{value:.9g}" for value in np.atleast_1d(row)) + "\n" for row in rows)
+    head = "".join(
+        " ".join(f"{value:.9g}" for value in np.atleast_1d(row)) + "\n" for row in rows
+    )
     return head + "".join(
         "{:.9g} {:.9g} {:.9g} 0.5 1 2 3\n".format(*row) for row in grid.reshape(-1, 3)
     )
@@ -245,22 +274,35 @@ def test_readings_of_ptx_in_the_common_frame(tmp_path: Path) -> None:
     found = cloud(tmp_path / "a.ptx")
     assert found.viewpoints is not None
     assert found.normals is not None
-    own, normals = (found.points - SENSOR) @ TURN.as_matrix(), found.normals @ TURN.as_matrix()
+    own, normals = (
+        (found.points - SENSOR) @ TURN.as_matrix(),
+        found.normals @ TURN.as_matrix(),
+    )
     on_wall = np.abs(own[:, 2] - WALL) < 1e-6
     np.testing.assert_allclose(
         normals[on_wall], np.tile([0, 0, -1.0], (on_wall.sum(), 1)), atol=1e-6
     )
     assert is_ball(
-        PointCloud(own[~on_wall], normals[~on_wall], (found.viewpoints - SENSOR)[~on_wall]), 1e-6
+        PointCloud(
+            own[~on_wall], normals[~on_wall], (found.viewpoints - SENSOR)[~on_wall]
+        ),
+        1e-6,
     )
     assert np.einsum("ij,ij->i", normals, -own).min() >= 0
     missing, alone = found.provenance[0].notes
-    assert missing == f"dropped {5 * WIDTH} of {WIDTH * HEIGHT} readings without an answer"
+    assert (
+        missing == f"dropped {5 * WIDTH} of {WIDTH * HEIGHT} readings without an answer"
+    )
     assert "points without three neighbours on a surface" in alone
 
 
-def test_scans_of_one_file_are_joined_by_the_poses_of_their_sensors(tmp_path: Path) -> None:
-    one, other = ptx(TURN, SENSOR, readings()), ptx(Rotation.identity(), np.zeros(3), readings())
+def test_scans_of_one_file_are_joined_by_the_poses_of_their_sensors(
+    tmp_path: Path,
+) -> None:
+    one, other = (
+        ptx(TURN, SENSOR, readings()),
+        ptx(Rotation.identity(), np.zeros(3), readings()),
+    )
     for name, text in (("one", one), ("both", one + other), ("loose", other + other)):
         (tmp_path / f"{name}.ptx").write_text(text)
     alone, both = cloud(tmp_path / "one.ptx"), cloud(tmp_path / "both.ptx")
@@ -276,7 +318,9 @@ def test_scans_of_one_file_are_joined_by_the_poses_of_their_sensors(tmp_path: Pa
     np.testing.assert_array_equal(cloud(first).points, alone.points)
     np.testing.assert_array_equal(cloud(second).points, both.points[n:])
     assert members_of(tmp_path / "one.ptx") == ()
-    np.testing.assert_array_equal(read_views([tmp_path / "both.ptx"]).poses, [np.eye(4), np.eye(4)])
+    np.testing.assert_array_equal(
+        read_views([tmp_path / "both.ptx"]).poses, [np.eye(4), np.eye(4)]
+    )
     loose = read_views([tmp_path / "loose.ptx"])
     assert len(loose.clouds) == 2
     assert loose.poses is None

@@ -13,7 +13,15 @@ import numpy as np
 import pytest
 import shapes
 from benchmarks.samples import write_conf, write_pcd
-from scan_files import CAN_WRITE, cloud, laser_scan, needs, with_other_xml, write_e57, write_las
+from scan_files import (
+    CAN_WRITE,
+    cloud,
+    laser_scan,
+    needs,
+    with_other_xml,
+    write_e57,
+    write_las,
+)
 from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud, read_scan
@@ -38,12 +46,21 @@ def test_points_of_las(tmp_path: Path) -> None:
     for suffix in (".las", ".laz"):
         for point_format in (0, 1, 2, 3, 6, 7, 8):
             write_las(tmp_path / f"a{suffix}", POINTS, point_format=point_format)
-            np.testing.assert_allclose(cloud(tmp_path / f"a{suffix}").points, POINTS, atol=LAS_STEP)
+            np.testing.assert_allclose(
+                cloud(tmp_path / f"a{suffix}").points, POINTS, atol=LAS_STEP
+            )
             assert read_raw(tmp_path / f"a{suffix}").unit == "m"
         for point_format in (3, 6):
             write_las(tmp_path / f"a{suffix}", many, point_format=point_format)
-            np.testing.assert_allclose(cloud(tmp_path / f"a{suffix}").points, many, atol=LAS_STEP)
-            write_las(tmp_path / f"a{suffix}", POINTS, point_format=point_format, classes=classes)
+            np.testing.assert_allclose(
+                cloud(tmp_path / f"a{suffix}").points, many, atol=LAS_STEP
+            )
+            write_las(
+                tmp_path / f"a{suffix}",
+                POINTS,
+                point_format=point_format,
+                classes=classes,
+            )
             found = cloud(tmp_path / f"a{suffix}")
             np.testing.assert_allclose(found.points, POINTS[1:], atol=LAS_STEP)
             assert (
@@ -124,10 +141,13 @@ SENSOR = np.array([4.0, -5.0, 1.5])
 @needs(".e57")
 def test_the_pose_of_an_e57_scan_is_its_viewpoint(tmp_path: Path) -> None:
     write_e57(
-        tmp_path / "a.e57", [{"points": POINTS, "rotation": QUATERNION, "translation": SENSOR}]
+        tmp_path / "a.e57",
+        [{"points": POINTS, "rotation": QUATERNION, "translation": SENSOR}],
     )
     found = cloud(tmp_path / "a.e57")
-    np.testing.assert_allclose(found.points, POINTS @ TURN.as_matrix().T + SENSOR, atol=10 * SINGLE)
+    np.testing.assert_allclose(
+        found.points, POINTS @ TURN.as_matrix().T + SENSOR, atol=10 * SINGLE
+    )
     assert found.viewpoints is not None
     np.testing.assert_allclose(found.viewpoints, np.tile(SENSOR, (len(POINTS), 1)))
     assert members_of(tmp_path / "a.e57") == ()
@@ -135,7 +155,9 @@ def test_the_pose_of_an_e57_scan_is_its_viewpoint(tmp_path: Path) -> None:
 
 
 @needs(".e57")
-def test_the_default_pose_is_that_of_a_sensor_if_the_points_are_a_grid(tmp_path: Path) -> None:
+def test_the_default_pose_is_that_of_a_sensor_if_the_points_are_a_grid(
+    tmp_path: Path,
+) -> None:
     index = np.arange(len(POINTS)).astype(np.uint16)
     grid = {"rowIndex": index % 25, "columnIndex": index // 25}
     write_e57(tmp_path / "grid.e57", [{"points": POINTS + 9, **grid}])
@@ -230,14 +252,21 @@ except ScanReadError as error:
 
 def test_an_extra_that_is_missing_is_named(tmp_path: Path) -> None:
     run = subprocess.run(
-        [sys.executable, "-c", WITHOUT], cwd=tmp_path, capture_output=True, text=True, check=True
+        [sys.executable, "-c", WITHOUT],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     unread, message = run.stdout.splitlines()
     assert unread == (
         "2 .e57 (pip install 'pcretrieve[e57]'), 1 .3mf (pip install 'pcretrieve[meshes]'), "
         "1 .laz (pip install 'pcretrieve[las]'), 1 .jpg [False, False, False, False, False]"
     )
-    assert message == "a.e57: reading .e57 needs the package pye57: pip install 'pcretrieve[e57]'"
+    assert (
+        message
+        == "a.e57: reading .e57 needs the package pye57: pip install 'pcretrieve[e57]'"
+    )
 
 
 # --- views ----------------------------------------------------------------------------------------------
@@ -261,7 +290,9 @@ def test_views_are_merged_by_their_poses_sensors_included(tmp_path: Path) -> Non
     write_conf(tmp_path / "both.conf", ["v0.pcd", "v1.pcd"], np.array(motions))
     found = read_scan(tmp_path / "both.conf")
     assert isinstance(found, PointCloud)
-    np.testing.assert_allclose(found.points, np.concatenate([POINTS, POINTS]), atol=10 * SINGLE)
+    np.testing.assert_allclose(
+        found.points, np.concatenate([POINTS, POINTS]), atol=10 * SINGLE
+    )
     assert found.viewpoints is not None
     np.testing.assert_allclose(
         found.viewpoints, np.tile(sensor, (2 * len(POINTS), 1)), atol=10 * SINGLE

@@ -37,10 +37,18 @@ from pcretrieve.surface import defects
 from pcretrieve.values import METRES
 
 BALL = shapes.icosphere(1)
-PAIR: list[dict[str, Any]] = [{"mesh": 0, "name": "left"}, {"mesh": 0, "translation": [5, 0, 0]}]
+PAIR: list[dict[str, Any]] = [
+    {"mesh": 0, "name": "left"},
+    {"mesh": 0, "translation": [5, 0, 0]},
+]
 NODES: list[dict[str, Any]] = [
     {"mesh": 0},
-    {"mesh": 0, "translation": [1, 2, 3], "rotation": [0.1, 0.2, 0.3, 0.9], "scale": [1, 2, 0.5]},
+    {
+        "mesh": 0,
+        "translation": [1, 2, 3],
+        "rotation": [0.1, 0.2, 0.3, 0.9],
+        "scale": [1, 2, 0.5],
+    },
     {"mesh": 0, "matrix": [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 5, 6, 7, 1]},
     {"mesh": 0, "scale": [-1, 1, 1]},  # a reflection
 ]
@@ -48,7 +56,9 @@ NODES: list[dict[str, Any]] = [
 
 def is_cube(found: TriangleMesh) -> bool:
     return (
-        not defects(found) and found.area == pytest.approx(6) and found.volume == pytest.approx(1)
+        not defects(found)
+        and found.area == pytest.approx(6)
+        and found.volume == pytest.approx(1)
     )
 
 
@@ -60,7 +70,9 @@ def obj_lines(separator: str = "") -> str:
     lines = [f"v {x:g} {y:g} {z:g}" for x, y, z in CUBE]
     lines += ["vt 0.5 0.5", "vn 0 0 1"] * 24
     for k, side in enumerate(SIDES):
-        own = [f"{separator}{4 * k + corner + 1}" if separator else "" for corner in range(4)]
+        own = [
+            f"{separator}{4 * k + corner + 1}" if separator else "" for corner in range(4)
+        ]
         lines += [
             f"usemtl paint{k}",
             "f " + " ".join(f"{v + 1}{o}" for v, o in zip(side, own, strict=True)),
@@ -71,10 +83,14 @@ def obj_lines(separator: str = "") -> str:
 def test_polygons_of_obj_and_off(tmp_path: Path) -> None:
     """Seams of textures and of materials do not open an OBJ; its numbers may count backwards."""
     backwards = [f"v {x:g} {y:g} {z:g} 1.0" for x, y, z in CUBE]
-    backwards += ["f " + " ".join(str(v - 8) for v in side) + "  # a side" for side in SIDES]
+    backwards += [
+        "f " + " ".join(str(v - 8) for v in side) + "  # a side" for side in SIDES
+    ]
     off = ["OFF # a cube", "8 6 0", *(" ".join(map(str, point)) for point in CUBE)]
     off += [" ".join(map(str, (4, *side))) for side in SIDES]
-    texts = {f"{k}.obj": obj_lines(separator) for k, separator in enumerate(("", "/", "//"))}
+    texts = {
+        f"{k}.obj": obj_lines(separator) for k, separator in enumerate(("", "/", "//"))
+    }
     texts |= {"cube.OBJ": "\n".join(backwards), "cube.off": "\n".join(off)}
     for name, text in texts.items():
         (tmp_path / name).write_text(text)
@@ -100,7 +116,10 @@ def test_a_vertex_that_is_nan_takes_its_faces_with_it(tmp_path: Path) -> None:
 def test_vertices_are_merged_at_open_edges_only(tmp_path: Path) -> None:
     """Two cubes that touch in a corner remain two, with or without vertices in common among their faces."""
     faces = np.array([(*side[:1], *side[k : k + 2]) for side in SIDES for k in (1, 2)])
-    corners, faces = np.concatenate([CUBE, -CUBE]), np.concatenate([faces, faces[:, ::-1] + 8])
+    corners, faces = (
+        np.concatenate([CUBE, -CUBE]),
+        np.concatenate([faces, faces[:, ::-1] + 8]),
+    )
     for points, numbers in (
         (corners, faces),
         (corners[faces].reshape(-1, 3), np.arange(72).reshape(-1, 3)),
@@ -143,23 +162,30 @@ def test_a_scene_is_one_mesh_or_several(name: str, tmp_path: Path) -> None:
     ids = list(shape_ids([str(path) for path in members], {}).values())
     assert ids == [f"{Path(name).stem}#{split_member(path)[1]}" for path in members]
     assert len({content_hash(path) for path in (*members, tmp_path / name)}) == 3
-    np.testing.assert_array_equal(read_views([tmp_path / name]).poses, [np.eye(4), np.eye(4)])
+    np.testing.assert_array_equal(
+        read_views([tmp_path / name]).poses, [np.eye(4), np.eye(4)]
+    )
 
 
 def test_names_in_a_file(tmp_path: Path) -> None:
     names = ["a/b", "", "same", "same", " c#d ", "\x07"]
     write_gltf(tmp_path / "a.gltf", BALL, [{"mesh": 0, "name": name} for name in names])
     found = [path.name for path in members_of(tmp_path / "a.gltf")]
-    assert found == [f"a.gltf#{name}" for name in ("a_b", "2", "same", "same-2", "c_d", "6")]
+    assert found == [
+        f"a.gltf#{name}" for name in ("a_b", "2", "same", "same-2", "c_d", "6")
+    ]
     with pytest.raises(
-        ScanReadError, match="the file must hold a scan 'x', got a_b, 2, same, same-2, c_d"
+        ScanReadError,
+        match="the file must hold a scan 'x', got a_b, 2, same, same-2, c_d",
     ):
         read_scan(tmp_path / "a.gltf#x")
     with pytest.raises(ScanReadError, match=r"cannot read .*gone\.gltf: No such file"):
         read_scan(tmp_path / "gone.gltf#x")
 
 
-def test_a_file_of_one_body_has_no_names_and_a_hash_in_its_name_is_no_mark(tmp_path: Path) -> None:
+def test_a_file_of_one_body_has_no_names_and_a_hash_in_its_name_is_no_mark(
+    tmp_path: Path,
+) -> None:
     write_gltf(tmp_path / "a.gltf", BALL, PAIR[:1])
     (tmp_path / "scan#1.xyz").write_text("1 2 3\n" * 5)
     assert members_of(tmp_path / "a.gltf") == members_of(tmp_path / "a.xyz") == ()
@@ -169,7 +195,11 @@ def test_a_file_of_one_body_has_no_names_and_a_hash_in_its_name_is_no_mark(tmp_p
 
 def test_nodes_place_their_meshes_as_trimesh_does(tmp_path: Path) -> None:
     nested = [
-        *(NODES[1] | {"children": [2, 1]}, NODES[2] | {"children": [3]}, {"children": [4]}),
+        *(
+            NODES[1] | {"children": [2, 1]},
+            NODES[2] | {"children": [3]},
+            {"children": [4]},
+        ),
         *(NODES[3], NODES[2]),
     ]
     for nodes in (*([node] for node in NODES), nested):
@@ -178,28 +208,43 @@ def test_nodes_place_their_meshes_as_trimesh_does(tmp_path: Path) -> None:
         assert found.faces is not None
         by_trimesh: Any = trimesh.load(tmp_path / "a.glb", force="mesh", process=False)
         expected = by_trimesh.vertices[by_trimesh.faces]
-        np.testing.assert_allclose(found.points[found.faces], expected, rtol=0, atol=1e-14)
-    deep = [{"children": [k + 1], "translation": [0, 0, 1]} for k in range(5000)] + [{"mesh": 0}]
+        np.testing.assert_allclose(
+            found.points[found.faces], expected, rtol=0, atol=1e-14
+        )
+    deep = [{"children": [k + 1], "translation": [0, 0, 1]} for k in range(5000)] + [
+        {"mesh": 0}
+    ]
     (tmp_path / "deep.glb").write_bytes(glb(*gltf(SQUARE, HALVES, deep)))
-    np.testing.assert_array_equal(read_raw(tmp_path / "deep.glb").points[:, 2], np.full(4, 5000.0))
+    np.testing.assert_array_equal(
+        read_raw(tmp_path / "deep.glb").points[:, 2], np.full(4, 5000.0)
+    )
 
 
-@pytest.mark.parametrize("suffix", [".glb", ".gltf", pytest.param(".3mf", marks=needs(".3mf"))])
-def test_meshes_whose_open_edges_coincide_are_one_body(suffix: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "suffix", [".glb", ".gltf", pytest.param(".3mf", marks=needs(".3mf"))]
+)
+def test_meshes_whose_open_edges_coincide_are_one_body(
+    suffix: str, tmp_path: Path
+) -> None:
     """As of photogrammetry, which writes a mesh for each image of a texture; other bodies stay their own."""
     path = tmp_path / f"a{suffix}"
 
     def write(*meshes: trimesh.Trimesh) -> None:
         scene: Any = trimesh.Scene()
         for number, each in enumerate(meshes):
-            scene.add_geometry(each, node_name=f"texture_{number}", geom_name=f"texture_{number}")
+            scene.add_geometry(
+                each, node_name=f"texture_{number}", geom_name=f"texture_{number}"
+            )
         content = scene.export(file_type=suffix[1:])
-        for name, data in content.items() if isinstance(content, dict) else [(path.name, content)]:
+        for name, data in (
+            content.items() if isinstance(content, dict) else [(path.name, content)]
+        ):
             (tmp_path / name.replace("model.gltf", path.name)).write_bytes(data)
 
     pieces = [trimesh.Trimesh(BALL.vertices, BALL.faces[k::3]) for k in range(3)]
     others = [
-        trimesh.Trimesh(BALL.vertices + np.array([shift, 0, 0]), BALL.faces) for shift in (5, 7)
+        trimesh.Trimesh(BALL.vertices + np.array([shift, 0, 0]), BALL.faces)
+        for shift in (5, 7)
     ]
     write(*pieces)
     assert not defects(mesh(path))
@@ -213,7 +258,10 @@ def test_meshes_whose_open_edges_coincide_are_one_body(suffix: str, tmp_path: Pa
         assert not defects(mesh(member))
         assert len(mesh(member).faces) == len(BALL.faces)
     # Two halves that are not of one body: their open edges lie elsewhere.
-    write(pieces[0], trimesh.Trimesh(BALL.vertices + np.array([0.1, 0, 0]), BALL.faces[1::3]))
+    write(
+        pieces[0],
+        trimesh.Trimesh(BALL.vertices + np.array([0.1, 0, 0]), BALL.faces[1::3]),
+    )
     assert len(members_of(path)) == 2
 
 
@@ -252,19 +300,28 @@ def test_quantized_positions(tmp_path: Path) -> None:
     )
 
 
-def test_the_file_of_a_buffer_belongs_to_the_scan_if_it_lies_below(tmp_path: Path) -> None:
+def test_the_file_of_a_buffer_belongs_to_the_scan_if_it_lies_below(
+    tmp_path: Path,
+) -> None:
     write_gltf(tmp_path / "a.gltf", BALL, PAIR[:1], "with%20blank.bin")
     (tmp_path / "with%20blank.bin").rename(tmp_path / "with blank.bin")
-    assert [part.path for part in parts_of(tmp_path / "a.gltf")] == [tmp_path / "with blank.bin"]
+    assert [part.path for part in parts_of(tmp_path / "a.gltf")] == [
+        tmp_path / "with blank.bin"
+    ]
     assert mesh(tmp_path / "a.gltf").volume == pytest.approx(BALL.volume, rel=1e-5)
     before = content_hash(tmp_path / "a.gltf")
-    (tmp_path / "with blank.bin").write_bytes((tmp_path / "with blank.bin").read_bytes() + b"\0")
+    (tmp_path / "with blank.bin").write_bytes(
+        (tmp_path / "with blank.bin").read_bytes() + b"\0"
+    )
     assert content_hash(tmp_path / "a.gltf") != before
     write_gltf(tmp_path / "b.gltf", BALL, PAIR, "a.bin")
     text = (tmp_path / "b.gltf").read_text()
     (tmp_path / "short.bin").write_bytes(b"\0")
     for buffer, words in (
-        ("/etc/passwd", "its buffers must be files below its own folder, got '/etc/passwd'"),
+        (
+            "/etc/passwd",
+            "its buffers must be files below its own folder, got '/etc/passwd'",
+        ),
         ("../a.bin", "its buffers must be files below its own folder"),
         ("https://example.org/a.bin", "its buffers must be files below its own folder"),
         ("//[", r"not a valid GLTF file \(Invalid IPv6 URL\)"),
@@ -309,10 +366,14 @@ def test_a_collada_file_says_how_long_its_unit_is(tmp_path: Path) -> None:
             found.points.mean(axis=0), scale * np.array([1, 2, 3]), atol=1e-6
         )
     twice = 2 * '<instance_node url="#n{}"/>'
-    nodes = "".join(f'<node id="n{k}">{twice.format(k - 1, k - 1)}</node>' for k in range(30))
+    nodes = "".join(
+        f'<node id="n{k}">{twice.format(k - 1, k - 1)}</node>' for k in range(30)
+    )
     scene = f'<library_nodes>{nodes}</library_nodes><library_visual_scenes><visual_scene id="scene"><node>'
     scene += '<instance_node url="#n29"/></node></visual_scene></library_visual_scenes>'
-    text = re.sub("(?s)<library_visual_scenes>.*</library_visual_scenes>", scene, collada(BALL))
+    text = re.sub(
+        "(?s)<library_visual_scenes>.*</library_visual_scenes>", scene, collada(BALL)
+    )
     (tmp_path / "a.dae").write_text(text)
     with pytest.raises(
         ScanReadError, match=r"at most 1000 scans, .* this one has 1073741824 or more"
@@ -328,7 +389,9 @@ def test_damaged_archives_and_those_that_expand_to_much_more(tmp_path: Path) -> 
         archive.writestr("3D/blanks.model", b" " * 20_000_000)
     items = '<item objectid="1"/>' * 200
     part = '<object id="{}"><components>{}</components></object>'
-    nested = "".join(part.format(k, f'<component objectid="{k - 1}"/>' * 2) for k in range(2, 32))
+    nested = "".join(
+        part.format(k, f'<component objectid="{k - 1}"/>' * 2) for k in range(2, 32)
+    )
     for content, words in (
         (file.read_bytes(), r"its members declare 2\d+ bytes in \d+"),
         (three_mf(shapes.icosphere(3), items=items), "its scene declares 1153200 values"),
@@ -336,8 +399,14 @@ def test_damaged_archives_and_those_that_expand_to_much_more(tmp_path: Path) -> 
             three_mf(BALL, items=f"<item objectid='31'/>{nested}"),
             r"at most 1000 scans, .* has \d{10} or more",
         ),
-        (whole[:-6] + b"\xff\xff\0\0" + whole[-2:], "not a valid 3MF file .*Invalid argument"),
-        (re.sub(rb"(?s)(PK\x01\x02..).", b"\\g<1>\xff", whole), r"zip file version 25\.5"),
+        (
+            whole[:-6] + b"\xff\xff\0\0" + whole[-2:],
+            "not a valid 3MF file .*Invalid argument",
+        ),
+        (
+            re.sub(rb"(?s)(PK\x01\x02..).", b"\\g<1>\xff", whole),
+            r"zip file version 25\.5",
+        ),
     ):
         file.write_bytes(content)
         with pytest.raises(ScanReadError, match=words):
@@ -349,9 +418,12 @@ def test_a_regular_mesh_which_is_compressed_best_is_read(tmp_path: Path) -> None
     n = 300
     x, y = np.meshgrid(np.arange(n), np.arange(n))
     corner = (np.arange(n - 1)[:, np.newaxis] * n + np.arange(n - 1)).ravel()
-    faces = np.concatenate([corner[:, np.newaxis] + side for side in ([0, 1, n], [1, n + 1, n])])
+    faces = np.concatenate(
+        [corner[:, np.newaxis] + side for side in ([0, 1, n], [1, n + 1, n])]
+    )
     grid = TriangleMesh(
-        np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(float), faces.astype(np.int32)
+        np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(float),
+        faces.astype(np.int32),
     )
     (tmp_path / "grid.3mf").write_bytes(three_mf(grid))
     found = read_scan(tmp_path / "grid.3mf")
@@ -369,7 +441,9 @@ def test_entities_of_xml_neither_grow_nor_open_files(tmp_path: Path) -> None:
     ):
         head = f"<!DOCTYPE COLLADA [{declared}]>\n<COLLADA"
         hostile = (
-            collada(BALL).replace("<COLLADA", head, 1).replace("<float_array", "&z;<float_array")
+            collada(BALL)
+            .replace("<COLLADA", head, 1)
+            .replace("<float_array", "&z;<float_array")
         )
         (tmp_path / "a.dae").write_text(hostile)
         with pytest.raises(ScanReadError, match=r"[Ee]ntity"):

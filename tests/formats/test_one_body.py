@@ -57,12 +57,15 @@ def mesh_writers() -> Writers:
 
     return {
         **{
-            f"trimesh.{suffix}": of_trimesh.export for suffix in ("ply", "obj", "off", "stl", "glb")
+            f"trimesh.{suffix}": of_trimesh.export
+            for suffix in ("ply", "obj", "off", "stl", "glb")
         },
         "trimesh_text.ply": lambda path: path.write_bytes(
             of_trimesh.export(file_type="ply", encoding="ascii")
         ),
-        "trimesh_text.stl": lambda path: path.write_text(of_trimesh.export(file_type="stl_ascii")),
+        "trimesh_text.stl": lambda path: path.write_text(
+            of_trimesh.export(file_type="stl_ascii")
+        ),
         "trimesh.gltf": gltf,
         "trimesh.3mf": trimesh.Scene(of_trimesh).export,
         **{
@@ -88,7 +91,10 @@ def cloud_writers() -> Writers:
         return lambda path: open3d.io.write_point_cloud(path, of_open3d, **options)
 
     return {
-        **{f"open3d.{suffix}": by_open3d() for suffix in ("ply", "pcd", "xyz", "xyzrgb", "pts")},
+        **{
+            f"open3d.{suffix}": by_open3d()
+            for suffix in ("ply", "pcd", "xyz", "xyzrgb", "pts")
+        },
         "open3d_text.ply": by_open3d(write_ascii=True),
         "open3d_text.pcd": by_open3d(write_ascii=True),
         "open3d_compressed.pcd": by_open3d(compressed=True),
@@ -99,7 +105,9 @@ def cloud_writers() -> Writers:
         "laspy.laz": lambda path: write_las(path, POINTS),
         "pye57.e57": lambda path: write_e57(path, [{"points": POINTS}]),
         "numpy.txt": lambda path: np.savetxt(path, POINTS),
-        "numpy.asc": lambda path: np.savetxt(path, POINTS, delimiter="\t", header="x y z"),
+        "numpy.asc": lambda path: np.savetxt(
+            path, POINTS, delimiter="\t", header="x y z"
+        ),
         "numpy.csv": lambda path: np.savetxt(path, POINTS, delimiter=","),
         "pandas.csv": table.to_csv,
         "excel.csv": lambda path: table.to_csv(path, sep=";", decimal=",", index=False),
@@ -115,7 +123,9 @@ def written(writers: Writers, folder: Path) -> Iterator[Path]:
         file = folder / name
         if not missing_extra(file.suffix) and CAN_WRITE.get(file.suffix, True):
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", DeprecationWarning)  # of the libraries that write
+                warnings.simplefilter(
+                    "ignore", DeprecationWarning
+                )  # of the libraries that write
                 write(file)
             yield file
 
@@ -133,7 +143,9 @@ def test_the_surface_of_every_file_has_one_signature(tmp_path: Path) -> None:
         volume = TOUCHING.volume * (1e-9 if file.suffix == ".3mf" else 1)
         assert found.volume == pytest.approx(volume, rel=1e-5), file
         values = pr.signature(file, R_BIHDM).values
-        np.testing.assert_allclose(values, expected, rtol=SURFACE_TOLERANCE, err_msg=str(file))
+        np.testing.assert_allclose(
+            values, expected, rtol=SURFACE_TOLERANCE, err_msg=str(file)
+        )
 
 
 @pytest.mark.slow

@@ -45,13 +45,19 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             "read_mesh = None",
             "cannot be loaded, AttributeError: module 'gridscan' has no attribute",
         ),
-        ("read_grid = None", "must be a Format, or a function that reads a file, got NoneType;"),
+        (
+            "read_grid = None",
+            "must be a Format, or a function that reads a file, got NoneType;",
+        ),
         (
             "def read_grid(path): return [1, 2]",
             "failed, TypeError: a reader must return a RawScan, got list",
         ),
         ("def read_grid(path): raise SystemExit(0)", "failed, SystemExit: 0"),
-        ("def read_grid(path): return path.suffix / 2", "failed, TypeError: unsupported operand"),
+        (
+            "def read_grid(path): return path.suffix / 2",
+            "failed, TypeError: unsupported operand",
+        ),
         (
             "def read_grid(path): return RawScan([1, 2])",
             "points must have the shape (n, 3), got (2,)",
@@ -73,7 +79,9 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_package_whose_reader_is_broken_fails_its_own_files_only(
     code: str, words: str, plugin: Path, tmp_path: Path
 ) -> None:
-    (plugin / "gridscan.py").write_text(f"from pcretrieve.formats import RawScan\n{code}\n")
+    (plugin / "gridscan.py").write_text(
+        f"from pcretrieve.formats import RawScan\n{code}\n"
+    )
     (tmp_path / "a.grid").write_text("1 2 3\n")
     (tmp_path / "b.xyz").write_text("1 2 3\n")
     with pytest.raises(ScanReadError) as raised:
@@ -110,7 +118,9 @@ def test_an_installed_package_brings_a_format_of_several_files(
     write_cloud(PointCloud(CUBE[:2]), tmp_path / "left.grid")
     (tmp_path / "left.grid").rename(tmp_path / "left.xyz")
     (tmp_path / "right.tile").write_text("4 5 6\n")
-    np.testing.assert_array_equal(cloud(tmp_path / "a.grid").points, [*CUBE[:2], [4, 5, 6]])
+    np.testing.assert_array_equal(
+        cloud(tmp_path / "a.grid").points, [*CUBE[:2], [4, 5, 6]]
+    )
     before = content_hash(tmp_path / "a.grid")
     (tmp_path / "right.tile").write_text("4 5 7\n")
     assert content_hash(tmp_path / "a.grid") != before

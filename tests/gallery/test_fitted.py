@@ -38,7 +38,8 @@ def put_other(store: Catalogue, number: int) -> None:
     values = describe(egg(), FEW.signature).values * change
     label = f"kind{number % 5}"
     store.put(
-        Record(f"s{number:03}", f"/s{number:03}.off", f"h{number}", label), Content(egg(), values)
+        Record(f"s{number:03}", f"/s{number:03}.off", f"h{number}", label),
+        Content(egg(), values),
     )
 
 
@@ -65,7 +66,9 @@ def kept(store: Catalogue) -> list[Path]:
     return sorted(folder.iterdir()) if folder is not None and folder.exists() else []
 
 
-def assert_same(found: SignatureIndex, store: Catalogue, options: PipelineOptions) -> None:
+def assert_same(
+    found: SignatureIndex, store: Catalogue, options: PipelineOptions
+) -> None:
     """An index is the one of the present shapes, whatever was stored or fitted before."""
     table, kind = signatures(store, options=options), options.retrieval.whitening
     whitening = None
@@ -73,7 +76,9 @@ def assert_same(found: SignatureIndex, store: Catalogue, options: PipelineOption
         logs = coordinates(table.values, "logarithms")
         whitening = fit_whitening(kind, logs, table.labels, options_digest=table.digest)
     assert index(store, options=options).whitening == (whitening or found.whitening)
-    anew = SignatureIndex(table, options.retrieval, whitening=whitening or found.whitening)
+    anew = SignatureIndex(
+        table, options.retrieval, whitening=whitening or found.whitening
+    )
     for values in table.values[::7]:
         for query in (values, values * 1.05):
             assert found.query(query, 12) == anew.query(query, 12)
@@ -96,7 +101,9 @@ def test_an_index_that_was_kept_answers_as_one_made_anew(
         other.rows.database._connection.set_trace_callback(statements.append)
         found = index(other, options=options)
         assert index(other, options=options) is found
-        assert not [text for text in statements if "signatures" in text], "it was computed again"
+        assert not [text for text in statements if "signatures" in text], (
+            "it was computed again"
+        )
         assert_same(found, indexed, options)
 
 
@@ -118,11 +125,15 @@ def test_what_others_add_remove_and_label_is_noticed(
         before = index(indexed, options=asked("within-class")).whitening
         other.rows.revise(labels={"/s004.off": "kind0"})
         assert index(indexed, options=asked("within-class")).whitening != before
-    assert_same(index(indexed, options=asked("within-class")), indexed, asked("within-class"))
+    assert_same(
+        index(indexed, options=asked("within-class")), indexed, asked("within-class")
+    )
 
 
 @pytest.mark.parametrize("damage", ["missing", "one bit"])
-def test_one_that_is_damaged_is_found_and_made_anew(damage: str, indexed: Catalogue) -> None:
+def test_one_that_is_damaged_is_found_and_made_anew(
+    damage: str, indexed: Catalogue
+) -> None:
     index(indexed, options=asked())
     (folder,) = kept(indexed)
     file = folder / "gallery.npy"
@@ -139,7 +150,10 @@ def test_one_that_is_damaged_is_found_and_made_anew(damage: str, indexed: Catalo
 
 def photographs(folder: Path) -> list[Path]:
     """Folders of a reader, one of which is old, one named like an index and one like an unfinished one."""
-    mine = [folder / name for name in ("photos", "0" * 16 + "-" + "1" * 16, ".unfinished-photos")]
+    mine = [
+        folder / name
+        for name in ("photos", "0" * 16 + "-" + "1" * 16, ".unfinished-photos")
+    ]
     for each in mine:
         each.mkdir(parents=True)
         (each / "photo.jpg").write_text("a photograph")
@@ -172,7 +186,9 @@ def test_what_a_link_in_the_cache_leads_to_is_not_removed(
     (mine[1] / CHECKSUMS).write_text("{}")  # like an index of another state
     index(indexed, options=asked())
     (folder,) = kept(indexed)
-    links = [folder.with_name(name) for name in ("2" * 16 + "-" + "3" * 16, ".unfinished-link")]
+    links = [
+        folder.with_name(name) for name in ("2" * 16 + "-" + "3" * 16, ".unfinished-link")
+    ]
     for link in links:
         link.symlink_to(mine[1] if target == "an absolute path" else target)
         os.utime(link, (0, 0), follow_symlinks=False)

@@ -52,7 +52,9 @@ def test_json_of_many_values_is_not_parsed(tmp_path: Path, name: str) -> None:
 def test_a_gltf_file_names_at_most_a_thousand_buffers(tmp_path: Path) -> None:
     file = tmp_path / "a.gltf"
     file.write_text(json.dumps({"buffers": [{"uri": f"{k}.bin"} for k in range(1001)]}))
-    with pytest.raises(ScanReadError, match="must hold at most 1000 scans, views or arrays"):
+    with pytest.raises(
+        ScanReadError, match="must hold at most 1000 scans, views or arrays"
+    ):
         parts_of(file)
 
 
@@ -63,10 +65,15 @@ def test_discovery_opens_files_in_processes_with_limits(tmp_path: Path) -> None:
     bomb.write_bytes(12 * GLTF_BOMBS["objects"])
     tiff = tmp_path / "a.tif"
     tiff.write_bytes(many_tags(2000))
-    (tmp_path / "camera.json").write_text(json.dumps({"fx": 1, "fy": 1, "cx": 1, "cy": 1}))
+    (tmp_path / "camera.json").write_text(
+        json.dumps({"fx": 1, "fy": 1, "cx": 1, "cy": 1})
+    )
     for argument in (bomb, bomb.parent, tiff, tmp_path):
         done = subprocess.run(
-            [sys.executable, "-c", MEASURE, argument], capture_output=True, text=True, check=True
+            [sys.executable, "-c", MEASURE, argument],
+            capture_output=True,
+            text=True,
+            check=True,
         )
         assert float(done.stdout) < 150, argument
 
@@ -86,9 +93,7 @@ def test_a_file_that_takes_too_long_to_look_into_is_one_scan(tmp_path: Path) -> 
 
 
 def test_every_format_holds_at_most_a_thousand_scans(tmp_path: Path) -> None:
-    words = (
-        "a file must hold at most 1000 scans, views or arrays, this one has 100. or more: divide"
-    )
+    words = "a file must hold at most 1000 scans, views or arrays, this one has 100. or more: divide"
     (tmp_path / "a.ptx").write_text(f"1\n1\n{POSE}0 0 1 0.5\n" * 20_000)
     nodes = [{"mesh": 0} for _ in range(1001)]
     (tmp_path / "a.glb").write_bytes(glb(*gltf(SQUARE, HALVES, nodes, range(1001))))
@@ -122,7 +127,13 @@ def archive(path: Path, data: bytes, method: int, n: int = 1) -> None:
 
 def array(n: int) -> bytes:
     head = f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({n}, 3), }}".encode()
-    return b"\x93NUMPY\x01\x00" + struct.pack("<H", 118) + head.ljust(117) + b"\n" + bytes(24 * n)
+    return (
+        b"\x93NUMPY\x01\x00"
+        + struct.pack("<H", 118)
+        + head.ljust(117)
+        + b"\n"
+        + bytes(24 * n)
+    )
 
 
 def understated(path: Path) -> None:
@@ -166,7 +177,10 @@ def test_a_whitening_that_expands_to_much_more(tmp_path: Path) -> None:
         assert peak_of(partial(read_whitening, file), InputError, words) < 10, file
     huge = tmp_path / "huge.npy"
     huge.write_bytes(array(0).replace(b"(0, 3)", b"(9999999999, 3)"))
-    assert peak_of(lambda: read_whitening(huge), InputError, "a whitening must be a name") < 5
+    assert (
+        peak_of(lambda: read_whitening(huge), InputError, "a whitening must be a name")
+        < 5
+    )
 
 
 # --- catalogues -------------------------------------------------------------------------------------------
@@ -189,8 +203,14 @@ def test_arrays_of_a_catalogue_that_expand_to_much_more() -> None:
         ({"spectra": spectra, "moments": many}, "more than 1 arrays"),
         ({"spectra": spectra, "meshes": many}, "more than"),
         ({"spectra": spread}, "surfaces, 1000 may be"),
-        ({"spectra": spectra, "moments": moments, "overlaps": long}, "declares more than"),
-        ({"spectra": spectra, "meshes": checked(9999 * packed([np.zeros(1)])[:-4])}, "2 arrays"),
+        (
+            {"spectra": spectra, "moments": moments, "overlaps": long},
+            "declares more than",
+        ),
+        (
+            {"spectra": spectra, "meshes": checked(9999 * packed([np.zeros(1)])[:-4])},
+            "2 arrays",
+        ),
     )
     for payloads, words in bombs:
         assert peak_of(partial(stored_shape, payloads, ()), ValueError, words) < 80, words

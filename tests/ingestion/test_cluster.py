@@ -27,7 +27,9 @@ from pcretrieve.formats import write_mesh
 from pcretrieve.gallery.fitted import signatures
 from pcretrieve.ingestion import cluster as cluster_module
 
-pytest.importorskip("distributed", reason="distributed is not installed (the extra cluster)")
+pytest.importorskip(
+    "distributed", reason="distributed is not installed (the extra cluster)"
+)
 
 LIMITS: dict[str, Any] = {"workers": None, "timeout": 60.0, "memory": None}
 PATIENCE = 120  # seconds
@@ -105,7 +107,9 @@ def test_a_scheduler_that_ends_is_an_error_with_words(
     )
     next(outcomes)
     own_cluster.kill(own_cluster.scheduler)
-    with pytest.raises(PcretrieveError, match="the scheduler has ended: the same command"):
+    with pytest.raises(
+        PcretrieveError, match="the scheduler has ended: the same command"
+    ):
         list(outcomes)
 
 
@@ -116,7 +120,14 @@ def test_what_dask_prints_does_not_precede_the_error(
     write_mesh(shapes.ellipsoid((1, 1, 2), subdivisions=2), tmp_path / "egg.off")
     for worker in own_cluster.workers:
         own_cluster.kill(worker)
-    words = ["ingest", "egg.off", "--scheduler-file", own_cluster.file, "--log-file", "log"]
+    words = [
+        "ingest",
+        "egg.off",
+        "--scheduler-file",
+        own_cluster.file,
+        "--log-file",
+        "log",
+    ]
     with subprocess.Popen(
         [sys.executable, "-m", "pcretrieve", *map(str, words), "-c", "c.sqlite"],
         cwd=tmp_path,
@@ -135,7 +146,9 @@ def test_what_dask_prints_does_not_precede_the_error(
 
 
 @pytest.mark.parametrize("content", [b"{}", b"nonsense", b"\xff\0", b'{"address": 5}'])
-def test_a_file_that_is_none_of_a_scheduler_is_an_error(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_none_of_a_scheduler_is_an_error(
+    tmp_path: Path, content: bytes
+) -> None:
     file = tmp_path / "scheduler.json"
     file.write_bytes(content)
     with pytest.raises(PcretrieveError, match=r"no Dask scheduler answers at .*json: \S"):
@@ -143,8 +156,12 @@ def test_a_file_that_is_none_of_a_scheduler_is_an_error(tmp_path: Path, content:
 
 
 @pytest.mark.slow
-def test_processes_stay_for_the_next_item_and_end_with_the_ingest(cluster: DaskCluster) -> None:
-    outcomes = dict(DaskExecutor(scheduler_file=cluster.file)(own_process, range(40), **LIMITS))
+def test_processes_stay_for_the_next_item_and_end_with_the_ingest(
+    cluster: DaskCluster,
+) -> None:
+    outcomes = dict(
+        DaskExecutor(scheduler_file=cluster.file)(own_process, range(40), **LIMITS)
+    )
     numbers = set(outcomes.values())
     assert len(numbers) == 2, "one process for each thread of the cluster"
     assert until(lambda: not any(Path(f"/proc/{number}").exists() for number in numbers))
@@ -154,9 +171,12 @@ def test_processes_stay_for_the_next_item_and_end_with_the_ingest(cluster: DaskC
 def test_workers_of_other_versions_are_an_error(
     cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster_module, "versions", lambda: {"pcretrieve": "0.0.1", "numpy": "1.0"})
+    monkeypatch.setattr(
+        cluster_module, "versions", lambda: {"pcretrieve": "0.0.1", "numpy": "1.0"}
+    )
     with pytest.raises(
-        PcretrieveError, match=r"must have the versions .*pcretrieve \S+ instead of 0\.0\.1"
+        PcretrieveError,
+        match=r"must have the versions .*pcretrieve \S+ instead of 0\.0\.1",
     ):
         list(DaskExecutor(scheduler_file=cluster.file)(own_process, range(3), **LIMITS))
 
@@ -164,7 +184,9 @@ def test_workers_of_other_versions_are_an_error(
 def test_one_cluster_must_be_given() -> None:
     both = partial(DaskExecutor, "tcp://127.0.0.1:8786", Path("scheduler.json"))
     for made in (DaskExecutor, both):
-        with pytest.raises(InputError, match="a Dask cluster must be given by the address"):
+        with pytest.raises(
+            InputError, match="a Dask cluster must be given by the address"
+        ):
             made()
 
 
@@ -181,6 +203,11 @@ def test_ingest_gives_the_same_catalogue_as_on_one_computer(
     ended = program("ingest", *paths, *where, code=3)
     assert [row["id"] for row in json.loads(ended.stdout)["result"]["failed"]] == ["flat"]
     ingest(paths, tmp_path / "other.sqlite")
-    with Catalogue(tmp_path / "c.sqlite") as made, Catalogue(tmp_path / "other.sqlite") as expected:
+    with (
+        Catalogue(tmp_path / "c.sqlite") as made,
+        Catalogue(tmp_path / "other.sqlite") as expected,
+    ):
         assert signatures(made) == signatures(expected)
-        assert [r.message for r in made.records()] == [r.message for r in expected.records()]
+        assert [r.message for r in made.records()] == [
+            r.message for r in expected.records()
+        ]

@@ -28,7 +28,10 @@ def folder(tmp_path: Path) -> Path:
     scans = tmp_path / "scans"
     scans.mkdir()
     for number in range(3):
-        write_mesh(shapes.ellipsoid((1, 1, 1.5 + number), subdivisions=2), scans / f"{number}.off")
+        write_mesh(
+            shapes.ellipsoid((1, 1, 1.5 + number), subdivisions=2),
+            scans / f"{number}.off",
+        )
     return scans
 
 
@@ -49,7 +52,9 @@ def test_a_file_that_cannot_be_read_holds_up_no_other(
     for name in hanging:
         late = contents.of(name)
         assert isinstance(late, StageTimeout)
-        assert str(late) == f"[read] {files[name]} was not read within 1 s: raise --timeout"
+        assert (
+            str(late) == f"[read] {files[name]} was not read within 1 s: raise --timeout"
+        )
     connected.set()
 
 

@@ -40,7 +40,11 @@ def test_files_folders_and_globs(folder: Path) -> None:
     assert names(".") == names("*") == SCANS
     assert names("**/*.[oO]*") == ["b.OBJ", "deep/er/d.off"]
     # Each once, by one name.
-    assert names("deep", "a.ply", "deep/c.xyz", "a.ply") == ["deep/c.xyz", "deep/er/d.off", "a.ply"]
+    assert names("deep", "a.ply", "deep/c.xyz", "a.ply") == [
+        "deep/c.xyz",
+        "deep/er/d.off",
+        "a.ply",
+    ]
     assert names("deep/../deep/./c.xyz", "deep/c.xyz") == ["deep/c.xyz"]
     assert names("notes.md") == [
         "notes.md"
@@ -49,7 +53,13 @@ def test_files_folders_and_globs(folder: Path) -> None:
 
 def test_numbers_in_names_are_in_the_order_of_numbers(tmp_path: Path) -> None:
     """As frames of a camera that counts without leading zeros; folders come before what is beside them."""
-    expected = ["a/frame_1.ply", "a/frame_2.ply", "a/frame_10.ply", "a2/1.ply", "a10/1.ply"]
+    expected = [
+        "a/frame_1.ply",
+        "a/frame_2.ply",
+        "a/frame_10.ply",
+        "a2/1.ply",
+        "a10/1.ply",
+    ]
     for name in expected:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("1 2 3\n")
@@ -59,7 +69,9 @@ def test_numbers_in_names_are_in_the_order_of_numbers(tmp_path: Path) -> None:
 
 
 def test_a_name_with_a_mistake_is_answered_by_the_right_one(folder: Path) -> None:
-    with pytest.raises(InputError, match=r"no file or folder deep/c\.xzy; did you mean 'c\.xyz'"):
+    with pytest.raises(
+        InputError, match=r"no file or folder deep/c\.xzy; did you mean 'c\.xyz'"
+    ):
         discover(["deep/c.xzy"])
     with pytest.raises(InputError, match="no file or folder depe; did you mean 'deep'"):
         discover(["depe"])
@@ -70,7 +82,10 @@ def test_paths_in_a_manifest_are_relative_to_its_folder(folder: Path) -> None:
     for manifest, text in (
         ("list.txt", "# mine\n../a.ply\n\nc.xyz\ngone.ply\n"),
         ("list.csv", "class,File\ncat,../a.ply\ncat, c.xyz\ndog,\ndog,gone.ply\n"),
-        ("list.csv", "\ufeffpath\r\n../a.ply\r\nc.xyz\r\ngone.ply\r\n"),  # from a spreadsheet
+        (
+            "list.csv",
+            "\ufeffpath\r\n../a.ply\r\nc.xyz\r\ngone.ply\r\n",
+        ),  # from a spreadsheet
     ):
         (folder / "deep" / manifest).write_text(text, encoding="utf-8", newline="")
         assert names(f"deep/{manifest}") == ["a.ply", "deep/c.xyz", "deep/gone.ply"]
@@ -84,7 +99,15 @@ def test_a_manifest_may_name_what_no_file_can_be_named(folder: Path) -> None:
 def test_a_folder_says_what_it_leaves_unread(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    for name in ("1.fbx", "deep/2.FBX", "deep/er/3.step", "a.jpg", "b.jpg", "c.jpg", "LICENSE"):
+    for name in (
+        "1.fbx",
+        "deep/2.FBX",
+        "deep/er/3.step",
+        "a.jpg",
+        "b.jpg",
+        "c.jpg",
+        "LICENSE",
+    ):
         (folder / name).write_text("1 2 3\n")
     (folder / "scan.ply.gz").write_bytes(b"\x1f\x8b")
     assert names(".") == SCANS

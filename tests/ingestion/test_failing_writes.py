@@ -37,7 +37,9 @@ N_CUTS = int(os.environ.get("PCRETRIEVE_CUTS", "50"))
 # Of file systems: with a write-ahead log, and with the rollback journal of networks.
 KINDS = ["ext4", pytest.param("nfs4", marks=pytest.mark.slow)]
 
-needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+needs_compiler = pytest.mark.skipif(
+    shutil.which("cc") is None, reason="needs a C compiler"
+)
 
 COMMON = """
 import ctypes, errno, pickle, shutil, sys
@@ -162,7 +164,10 @@ def run(script: str, kind: str, folder: Path, *given: object) -> Path:
         "-ldl",
     ]
     subprocess.run(compiling, check=True, timeout=PATIENCE)
-    known = {"LD_PRELOAD": str(library), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    known = {
+        "LD_PRELOAD": str(library),
+        "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+    }
     command: list[str | Path] = [
         sys.executable,
         "-c",
@@ -184,9 +189,13 @@ def test_every_write_fails_once(kind: str, tmp_path: Path) -> None:
 @needs_compiler
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_power_fails(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_power_fails(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What counted as stored is on the disk, no shape is there in part, and the same command goes on."""
-    monkeypatch.setattr("pcretrieve.catalogue.sqlite.MOUNTS", run(RECORDED, kind, tmp_path))
+    monkeypatch.setattr(
+        "pcretrieve.catalogue.sqlite.MOUNTS", run(RECORDED, kind, tmp_path)
+    )
     calls = calls_of((tmp_path / "trace").read_bytes())
     states = pickle.loads((tmp_path / "states").read_bytes())
     assert sum(call[0] == "m" for call in calls) == len(states) - 1

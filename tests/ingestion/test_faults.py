@@ -70,13 +70,25 @@ DEEDS = {name: deed for name, deed in globals().items() if callable(deed)}
 # The error, the stage, and words of the message.
 EXPECTED = {
     "crash": ("WorkerDied", "worker", "ended with SIGSEGV"),
-    "stop": ("StageTimeout", "worker", f"not finished within {TIMEOUT} s: raise --timeout"),
-    "fill_30_gib": ("MemoryExceeded", "read", "than --memory allows: raise that, or thin the scan"),
+    "stop": (
+        "StageTimeout",
+        "worker",
+        f"not finished within {TIMEOUT} s: raise --timeout",
+    ),
+    "fill_30_gib": (
+        "MemoryExceeded",
+        "read",
+        "than --memory allows: raise that, or thin the scan",
+    ),
     "close_output": ("ScanReadError", "read", "after the deed close_output"),
     "close_everything": ("WorkerDied", "worker", "ended with exit code 1"),
     "flood": ("ScanReadError", "read", "after the deed flood"),
     "fork": ("ScanReadError", "read", "after the deed fork"),
-    "be_speechless": ("UnexpectedError", "read", "Speechless: an exception without words"),
+    "be_speechless": (
+        "UnexpectedError",
+        "read",
+        "Speechless: an exception without words",
+    ),
 }
 
 
@@ -88,7 +100,8 @@ def test_each_fault_is_one_row_with_words_and_the_batch_goes_on(
     (tmp_path / "scans").mkdir()
     for name, length in (("a", 1.5), ("z", 2.0)):
         write_mesh(
-            shapes.ellipsoid((1, 1, length), subdivisions=3), tmp_path / "scans" / f"{name}.off"
+            shapes.ellipsoid((1, 1, length), subdivisions=3),
+            tmp_path / "scans" / f"{name}.off",
         )
     for deed in EXPECTED:
         (tmp_path / "scans" / f"{deed}.vicious").write_text(deed)
@@ -135,11 +148,15 @@ def test_a_retry_stores_the_shape_and_says_what_was_changed(
     for n_failing in (2, 4, 9):
         (tmp_path / f"egg-{n_failing}.frail").write_text(f"content {n_failing}")
     summary = ingest([tmp_path / "*.frail"], tmp_path / "c.sqlite", retries=2, workers=2)
-    assert [(record.id, record.message) for record in summary.failed if record.id != "egg-9"] == []
+    assert [
+        (record.id, record.message) for record in summary.failed if record.id != "egg-9"
+    ] == []
     assert sorted(record.id for record in summary.done) == ["egg-2", "egg-4"]
     with Catalogue(tmp_path / "c.sqlite") as catalogue:
         tried = {record.id: record.steps[-1] for record in catalogue.records()}
-    assert {name: step.stage for name, step in tried.items()} == dict.fromkeys(tried, "retry")
+    assert {name: step.stage for name, step in tried.items()} == dict.fromkeys(
+        tried, "retry"
+    )
     attempts = {name: step.sizes["attempts"] for name, step in tried.items()}
     assert attempts == {"egg-2": 2, "egg-4": 3, "egg-9": 3}
     first, second = tried["egg-4"].notes

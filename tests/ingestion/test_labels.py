@@ -16,11 +16,19 @@ def test_reading(tmp_path: Path) -> None:
     for name, text, labels in (
         ("a.csv", "file,class\na.ply,cat\nb.ply,dog\n", {"a.ply": "cat", "b.ply": "dog"}),
         ("a.csv", "\ufeffLabel, Name ,x\r\ncat,a.ply,1\r\n", {"a.ply": "cat"}),
-        ("a.csv", 'id,category\n" a ","Katze, groß"\nb,\n,c\n\nd\n', {"a": "Katze, groß"}),
+        (
+            "a.csv",
+            'id,category\n" a ","Katze, groß"\nb,\n,c\n\nd\n',
+            {"a": "Katze, groß"},
+        ),
         ("a.csv", "file,class\na,cat\na,cat\n", {"a": "cat"}),
         ("a.csv", "file;class;kg\r\na.ply;cat, grey;3,5\r\n", {"a.ply": "cat, grey"}),
         ("a.cla", CLA, {"5": "cat", "12": "cat", "7": "dog"}),
-        ("a.cla", "PSB 1\n3 1\n\nanimal 0 0\n\ncat animal 1\n5\n\nempty 0 0\n", {"5": "cat"}),
+        (
+            "a.cla",
+            "PSB 1\n3 1\n\nanimal 0 0\n\ncat animal 1\n5\n\nempty 0 0\n",
+            {"5": "cat"},
+        ),
     ):
         (tmp_path / name).write_text(text, encoding="utf-8", newline="")
         assert read_labels(tmp_path / name) == labels
@@ -43,7 +51,11 @@ def test_label_files_as_spreadsheets_and_windows_write_them(tmp_path: Path) -> N
 
 def test_paths_of_windows_name_scans_of_any_system() -> None:
     """The letter of a drive, and the folders of another computer, are no part of the name."""
-    paths = {"a": "/data/ann/a.ply", "a-2": "/data/bob/a.ply", "odd\\name": "/data/odd\\name.ply"}
+    paths = {
+        "a": "/data/ann/a.ply",
+        "a-2": "/data/bob/a.ply",
+        "odd\\name": "/data/odd\\name.ply",
+    }
     for name, shape in (
         ("bob\\a.ply", "a-2"),
         (".\\bob\\a.ply", "a-2"),
@@ -109,7 +121,8 @@ def test_one_label_file_for_two_sets_is_refused() -> None:
     }
     numbers = {"0": "ann", "1": "bob"}
     with pytest.raises(
-        BenchmarkError, match=r"'0' stands for 2, such as /Real/0\.obj, /Synthetic/0\.obj: write"
+        BenchmarkError,
+        match=r"'0' stands for 2, such as /Real/0\.obj, /Synthetic/0\.obj: write",
     ):
         match_labels(numbers, paths)
     both = numbers | {"0-2": "cyd", "1-2": "dan"}
@@ -129,7 +142,9 @@ def test_classes_in_names() -> None:
         ("folders", "/bodies/ann/parts.glb#left", "ann"),
     ):
         assert labels_of(layout, [path]) == {path: label}
-    assert labels_of("tosca", ["/sets/tosca/readme.off", "/x/dog1.off"]) == {"/x/dog1.off": "dog"}
+    assert labels_of("tosca", ["/sets/tosca/readme.off", "/x/dog1.off"]) == {
+        "/x/dog1.off": "dog"
+    }
     with pytest.raises(
         BenchmarkError, match=r"no path is one of the layout faust \(published at https"
     ):
@@ -150,7 +165,9 @@ def test_a_label_file_beside_the_scans_or_above(tmp_path: Path) -> None:
             tmp_path / track / "test.cla",
             f"PSB 1\n2 3\n\n{track}-a 0 2\n0\n1\n\n{track}-b 0 1\n2\n",
         )
-        scans += [write(tmp_path / track / "Data" / f"{number}.obj") for number in range(3)]
+        scans += [
+            write(tmp_path / track / "Data" / f"{number}.obj") for number in range(3)
+        ]
     found = labels_of("psb", scans)
     assert [found[str(path)] for path in scans] == [
         *("Real-a", "Real-a", "Real-b"),

@@ -40,9 +40,9 @@ def with_garbage(points: FloatArray, share: float, kind: str) -> NDArray[np.gene
     rng = np.random.default_rng(0)
     numbers = points.astype(kind)
     hit = rng.random(len(points)) < share
-    numbers[hit] = np.frombuffer(rng.bytes(int(hit.sum()) * 3 * numbers.itemsize), kind).reshape(
-        -1, 3
-    )
+    numbers[hit] = np.frombuffer(
+        rng.bytes(int(hit.sum()) * 3 * numbers.itemsize), kind
+    ).reshape(-1, 3)
     return numbers
 
 
@@ -50,7 +50,9 @@ def far_and_near(share: float) -> FloatArray:
     """The points, a share of them spread over a cube of side 2e49."""
     rng = np.random.default_rng(0)
     return np.where(
-        rng.random((len(POINTS), 1)) < share, rng.uniform(-1e49, 1e49, POINTS.shape), POINTS
+        rng.random((len(POINTS), 1)) < share,
+        rng.uniform(-1e49, 1e49, POINTS.shape),
+        POINTS,
     )
 
 
@@ -67,12 +69,24 @@ SAME_BODY = {
 GARBAGE = {
     "byte_swapped": floats(POINTS, ">f4"),
     "doubles_byte_swapped": doubles(POINTS, ">f8"),
-    "one_byte_late": ply_of((b"\0" + POINTS.astype("<f4").tobytes())[:-1], len(POINTS), "float"),
-    "doubles_read_as_floats": ply_of(POINTS.astype("<f8").tobytes(), 2 * len(POINTS), "float"),
-    "floats_read_as_doubles": ply_of(POINTS.astype("<f4").tobytes(), len(POINTS) // 2, "double"),
-    "garbage_of_floats": ply_of(with_garbage(POINTS, 0.3, "<f4").tobytes(), len(POINTS), "float"),
-    "garbage_of_doubles": ply_of(with_garbage(POINTS, 0.3, "<f8").tobytes(), len(POINTS), "double"),
-    "only_garbage": ply_of(with_garbage(POINTS, 1, "<f4").tobytes(), len(POINTS), "float"),
+    "one_byte_late": ply_of(
+        (b"\0" + POINTS.astype("<f4").tobytes())[:-1], len(POINTS), "float"
+    ),
+    "doubles_read_as_floats": ply_of(
+        POINTS.astype("<f8").tobytes(), 2 * len(POINTS), "float"
+    ),
+    "floats_read_as_doubles": ply_of(
+        POINTS.astype("<f4").tobytes(), len(POINTS) // 2, "double"
+    ),
+    "garbage_of_floats": ply_of(
+        with_garbage(POINTS, 0.3, "<f4").tobytes(), len(POINTS), "float"
+    ),
+    "garbage_of_doubles": ply_of(
+        with_garbage(POINTS, 0.3, "<f8").tobytes(), len(POINTS), "double"
+    ),
+    "only_garbage": ply_of(
+        with_garbage(POINTS, 1, "<f4").tobytes(), len(POINTS), "float"
+    ),
     "far_and_near": doubles(far_and_near(0.3)),
     "lost_in_the_distance": doubles(POINTS + 1e16),
     "sensors_of_garbage": ply_of(
@@ -81,7 +95,11 @@ GARBAGE = {
         .tobytes(),
         len(POINTS),
         "double",
-    ).replace(b"z\n", b"z\nproperty double vp_x\nproperty double vp_y\nproperty double vp_z\n", 1),
+    ).replace(
+        b"z\n",
+        b"z\nproperty double vp_x\nproperty double vp_y\nproperty double vp_z\n",
+        1,
+    ),
 }
 
 
@@ -96,11 +114,15 @@ def test_a_batch_stores_every_good_scan_beside_poisoned_ones(tmp_path: Path) -> 
         table = signatures(
             catalogue, options=catalogue.options.changed(signature={"method": "r-bihdm"})
         )
-    done, failed = ({record.id for record in records} for records in (summary.done, summary.failed))
+    done, failed = (
+        {record.id for record in records} for records in (summary.done, summary.failed)
+    )
     assert done | failed == {*good, *GARBAGE}
     assert failed <= {*GARBAGE}
     kinds = {record.error for record in summary.failed}
-    assert kinds <= {"ScanReadError", "ReconstructionError", "DegenerateMeshError"}, summary.failed
+    assert kinds <= {"ScanReadError", "ReconstructionError", "DegenerateMeshError"}, (
+        summary.failed
+    )
     expected = np.log(signature(POINTS, {"signature": {"method": "r-bihdm"}}).values)
     for name in good:
         found = np.log(table.values[table.ids.index(name)])
@@ -111,6 +133,7 @@ def test_points_that_single_precision_merges_are_refused() -> None:
     """A tenth of the points so far away that all others coincide, and no thinning that drops them first."""
     options = PipelineOptions().changed(scan={"voxel": 0.0})
     with pytest.raises(
-        ReconstructionError, match="at least 100 points must be distinct in single precision"
+        ReconstructionError,
+        match="at least 100 points must be distinct in single precision",
     ):
         reconstruct(far_and_near(0.1), options)

@@ -114,7 +114,10 @@ def test_every_item_has_its_outcome_and_no_process_is_left(
         return started[-1]
 
     monkeypatch.setattr(pool, "Worker", counted)
-    assert len(list(pool.in_processes(own_process, range(2), workers=8, timeout=PATIENCE))) == 2
+    assert (
+        len(list(pool.in_processes(own_process, range(2), workers=8, timeout=PATIENCE)))
+        == 2
+    )
     assert len(started) == 2
     assert caplog.messages.count("ready soon") == 1
     items = iter(range(1000))
@@ -140,13 +143,16 @@ def test_every_exception_and_every_bad_answer_is_the_outcome_of_its_item() -> No
 
 
 def test_what_lacks_memory_in_a_used_worker_is_tried_in_a_fresh_one() -> None:
-    assert dict(pool.in_processes(keep_half_the_memory, range(3), workers=1, memory=1)) == {
+    assert dict(
+        pool.in_processes(keep_half_the_memory, range(3), workers=1, memory=1)
+    ) == {
         0: 0,
         1: 1,
         2: 2,
     }
     with pytest.raises(
-        PcretrieveError, match=r"could take a shape.* the last one printed: ZeroDivisionError"
+        PcretrieveError,
+        match=r"could take a shape.* the last one printed: ZeroDivisionError",
     ):
         list(pool.in_processes(unready, [0]))
 

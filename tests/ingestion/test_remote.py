@@ -24,7 +24,9 @@ from pcretrieve.formats.format import url_of
 from pcretrieve.gallery.fitted import signatures
 from pcretrieve.ingestion.discover import discover
 
-fsspec = pytest.importorskip("fsspec", reason="fsspec is not installed (the extra remote)")
+fsspec = pytest.importorskip(
+    "fsspec", reason="fsspec is not installed (the extra remote)"
+)
 
 OPTIONS: dict[str, Any] = {"surface": {"mode": "keep"}}
 
@@ -49,7 +51,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def http(tmp_path: Path) -> Iterator[str]:
     pytest.importorskip("aiohttp", reason="aiohttp is not installed (the extra remote)")
-    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(tmp_path))) as server:
+    with ThreadingHTTPServer(
+        ("127.0.0.1", 0), partial(Quiet, directory=str(tmp_path))
+    ) as server:
         Thread(target=server.serve_forever, daemon=True).start()
         yield f"http://127.0.0.1:{server.server_address[1]}"
         server.shutdown()
@@ -62,10 +66,14 @@ def s3(folder: Path) -> Iterator[str]:
     server_module = pytest.importorskip(
         "moto.server", reason="moto is not installed (the extra dev)"
     )
-    server = server_module.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server = server_module.ThreadedMotoServer(
+        ip_address="127.0.0.1", port=0, verbose=False
+    )
     server.start()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("AWS_ENDPOINT_URL", "http://{}:{}".format(*server.get_host_and_port()))
+        patch.setenv(
+            "AWS_ENDPOINT_URL", "http://{}:{}".format(*server.get_host_and_port())
+        )
         for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_DEFAULT_REGION"):
             patch.setenv(name, "us-east-1")
         # A worker of pytest-xdist may set this fixture up twice. Clients are kept, with the address of the
@@ -79,7 +87,9 @@ def s3(folder: Path) -> Iterator[str]:
     server.stop()
 
 
-def test_ingest_skips_what_it_has_until_the_content_changes(folder: Path, tmp_path: Path) -> None:
+def test_ingest_skips_what_it_has_until_the_content_changes(
+    folder: Path, tmp_path: Path
+) -> None:
     store, memory = fsspec.filesystem("file"), f"file://{tmp_path}/store"
     store.put(f"{folder}/", memory, recursive=True)
     catalogue, here = tmp_path / "c.sqlite", in_this_process
@@ -97,12 +107,17 @@ def test_ingest_skips_what_it_has_until_the_content_changes(folder: Path, tmp_pa
 
 
 @pytest.mark.slow
-def test_ingest_of_a_bucket_equals_that_of_a_folder(s3: str, folder: Path, tmp_path: Path) -> None:
+def test_ingest_of_a_bucket_equals_that_of_a_folder(
+    s3: str, folder: Path, tmp_path: Path
+) -> None:
     """The worker processes make the copies."""
     arguments = ("--surface", "keep", "--labels", folder / "labels.csv", "--json")
     run("ingest", s3, "-c", tmp_path / "s3.sqlite", *arguments)
     ingest(folder, tmp_path / "f.sqlite", options=OPTIONS, labels=folder / "labels.csv")
-    with Catalogue(tmp_path / "s3.sqlite") as made, Catalogue(tmp_path / "f.sqlite") as expected:
+    with (
+        Catalogue(tmp_path / "s3.sqlite") as made,
+        Catalogue(tmp_path / "f.sqlite") as expected,
+    ):
         assert signatures(made) == signatures(expected)
         assert sorted(record.path for record in made.records()) == [
             f"{s3}/egg.ply",
@@ -126,7 +141,9 @@ def test_copies_of_what_a_scan_names(
     with pytest.raises(ScanReadError, match=r"egg\.ply"):
         read_scan(f"{http}/views/out.conf")
     monkeypatch.setattr(remote, "LARGEST", 100)
-    with pytest.raises(ScanReadError, match=r"/egg\.ply has more than 100 bytes: copy it"):
+    with pytest.raises(
+        ScanReadError, match=r"/egg\.ply has more than 100 bytes: copy it"
+    ):
         read_scan(f"{http}/egg.ply")
 
 
@@ -174,7 +191,9 @@ def odd() -> Iterator[str]:
 
 
 def test_a_file_that_is_declared_too_large_is_not_fetched(odd: str) -> None:
-    with pytest.raises(ScanReadError, match=rf"\.ply has more than {LARGEST} bytes: copy it to"):
+    with pytest.raises(
+        ScanReadError, match=rf"\.ply has more than {LARGEST} bytes: copy it to"
+    ):
         read_scan(f"{odd}/{LARGEST + 1}.ply")
     with pytest.raises(ScanReadError) as raised:
         read_scan(f"{odd}/{LARGEST}.ply")  # of which nothing comes
@@ -185,21 +204,30 @@ def test_a_file_without_an_end_is_not_fetched_further(
     odd: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(remote, "LARGEST", 1 << 20)
-    with pytest.raises(ScanReadError, match=r"/endless\.ply has more than 1048576 bytes: copy it"):
+    with pytest.raises(
+        ScanReadError, match=r"/endless\.ply has more than 1048576 bytes: copy it"
+    ):
         read_scan(f"{odd}/endless.ply")
     assert Odd.sent < MOST_SENT
 
 
 def test_a_server_that_does_not_answer_is_one_failure(odd: str, tmp_path: Path) -> None:
     silent = f"{odd}/silent.ply"
-    (failure,) = ingest(silent, tmp_path / "c.sqlite", executor=in_this_process, timeout=1).failed
+    (failure,) = ingest(
+        silent, tmp_path / "c.sqlite", executor=in_this_process, timeout=1
+    ).failed
     assert (failure.path, failure.stage) == (silent, "read")
-    assert failure.message is not None and "was not read within 1 s: raise --t" in failure.message
+    assert (
+        failure.message is not None
+        and "was not read within 1 s: raise --t" in failure.message
+    )
 
 
 @pytest.mark.slow
 def test_a_scan_that_does_not_arrive_is_one_failure(odd: str, tmp_path: Path) -> None:
-    (failure,) = ingest(f"{odd}/7.ply", tmp_path / "c.sqlite", timeout=1, workers=1).failed
+    (failure,) = ingest(
+        f"{odd}/7.ply", tmp_path / "c.sqlite", timeout=1, workers=1
+    ).failed
     assert (failure.stage, failure.error) == ("worker", "StageTimeout")
 
 

@@ -27,7 +27,10 @@ def folder(tmp_path: Path) -> Path:
     """An egg, twice: a closed mesh, kept as it is, so quickly done."""
     (tmp_path / "eggs").mkdir()
     for name in ("a", "copy"):
-        write_mesh(shapes.ellipsoid((1, 1, 1.5), subdivisions=3), tmp_path / "eggs" / f"{name}.off")
+        write_mesh(
+            shapes.ellipsoid((1, 1, 1.5), subdivisions=3),
+            tmp_path / "eggs" / f"{name}.off",
+        )
     return tmp_path / "eggs"
 
 
@@ -36,7 +39,9 @@ def test_an_id_stands_for_its_shape_still_where_the_file_has_another_name(
 ) -> None:
     ingest(folder, tmp_path / "c.sqlite")
     (folder / "a.off").rename(folder / "moved.off")
-    summary = ingest(folder, tmp_path / "c.sqlite", labels={"a": "large", "nobody": "small"})
+    summary = ingest(
+        folder, tmp_path / "c.sqlite", labels={"a": "large", "nobody": "small"}
+    )
     assert [(record.id, record.label) for record in summary.held] == [("a", "large")]
     assert summary.unknown_labels == ["nobody"]
 
@@ -65,7 +70,9 @@ def test_one_class_for_all_shapes_is_said(
     assert "one class" not in caplog.text
 
 
-def test_a_scan_of_two_runs(folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_scan_of_two_runs(
+    folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     def late(function: Any, items: Any, /, **limits: Any) -> Any:
         ingest(folder / "copy.off", tmp_path / "c.sqlite")
         yield from in_this_process(function, items, **limits)
@@ -104,11 +111,28 @@ def test_no_process_outlives_an_ingest(
     send: Callable[[int], None], code: int, tmp_path: Path
 ) -> None:
     for number in range(4):
-        write_ply(tmp_path / f"{number}.ply", shapes.points_on(shapes.body(3), 3000, seed=number))
+        write_ply(
+            tmp_path / f"{number}.ply",
+            shapes.points_on(shapes.body(3), 3000, seed=number),
+        )
     (tmp_path / "options.toml").write_text("[remesh]\nmethod = 'tetwild'\n")
-    command = [sys.executable, "-m", "pcretrieve", "ingest", tmp_path, "-c", tmp_path / "c.sqlite"]
+    command = [
+        sys.executable,
+        "-m",
+        "pcretrieve",
+        "ingest",
+        tmp_path,
+        "-c",
+        tmp_path / "c.sqlite",
+    ]
     with subprocess.Popen(
-        [*map(str, command), "--workers", "2", "--config", str(tmp_path / "options.toml")],
+        [
+            *map(str, command),
+            "--workers",
+            "2",
+            "--config",
+            str(tmp_path / "options.toml"),
+        ],
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,

@@ -22,7 +22,15 @@ import shapes
 from commands import refusal
 from processes import MEASURE, peak_of
 
-from pcretrieve import Catalogue, PipelineOptions, check, describe, process, read_scan, retry
+from pcretrieve import (
+    Catalogue,
+    PipelineOptions,
+    check,
+    describe,
+    process,
+    read_scan,
+    retry,
+)
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.formats.identity import content_hash
@@ -97,7 +105,9 @@ def test_a_listing_is_made_in_a_process_with_limits(http: str) -> None:
 
 def test_a_server_that_does_not_answer(http: str) -> None:
     started = time.monotonic()
-    with pytest.raises(InputError, match=r"/silent: not finished within 1 s: raise --timeout"):
+    with pytest.raises(
+        InputError, match=r"/silent: not finished within 1 s: raise --timeout"
+    ):
         discover([f"{http}/silent/"], limits=LIMITS | {"timeout": 1})
     assert time.monotonic() - started < 25
 
@@ -162,13 +172,17 @@ def catalogue(tmp_path: Path, http: str) -> Path:
     values = describe(shape, options.signature).values
     with Catalogue(tmp_path / "c.sqlite", options, create=True) as store:
         store.put(Record("a", f"{http}/a.ply", "hash"), Content(replace(shape), values))
-        failed = Record("b", f"{http}/b.ply", "", status="failed", stage="read", message="no")
+        failed = Record(
+            "b", f"{http}/b.ply", "", status="failed", stage="read", message="no"
+        )
         store.put(failed, None)
     return tmp_path / "c.sqlite"
 
 
 def test_stored_urls_are_not_fetched_unasked(catalogue: Path, http: str) -> None:
-    words = rf"names scans at {re.escape(http)}, which are not fetched unasked, .*--remote"
+    words = (
+        rf"names scans at {re.escape(http)}, which are not fetched unasked, .*--remote"
+    )
     for again in (check, retry):
         with pytest.raises(InputError, match=words):
             again(catalogue)
@@ -188,13 +202,17 @@ def test_stored_urls_are_not_fetched_unasked(catalogue: Path, http: str) -> None
 @pytest.mark.slow
 def test_stored_urls_are_fetched_when_that_is_allowed(catalogue: Path) -> None:
     assert check(catalogue, remote=True).n_recomputed == 0  # its content is another one
-    assert [record.id for record in retry(catalogue, remote=True, workers=1).failed] == ["b"]
+    assert [record.id for record in retry(catalogue, remote=True, workers=1).failed] == [
+        "b"
+    ]
     assert {path for path in Server.asked} == {"/a.ply", "/b.ply"}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("answer", "asked"), [("n", set()), ("y", {"/a.ply"})])
-def test_a_terminal_is_asked(catalogue: Path, http: str, answer: str, asked: set[str]) -> None:
+def test_a_terminal_is_asked(
+    catalogue: Path, http: str, answer: str, asked: set[str]
+) -> None:
     ours, theirs = pty.openpty()
     words = ["catalogue", "check", "-c", str(catalogue)]
     os.write(ours, f"{answer}\n".encode())

@@ -40,7 +40,9 @@ def test_a_good_scan_passes_and_its_spread_is_the_rms_distance_to_the_mean() -> 
     assert good.outcome == "passed"
     deviation, spread = good.rescan_errors, good.rescan_error
     assert good.signature is not None and deviation is not None and spread is not None
-    np.testing.assert_allclose(good.signature.values, signature(cloud, OPTIONS).values, rtol=1e-9)
+    np.testing.assert_allclose(
+        good.signature.values, signature(cloud, OPTIONS).values, rtol=1e-9
+    )
     assert check(good, "Signature").value == spread < 0.15
     assert spread**2 == pytest.approx((deviation**2).sum())
     # Two parts lie on either side of their mean.
@@ -61,13 +63,18 @@ def test_a_hole_in_the_scan_is_filled_where_it_is() -> None:
     left = points[np.linalg.norm(points - middle, axis=1) > radius]
     seen = inspect_scan(seen_from_far(left), OPTIONS, n_rescans=0)
     assert seen.mesh is not None
-    areas, middles = seen.mesh.face_areas, seen.mesh.vertices[seen.mesh.faces].mean(axis=1)
+    areas, middles = (
+        seen.mesh.face_areas,
+        seen.mesh.vertices[seen.mesh.faces].mean(axis=1),
+    )
     here = np.linalg.norm(middles - middle, axis=1) < 1.2 * radius
     assert areas[seen.filled & here].sum() > 0.9 * areas[seen.filled].sum()
     # Less what is nearer to the rim than two spacings of the points.
     inner = radius - 2 * np.sqrt(BODY.area / len(points))
     assert areas[seen.filled].sum() == pytest.approx(np.pi * inner**2, rel=0.15)
-    assert check(seen, "Filled in").value == pytest.approx(areas[seen.filled].sum() / areas.sum())
+    assert check(seen, "Filled in").value == pytest.approx(
+        areas[seen.filled].sum() / areas.sum()
+    )
     # The body could stand on a flat cap of the hole; but it is round there, and stands elsewhere.
     assert "Closed base" not in [one.name for one in seen.checks]
 
@@ -91,7 +98,9 @@ def test_what_fails_is_shown_as_far_as_it_came(tmp_path: Path) -> None:
 
     strip = inspect_scan(shapes.mobius_strip())
     assert strip.failure is not None and "one-sided" in strip.failure.message
-    assert strip.scan is not None and len(strip.scan.points) == len(shapes.mobius_strip().vertices)
+    assert strip.scan is not None and len(strip.scan.points) == len(
+        shapes.mobius_strip().vertices
+    )
     for seen in (unread, few, two, strip):
         assert seen.outcome == "failed"
         assert seen.failure is not None

@@ -50,7 +50,9 @@ def egg(height: float, path: Path, width: float = 1.05) -> Path:
     return path
 
 
-def filled(folder: Path, kinds: Mapping[str, tuple[float, ...]], *, fails: bool = False) -> Path:
+def filled(
+    folder: Path, kinds: Mapping[str, tuple[float, ...]], *, fails: bool = False
+) -> Path:
     folder.mkdir(exist_ok=True)
     scans = [
         egg(height, folder / f"{kind}-{number}.off")
@@ -88,7 +90,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def words_of(page: Path) -> str:
     """What the page says, without tags and with single spaces."""
-    text = re.sub(r"<(style|script)>.*?</\1>", "", page.read_text("utf-8"), flags=re.DOTALL)
+    text = re.sub(
+        r"<(style|script)>.*?</\1>", "", page.read_text("utf-8"), flags=re.DOTALL
+    )
     return " ".join(unescape(re.sub(r"<[^>]*>", " ", text)).split())
 
 
@@ -102,7 +106,9 @@ def answer_of(catalogue: Path, query: Path, k: int) -> Answer:
     return answer
 
 
-def test_no_page_needs_another_file_or_runs_what_a_name_says(eggs: Path, tmp_path: Path) -> None:
+def test_no_page_needs_another_file_or_runs_what_a_name_says(
+    eggs: Path, tmp_path: Path
+) -> None:
     """Names and classes of the eggs of the server are markup."""
     pages = [
         report(eggs, tmp_path / "report.html"),
@@ -126,7 +132,9 @@ def test_no_page_needs_another_file_or_runs_what_a_name_says(eggs: Path, tmp_pat
     assert len(set(inlined)) == len(inlined) <= 12, "each picture is inlined once"
 
 
-def test_a_report_is_the_same_again_and_has_its_folder(catalogue: Path, written: Path) -> None:
+def test_a_report_is_the_same_again_and_has_its_folder(
+    catalogue: Path, written: Path
+) -> None:
     first = written.read_bytes()
     assert report(catalogue, written, k=4) == written
     assert first == written.read_bytes()
@@ -140,7 +148,9 @@ def test_a_report_is_the_same_again_and_has_its_folder(catalogue: Path, written:
 # --- the report ---------------------------------------------------------------------------------------
 
 
-def test_measures_and_curve_are_those_of_the_evaluation(catalogue: Path, written: Path) -> None:
+def test_measures_and_curve_are_those_of_the_evaluation(
+    catalogue: Path, written: Path
+) -> None:
     found, text = evaluate(catalogue), written.read_text("utf-8")
     shown = re.findall(r'<td class="value">([\d.]+) <small>\[', text)
     means = (found.nn, found.ft, found.st, found.e, found.dcg, found.map)
@@ -161,17 +171,25 @@ def test_two_results_are_compared(catalogue: Path, tmp_path: Path) -> None:
     assert "+0.000 to +0.000 no difference shown" in words
     same = words_of(report(catalogue, tmp_path / "same.html", versus=catalogue))
     assert "The average precision of no query changed." in same
-    by_matrix = words_of(report(catalogue, tmp_path / "matrix.html", matrix=matrix(catalogue)))
-    assert "searched 11 shapes distance that of a matrix" in by_matrix and "t-SNE" not in by_matrix
+    by_matrix = words_of(
+        report(catalogue, tmp_path / "matrix.html", matrix=matrix(catalogue))
+    )
+    assert (
+        "searched 11 shapes distance that of a matrix" in by_matrix
+        and "t-SNE" not in by_matrix
+    )
 
 
-def test_without_classes_there_is_nothing_to_compare(catalogue: Path, tmp_path: Path) -> None:
+def test_without_classes_there_is_nothing_to_compare(
+    catalogue: Path, tmp_path: Path
+) -> None:
     lonely = filled(tmp_path / "lone", {"a": (1.2,), "b": (1.9,)})
     page = report(lonely, tmp_path / "lone.html")
     assert queries_of(page) == ["a-0", "b-0"]
     assert "confidence" not in words_of(page)
     with pytest.raises(
-        InputError, match=r"no class in .* has two shapes: there are no measures to compare"
+        InputError,
+        match=r"no class in .* has two shapes: there are no measures to compare",
     ):
         report(lonely, tmp_path / "lone.html", versus=catalogue)
 
@@ -179,7 +197,9 @@ def test_without_classes_there_is_nothing_to_compare(catalogue: Path, tmp_path: 
 # --- a search -----------------------------------------------------------------------------------------
 
 
-def test_the_page_of_one_scan_says_what_the_search_found(eggs: Path, folder: Path) -> None:
+def test_the_page_of_one_scan_says_what_the_search_found(
+    eggs: Path, folder: Path
+) -> None:
     page = query_page(eggs, folder / "new.off", folder / "one.html", k=4)
     answer, words = answer_of(eggs, folder / "new.off", 4), words_of(page)
     assert answer.label == "<kind 1>"
@@ -189,7 +209,9 @@ def test_the_page_of_one_scan_says_what_the_search_found(eggs: Path, folder: Pat
         answer.neighbors.ids
     )
     assert answer.neighbors.scores is not None
-    for gap, score in zip(answer.neighbors.distances, answer.neighbors.scores, strict=True):
+    for gap, score in zip(
+        answer.neighbors.distances, answer.neighbors.scores, strict=True
+    ):
         assert f"distance {f'{gap:#.3g}'.rstrip('.')} score {score:.2f}" in words
     assert "12 shapes" in words and "20 values, of the form alone" in words
     assert "Overview" not in words and "failed" not in words
@@ -199,15 +221,19 @@ def test_doubt_about_an_answer_is_said(eggs: Path, folder: Path) -> None:
     egg(0.4, folder / "flat.off", width=3.0)
     page = query_page(eggs, folder / "flat.off", folder / "none.html", min_score=0.99)
     assert "Because no shape has a score of 0.99 or more" in words_of(page)
-    assert "least score 0.99" in words_of(page) and '<ol class="results">' not in page.read_text(
-        "utf-8"
+    assert "least score 0.99" in words_of(
+        page
+    ) and '<ol class="results">' not in page.read_text("utf-8")
+    page = query_page(
+        eggs, folder / "flat.off", folder / "doubt.html", false_match_rate=1e-4
     )
-    page = query_page(eggs, folder / "flat.off", folder / "doubt.html", false_match_rate=1e-4)
     assert "stranger Because the nearest class is " in words_of(page)
     assert 'class="stranger"' in page.read_text("utf-8")
 
 
-def test_the_command_prints_what_it_prints_and_writes_the_page(eggs: Path, folder: Path) -> None:
+def test_the_command_prints_what_it_prints_and_writes_the_page(
+    eggs: Path, folder: Path
+) -> None:
     asked = ("query", "-c", eggs, folder / "new.off", "-k", 2)
     page = folder / "command.html"
     both = run(*asked, "--html", page)
@@ -252,9 +278,15 @@ def test_queries_and_classes_are_searched_and_sorted_without_a_server(
     assert "mixed-0" in wrong and "kind2-0" not in wrong
     page.get_by_label("with a wrong result").uncheck()
     page.get_by_label("Sort by").select_option("best first")
-    assert shown(page)[-2:] == [everything[0], "lone-0"]  # the worst, and the one without a score
+    assert shown(page)[-2:] == [
+        everything[0],
+        "lone-0",
+    ]  # the worst, and the one without a score
     table = page.locator("table.sortable").first
-    for expected in (["kind0", "kind1", "kind2", "mixed"], ["mixed", "kind2", "kind1", "kind0"]):
+    for expected in (
+        ["kind0", "kind1", "kind2", "mixed"],
+        ["mixed", "kind2", "kind1", "kind0"],
+    ):
         table.get_by_role("button", name="Class", exact=True).click()
         assert table.locator("tbody th").all_inner_texts() == expected
 

@@ -19,7 +19,12 @@ from pcretrieve.checks.grading import MEASURES
 from pcretrieve.checks.stages import surface_checks
 from pcretrieve.draw.pictures import Colour
 from pcretrieve.pages.inspection_page import inspection_html
-from pcretrieve.pages.inspection_pictures import DROPPED, KEPT, inspection_cameras, rows_of
+from pcretrieve.pages.inspection_pictures import (
+    DROPPED,
+    KEPT,
+    inspection_cameras,
+    rows_of,
+)
 from pcretrieve.pages.scene import measures, thicker
 from pcretrieve.values import Failure, PointCloud, Signature
 
@@ -59,7 +64,9 @@ def has_colour(colour: Colour, pixels: NDArray[np.float64]) -> NDArray[np.bool_]
     """Which of the opaque pixels have this colour, however dark; pixels at an edge do not count."""
     seen = pixels[pixels[..., 3] > 0.5][:, :3]
     directions = seen / np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), 1e-9)
-    found: NDArray[np.bool_] = directions @ np.array(colour) / np.linalg.norm(colour) > 0.995
+    found: NDArray[np.bool_] = (
+        directions @ np.array(colour) / np.linalg.norm(colour) > 0.995
+    )
     return found
 
 
@@ -90,19 +97,29 @@ def test_the_viewer_gets_points_normals_and_faces() -> None:
     ]
 
     def places(name: str) -> NDArray[np.float64]:
-        grid = np.frombuffer(b64decode(layers[name]["at"]), "<u2").reshape(-1, 3).astype(np.float64)
+        grid = (
+            np.frombuffer(b64decode(layers[name]["at"]), "<u2")
+            .reshape(-1, 3)
+            .astype(np.float64)
+        )
         places: NDArray[np.float64] = (2 * grid / (2**16 - 1) - 1) * scene[
             "zoom"
         ]  # radius of the body: 1
         return places
 
-    assert seen.cloud is not None and seen.cloud.normals is not None and seen.mesh is not None
+    assert (
+        seen.cloud is not None
+        and seen.cloud.normals is not None
+        and seen.mesh is not None
+    )
     np.testing.assert_allclose(places("normals"), seen.cloud.points, atol=1e-4)
     np.testing.assert_allclose(places("dropped"), OUTLIERS, atol=1e-4)
     np.testing.assert_allclose(places("cuts"), seen.cuts, atol=1e-4)
     np.testing.assert_allclose(places("surface"), seen.mesh.vertices, atol=1e-4)
     assert len(places("bridges")) == 0
-    normals = np.frombuffer(b64decode(layers["normals"]["normal"]), np.int8).reshape(-1, 3)
+    normals = np.frombuffer(b64decode(layers["normals"]["normal"]), np.int8).reshape(
+        -1, 3
+    )
     np.testing.assert_allclose(normals / 127, seen.cloud.normals, atol=0.005)
     faces = np.frombuffer(b64decode(layers["filled"]["faces"]), "<u4").reshape(-1, 3)
     np.testing.assert_array_equal(faces, seen.mesh.faces[seen.filled])
@@ -113,7 +130,9 @@ def test_outliers_far_away_do_not_shrink_the_body_and_are_at_the_edge() -> None:
     plain = inspection()
     assert plain.scan is not None
     right = inspection_cameras(plain)[0].axes[0]
-    away = PointCloud(np.concatenate([plain.scan.points[:-2], [1000 * right, 1001 * right]]))
+    away = PointCloud(
+        np.concatenate([plain.scan.points[:-2], [1000 * right, 1001 * right]])
+    )
     seen = replace(plain, scan=away)
     overview, body = rows_of(seen)[:2]
     assert overview.title.startswith("All points that were read, 2 of them at the edge")
@@ -122,7 +141,10 @@ def test_outliers_far_away_do_not_shrink_the_body_and_are_at_the_edge() -> None:
         "2 dropped as outliers, 2 of them beyond an edge in some pictures",
     ]
     for before, after in zip(rows_of(plain)[0].pictures, body.pictures, strict=True):
-        assert abs(before.width - after.width) <= 1 and abs(before.height - after.height) <= 40
+        assert (
+            abs(before.width - after.width) <= 1
+            and abs(before.height - after.height) <= 40
+        )
     first = np.asarray(overview.pictures[0], dtype=np.float64) / 255
     assert has_colour(KEPT, first).mean() > 0.5
     assert has_colour(DROPPED, first[:, -4:]).any()
@@ -154,8 +176,13 @@ def test_the_page_needs_nothing_else_stays_small_and_no_name_can_break_it() -> N
 def test_the_summary_says_what_is_wrong() -> None:
     seen = inspection()  # with a spread of .2
     error = "the error bar of its signature is ± 0.2."
-    assert (seen.outcome, seen.summary) == ("passed", f"A good scan: {error} Look at: outliers.")
-    much = Check("Noise", "look", 1.0, "much", "Hold still.", 1.5, says="the points scatter")
+    assert (seen.outcome, seen.summary) == (
+        "passed",
+        f"A good scan: {error} Look at: outliers.",
+    )
+    much = Check(
+        "Noise", "look", 1.0, "much", "Hold still.", 1.5, says="the points scatter"
+    )
     noisy = replace(seen, checks=(much, *seen.checks))
     assert noisy.outcome == "look"
     assert noisy.summary == (
@@ -163,13 +190,24 @@ def test_the_summary_says_what_is_wrong() -> None:
         "the error bar of its signature is ± 1.5."
     )
     hole = Check(
-        "Largest hole", "failed", 1.0, "wide", "Scan it.", 0.0, "incomplete", "a hole shows"
+        "Largest hole",
+        "failed",
+        1.0,
+        "wide",
+        "Scan it.",
+        0.0,
+        "incomplete",
+        "a hole shows",
     )
     failed = replace(seen, checks=(hole, *seen.checks))
     assert failed.outcome == "look"
-    assert failed.summary == f"An incomplete scan, may answer wrongly: a hole shows; {error}"
+    assert (
+        failed.summary == f"An incomplete scan, may answer wrongly: a hole shows; {error}"
+    )
     stopped = replace(
-        failed, signature=None, failure=Failure("b.ply", "surface", "ReconstructionError", "no")
+        failed,
+        signature=None,
+        failure=Failure("b.ply", "surface", "ReconstructionError", "no"),
     )
     assert (
         stopped.summary
@@ -178,8 +216,13 @@ def test_the_summary_says_what_is_wrong() -> None:
 
 
 def test_two_bodies_are_measured_and_compared() -> None:
-    slim, stout = (shapes.ellipsoid((width, width, 2.0), subdivisions=3) for width in (1.0, 1.3))
-    assert 0.3 < np.median(thicker(stout, slim)) < 0.7 and np.median(thicker(slim, slim)) == 0
+    slim, stout = (
+        shapes.ellipsoid((width, width, 2.0), subdivisions=3) for width in (1.0, 1.3)
+    )
+    assert (
+        0.3 < np.median(thicker(stout, slim)) < 0.7
+        and np.median(thicker(slim, slim)) == 0
+    )
     ball = measures(SPHERE, np.array([0.0, 0, 1]))
     assert ball == pytest.approx(
         {"height": 2, "area": 4 * np.pi, "volume": 4 / 3 * np.pi}, rel=0.01
@@ -188,7 +231,12 @@ def test_two_bodies_are_measured_and_compared() -> None:
     stands, walks = (
         measures(body(subject, POSES["person"][pose]), None) for pose in ("stand", "walk")
     )
-    for name, least in (("head to foot", 1.5), ("waist", 0.6), ("thigh", 0.3), ("upper arm", 0.2)):
+    for name, least in (
+        ("head to foot", 1.5),
+        ("waist", 0.6),
+        ("thigh", 0.3),
+        ("upper arm", 0.2),
+    ):
         assert least < stands[name] < 2 * least and walks[name] == pytest.approx(
             stands[name], rel=0.1
         ), name
@@ -207,7 +255,9 @@ def test_surfaces_are_distinguished() -> None:
         assert [check.outcome for check in surface_checks(mesh)] == outcomes
 
 
-@pytest.mark.parametrize("name", ["Points", "Filled in", "Gaps", "Left out", "Noise", "Surfaces"])
+@pytest.mark.parametrize(
+    "name", ["Points", "Filled in", "Gaps", "Left out", "Noise", "Surfaces"]
+)
 def test_worse_numbers_get_worse_outcomes(name: str) -> None:
     limits = MEASURES[name].limits
     assert limits is not None
@@ -218,12 +268,18 @@ def test_worse_numbers_get_worse_outcomes(name: str) -> None:
 
 def test_a_place_of_a_failed_check_is_ringed_and_turned_to() -> None:
     place = (0.0, 0.0, 1.0)
-    hole = Check("Largest hole", "failed", 1.0, "wide", "", 0.0, "incomplete", "a hole", (place,))
-    seen = replace(inspection(), mesh=SPHERE, filled=np.zeros(len(SPHERE.faces), dtype=bool))
+    hole = Check(
+        "Largest hole", "failed", 1.0, "wide", "", 0.0, "incomplete", "a hole", (place,)
+    )
+    seen = replace(
+        inspection(), mesh=SPHERE, filled=np.zeros(len(SPHERE.faces), dtype=bool)
+    )
     seen = replace(seen, checks=(hole,))
     assert seen.rings.tolist() == [[0, 0, 1]]
     text = inspection_html(seen).decode()
-    assert re.search(r'<a href="#surface,filled,faults@-?\d+,-?\d+"[^>]*>Largest hole</a>', text)
+    assert re.search(
+        r'<a href="#surface,filled,faults@-?\d+,-?\d+"[^>]*>Largest hole</a>', text
+    )
 
 
 def test_rescans_that_differ_more_get_worse_outcomes() -> None:

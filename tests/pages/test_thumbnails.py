@@ -31,7 +31,9 @@ OPTIONS = PipelineOptions().changed(
 
 def ingested(folder: Path, name: str) -> Catalogue:
     store = Catalogue(folder / name, OPTIONS, create=True)
-    pr.ingest(sorted(folder.glob("*.off")), store, labels={f"{n}.off": "egg" for n in range(3)})
+    pr.ingest(
+        sorted(folder.glob("*.off")), store, labels={f"{n}.off": "egg" for n in range(3)}
+    )
     return store
 
 
@@ -41,7 +43,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("thumbnails")
     for number in range(3):
         write_mesh(
-            shapes.ellipsoid((1.0, 1.2, 2.0 + number / 5), subdivisions=3), place / f"{number}.off"
+            shapes.ellipsoid((1.0, 1.2, 2.0 + number / 5), subdivisions=3),
+            place / f"{number}.off",
         )
     return place
 
@@ -85,7 +88,9 @@ def test_a_catalogue_keeps_the_pictures_that_would_be_drawn_and_pages_use_them(
         drawn_now = thumbnail(mesh.vertices, mesh.faces)
         assert drawn_now is not None
         assert kept == drawn_now.png == pictures.of(catalogue, record)
-        np.testing.assert_array_equal(catalogue.rows.direction_upwards(record.id), drawn_now.up)
+        np.testing.assert_array_equal(
+            catalogue.rows.direction_upwards(record.id), drawn_now.up
+        )
         assert kept and size_of(kept) == (THUMBNAIL_PIXELS, THUMBNAIL_PIXELS)
     assert catalogue.rows.stored_bytes("0")["thumbnails"] > 1000
     bare = content_of(
@@ -103,25 +108,33 @@ def test_a_catalogue_keeps_the_pictures_that_would_be_drawn_and_pages_use_them(
         inlined = re.findall(
             r'(?:base64,|data-picture="|")(iVBORw0KGgo[\w+/=]+)', page.read_text("utf-8")
         )
-        assert {size_of(base64.b64decode(picture))[0] for picture in inlined} == {pixels}, page
+        assert {size_of(base64.b64decode(picture))[0] for picture in inlined} == {
+            pixels
+        }, page
 
 
 @pytest.mark.parametrize(("up", "stands"), [("z", True), ("-z", True), ("x", False)])
 def test_what_is_up_can_be_said_for_each_page(
     up: str, stands: bool, catalogue: Catalogue, tmp_path: Path, drawn: list[object]
 ) -> None:
-    with pytest.raises(OptionError, match="up must be one of x, -x, y, -y, z, -z, got 'w'"):
+    with pytest.raises(
+        OptionError, match="up must be one of x, -x, y, -y, z, -z, got 'w'"
+    ):
         pr.report(catalogue, tmp_path / "report.html", up="w")
     direction = np.zeros(3)
     direction["xyz".index(up[-1])] = -1 if up[0] == "-" else 1
     pictures = Thumbnails(catalogue, up)
     assert catalogue.rows.settings().get("up") == up
-    assert [is_upright(pictures.of(catalogue, one) or b"") for one in catalogue.records()] == [
-        stands
-    ] * 3
+    assert [
+        is_upright(pictures.of(catalogue, one) or b"") for one in catalogue.records()
+    ] == [stands] * 3
     assert all((one == direction).all() for one in np.array(drawn))
     np.testing.assert_array_equal(catalogue.rows.direction_upwards("0"), direction)
-    for axis, words in {"y": "report", "-y": "lab map", "-x": "query 0 -k 3 --html"}.items():
+    for axis, words in {
+        "y": "report",
+        "-y": "lab map",
+        "-x": "query 0 -k 3 --html",
+    }.items():
         drawn.clear()
         output = () if "--html" in words else ("-o",)
         run(
@@ -135,9 +148,9 @@ def test_what_is_up_can_be_said_for_each_page(
         )
         assert catalogue.rows.settings().get("up") == axis and len(drawn) == 3, words
     pictures.say(catalogue, None)
-    assert catalogue.rows.settings().get("up") is None and catalogue.thumbnail("0") is None, (
-        "drawn again as it shows"
-    )
+    assert (
+        catalogue.rows.settings().get("up") is None and catalogue.thumbnail("0") is None
+    ), "drawn again as it shows"
     shown = pictures.of(catalogue, catalogue.record("0")) or b""
     pictures.turn(catalogue, catalogue.record("0"), forwards=False)
     assert is_upright(catalogue.thumbnail("0") or b"") != is_upright(shown)
@@ -165,7 +178,9 @@ def test_what_was_not_stored_is_drawn_once_and_kept_if_it_can_be_written(
             other.rollback()
         assert len(drawn) == 6
         assert {store.thumbnail(record.id) for record in store.records()} == {None}
-        assert store.rows.keep_thumbnail(store.record("0"), before[0] or b"", np.array([0, 0, 1.0]))
+        assert store.rows.keep_thumbnail(
+            store.record("0"), before[0] or b"", np.array([0, 0, 1.0])
+        )
         with closing(sqlite3.connect(store.location)) as other, other:
             other.execute("UPDATE arrays SET meshes = NULL")
         assert Thumbnails(store, "x").of(store, store.record("0")) == before[0]

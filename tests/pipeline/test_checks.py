@@ -41,7 +41,10 @@ def checks_of(
     cloud: PointCloud, mesh: TriangleMesh, scan: PointCloud | None = None
 ) -> dict[str, Check]:
     """The checks by their names."""
-    return {check.name: check for check in findings_of(cloud, mesh, None, None, scan=scan).checks}
+    return {
+        check.name: check
+        for check in findings_of(cloud, mesh, None, None, scan=scan).checks
+    }
 
 
 def fit_of(cloud: PointCloud, mesh: TriangleMesh) -> Fit:
@@ -114,7 +117,9 @@ def test_a_direction_is_unseen_if_other_surface_that_faces_it_is() -> None:
 
 def test_a_thin_side_is_uneven_however_dense_the_other_is() -> None:
     points = on_ball(200_000)
-    thin = points[(points[:, 0] > 0) | (np.random.default_rng(1).random(len(points)) < 0.1)]
+    thin = points[
+        (points[:, 0] > 0) | (np.random.default_rng(1).random(len(points)) < 0.1)
+    ]
     found = checks_of(cloud_of(on_ball()), BALL, PointCloud(thin))["Evenness"]
     assert (found.outcome, found.grade) == ("failed", "incomplete")
     assert found.value == pytest.approx(10**0.5, rel=0.1)
@@ -132,7 +137,8 @@ def tube(end: float) -> TriangleMesh:
     """A capsule along x whose right end is flat, at x = end."""
     vertices = BALL.vertices * 0.35
     vertices = (
-        vertices + [0.8, 0, 0] * np.sign(vertices[:, :1]) * np.abs(BALL.vertices[:, :1]) ** 0.2
+        vertices
+        + [0.8, 0, 0] * np.sign(vertices[:, :1]) * np.abs(BALL.vertices[:, :1]) ** 0.2
     )
     return TriangleMesh(np.minimum(vertices, [end, 9, 9]), BALL.faces)
 
@@ -150,11 +156,15 @@ def test_one_cut_that_is_closed_in_two_pieces_is_one_end() -> None:
     points, normals = capsule()
     kept = points[:, 0] < 0.5
     # Points across the cap part what closes it.
-    across = np.column_stack([np.full(200, 0.5), np.zeros(200), np.linspace(-0.35, 0.35, 200)])
+    across = np.column_stack(
+        [np.full(200, 0.5), np.zeros(200), np.linspace(-0.35, 0.35, 200)]
+    )
     aside = np.tile([[0, 1.0, 0], [0, -1, 0]], (100, 1))
     sides = normals[kept] / slim
     sides /= np.linalg.norm(sides, axis=1, keepdims=True)
-    cloud = cloud_of(slim * np.concatenate([points[kept], across]), np.concatenate([sides, aside]))
+    cloud = cloud_of(
+        slim * np.concatenate([points[kept], across]), np.concatenate([sides, aside])
+    )
     cap = tube(0.5)
     fit = fit_of(cloud, TriangleMesh(slim * cap.vertices, cap.faces))
     far, _, is_closing = fit._closing
@@ -197,10 +207,15 @@ def test_a_rod_is_one_body() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_known_places_of_a_standing_person_are_named(seed: int) -> None:
-    mesh = body(make_subject("person", np.random.default_rng(seed)), POSES["person"]["stand"])
+    mesh = body(
+        make_subject("person", np.random.default_rng(seed)), POSES["person"]["stand"]
+    )
     person = person_of(mesh.vertices, mesh.faces)
     assert person is not None
-    known = standing_places(mesh) | {"toes": int(person.feet[0]), "fingers": int(person.hands[0])}
+    known = standing_places(mesh) | {
+        "toes": int(person.feet[0]),
+        "fingers": int(person.hands[0]),
+    }
     named = {}
     for name, vertex in known.items():
         named[name] = parts_at(mesh.vertices[[vertex]], mesh, person)

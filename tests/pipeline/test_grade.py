@@ -44,13 +44,18 @@ def floor_under(points: FloatArray) -> FloatArray:
 def without_a_knee(points: FloatArray) -> FloatArray:
     knee = points[np.abs(heights(points) - 0.28).argmin()]
     return np.asarray(
-        points[np.linalg.norm(points - knee, axis=1) > 0.1 * np.linalg.norm(np.ptp(points, axis=0))]
+        points[
+            np.linalg.norm(points - knee, axis=1)
+            > 0.1 * np.linalg.norm(np.ptp(points, axis=0))
+        ]
     )
 
 
 def with_arms_that_cross_the_trunk(points: FloatArray) -> FloatArray:
     side = np.abs(points[:, 0])
-    folded = np.where(side > 0.2, np.sign(points[:, 0]) * (0.2 - 0.8 * (side - 0.2)), points[:, 0])
+    folded = np.where(
+        side > 0.2, np.sign(points[:, 0]) * (0.2 - 0.8 * (side - 0.2)), points[:, 0]
+    )
     return np.column_stack([folded, points[:, 1:]])
 
 
@@ -62,7 +67,9 @@ FAULTS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "the left half 10 times thinner": lambda points: points[
         (points[:, 0] < np.median(points[:, 0])) | some(points, 0.1)
     ],
-    "a floor under the feet": lambda points: np.concatenate([points, floor_under(points)]),
+    "a floor under the feet": lambda points: np.concatenate(
+        [points, floor_under(points)]
+    ),
     "two bodies that touch": lambda points: np.concatenate(
         [points, points + np.array([0.985 * np.ptp(points[:, 0]), 0, 0])]
     ),
@@ -70,7 +77,9 @@ FAULTS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "no lower legs": lambda points: points[heights(points) > 0.25],
     "one hole": without_a_knee,
     "crossed arms": with_arms_that_cross_the_trunk,
-    "turned": lambda points: points @ np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0],
+    "turned": lambda points: (
+        points @ np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    ),
     "mirrored": lambda points: points * [-1, 1, 1],
     "every point twice": lambda points: np.concatenate([points, points]),
 }
@@ -103,7 +112,9 @@ def test_no_fault_goes_without_a_word(
     fault: str, person: TriangleMesh, points: FloatArray, true: FloatArray
 ) -> None:
     low, high = person.vertices[:, 1].argmin(), person.vertices[:, 1].argmax()
-    welded = TriangleMesh(person.vertices, np.where(person.faces == low, high, person.faces))
+    welded = TriangleMesh(
+        person.vertices, np.where(person.faces == low, high, person.faces)
+    )
     try:
         shape = process(FAULTS[fault](points) if fault in FAULTS else welded)
     except ReconstructionError:
@@ -137,7 +148,9 @@ def test_a_body_without_a_forearm_is_incomplete(side: int, points: FloatArray) -
     assert any(reason.startswith(told) for reason in shape.grade.reasons)
 
 
-def test_the_reason_names_the_part_of_a_person_where_a_hole_is(points: FloatArray) -> None:
+def test_the_reason_names_the_part_of_a_person_where_a_hole_is(
+    points: FloatArray,
+) -> None:
     crown = points[points[:, 1].argmax()]
     pierced = points[np.linalg.norm(points - crown, axis=1) > 0.08 * np.ptp(points[:, 1])]
     grade = process(pierced).grade
@@ -149,7 +162,9 @@ def test_the_reason_names_the_part_of_a_person_where_a_hole_is(points: FloatArra
 
 
 def check(name: str, error: float, grade: CheckGrade = "") -> Check:
-    return Check(name, "look", None, "much", "Look.", error, grade, f"{name.lower()} is wrong")
+    return Check(
+        name, "look", None, "much", "Look.", error, grade, f"{name.lower()} is wrong"
+    )
 
 
 def test_a_missing_part_makes_a_scan_incomplete_whatever_the_error() -> None:

@@ -17,7 +17,9 @@ from pcretrieve.values import FloatArray, TriangleMesh
 SHARE = 0.03
 
 
-def scanned(mesh: TriangleMesh, n: int, *, noise: float, seed: int, shift: float = 0) -> PointCloud:
+def scanned(
+    mesh: TriangleMesh, n: int, *, noise: float, seed: int, shift: float = 0
+) -> PointCloud:
     """Points with the normals of the surface, moved along (1, 1, 1); lengths relative to the diagonal."""
     found = shapes.oriented_points_on(mesh, n, noise=noise, seed=seed)
     return PointCloud(found.points + shift * mesh.diagonal / np.sqrt(3), found.normals)
@@ -25,7 +27,9 @@ def scanned(mesh: TriangleMesh, n: int, *, noise: float, seed: int, shift: float
 
 def joined(*clouds: PointCloud) -> PointCloud:
     normals = [cloud.normals for cloud in clouds if cloud.normals is not None]
-    return PointCloud(np.concatenate([cloud.points for cloud in clouds]), np.concatenate(normals))
+    return PointCloud(
+        np.concatenate([cloud.points for cloud in clouds]), np.concatenate(normals)
+    )
 
 
 def share(cloud: PointCloud) -> float:
@@ -34,7 +38,14 @@ def share(cloud: PointCloud) -> float:
 
 def cube() -> TriangleMesh:
     corners = np.indices((2, 2, 2)).reshape(3, -1).T.astype(float)
-    faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    faces = [
+        [0, 1, 3, 2],
+        [4, 6, 7, 5],
+        [0, 4, 5, 1],
+        [2, 3, 7, 6],
+        [0, 2, 6, 4],
+        [1, 5, 7, 3],
+    ]
     return TriangleMesh(
         corners, np.array([[a, *two] for a, b, c, d in faces for two in ((b, c), (c, d))])
     )
@@ -68,7 +79,9 @@ def test_a_ball_that_was_scanned_twice(noises: float, is_found: bool) -> None:
         is_layered = found.apart > 0
         along = np.abs(found.places @ np.ones(3)) / np.sqrt(3)  # cosine to the shift
         assert along[is_layered].mean() > along[~is_layered].mean() + 0.2
-        farthest = float(np.median(found.apart[is_layered & (along > 0.9)])) / ball.diagonal
+        farthest = (
+            float(np.median(found.apart[is_layered & (along > 0.9)])) / ball.diagonal
+        )
         assert shift < farthest < shift + 3 * noise  # the width of two layers of noise
 
 
@@ -92,7 +105,9 @@ def four_views(mesh: TriangleMesh, move: float, turn: float) -> FloatArray:
     parts = []
     for azimuth in np.arange(4) * np.pi / 2:
         seen = surface.normals @ [np.cos(azimuth), 0, np.sin(azimuth)] > 0.2
-        axis, direction = (vector / np.linalg.norm(vector) for vector in rng.normal(size=(2, 3)))
+        axis, direction = (
+            vector / np.linalg.norm(vector) for vector in rng.normal(size=(2, 3))
+        )
         points = surface.points[seen]
         points = points + turn * np.cross(axis, points) + move * mesh.diagonal * direction
         parts.append(points + rng.normal(0, 0.0008 * mesh.diagonal, points.shape))

@@ -17,7 +17,14 @@ import shapes
 from commands import run
 
 import pcretrieve as pr
-from pcretrieve import Catalogue, PipelineOptions, PointCloud, TriangleMesh, reconstruct, signature
+from pcretrieve import (
+    Catalogue,
+    PipelineOptions,
+    PointCloud,
+    TriangleMesh,
+    reconstruct,
+    signature,
+)
 from pcretrieve.errors import InputError, ReconstructionError, ScanReadError, ShapeError
 from pcretrieve.formats import ScanLike, write_cloud, write_mesh
 from pcretrieve.options import PRESETS
@@ -42,14 +49,18 @@ def surface() -> TriangleMesh:
     return reconstruct(POINTS)
 
 
-def test_the_signature_of_the_surface_of_a_scan_is_that_of_the_scan(surface: TriangleMesh) -> None:
+def test_the_signature_of_the_surface_of_a_scan_is_that_of_the_scan(
+    surface: TriangleMesh,
+) -> None:
     assert len(surface.others) == 1
     expected = signature(POINTS)
     assert expected.errors is not None
     assert signature(surface) == expected
 
 
-def test_a_surface_carries_the_others_of_its_scan_to_other_processes(surface: TriangleMesh) -> None:
+def test_a_surface_carries_the_others_of_its_scan_to_other_processes(
+    surface: TriangleMesh,
+) -> None:
     sent = pickle.loads(pickle.dumps(surface))
     assert sent == surface and sent.others == surface.others
 
@@ -93,7 +104,9 @@ def test_filters_take_clouds_of_open3d_and_say_what_they_cannot_take() -> None:
         np.testing.assert_allclose(pr.crop(made()).points, cloud.points, rtol=1e-6)
     with pytest.raises(InputError, match="a scan must be a path, an \\(n, 3\\) array"):
         pr.crop(5)  # type: ignore[arg-type]
-    with pytest.raises(ReconstructionError, match=r"\[clean\] a scan needs at least 100 points"):
+    with pytest.raises(
+        ReconstructionError, match=r"\[clean\] a scan needs at least 100 points"
+    ):
         pr.clean(POINTS[:50])
     with pytest.raises(ReconstructionError, match="needs a scan with normals"):
         pr.orient(POINTS, {"scan": {"orientation": "given"}})
@@ -109,7 +122,9 @@ def test_a_function_of_a_mesh_is_a_descriptor(surface: TriangleMesh) -> None:
     each = np.array([compactness(mesh) for mesh in (surface, *surface.others)])
     np.testing.assert_allclose(made.values, each.mean(axis=0))
     assert made.errors is not None and made.errors[1] == 0
-    with pytest.raises(ShapeError, match="the descriptor 'no_mesh' failed, AttributeError"):
+    with pytest.raises(
+        ShapeError, match="the descriptor 'no_mesh' failed, AttributeError"
+    ):
 
         def no_mesh(mesh: TriangleMesh) -> float:
             return float(mesh.nothing)  # type: ignore[attr-defined]
@@ -120,13 +135,17 @@ def test_a_function_of_a_mesh_is_a_descriptor(surface: TriangleMesh) -> None:
 def test_a_descriptor_of_ones_own_needs_no_package() -> None:
     own = pr.Descriptor(
         "heat-trace",
-        lambda shape, options: pr.Signature(np.exp(-shape.spectrum.eigenvalues[:9]), "heat-trace"),
+        lambda shape, options: pr.Signature(
+            np.exp(-shape.spectrum.eigenvalues[:9]), "heat-trace"
+        ),
         needs=("spectrum",),
         length=lambda options: 9,
     )
     body = shapes.body()
     assert signature(body, method=own).kind == "heat-trace"
-    with pytest.raises(ShapeError, match="the descriptor 'heat-trace' must give 8 values"):
+    with pytest.raises(
+        ShapeError, match="the descriptor 'heat-trace' must give 8 values"
+    ):
         signature(body, method=replace(own, length=lambda options: 8))
 
 
@@ -141,7 +160,9 @@ def test_points_need_no_surface(scan: ScanLike) -> None:
     body = shapes.body(4)
     assert shape.area == pytest.approx(body.area, rel=0.03)
     assert shape.mesh.area == pytest.approx(shape.area, rel=0.03)
-    assert shape.mesh.volume == pytest.approx(body.volume, rel=0.05)  # its faces point outwards
+    assert shape.mesh.volume == pytest.approx(
+        body.volume, rel=0.05
+    )  # its faces point outwards
     error = np.log(signature(scan, options).values) - np.log(
         signature(body, {"signature": form}).values
     )
@@ -186,7 +207,8 @@ def test_a_cloud_far_from_the_origin_is_the_same_body(shift: float) -> None:
         there.vertices.mean(axis=0) - shift, here.vertices.mean(axis=0), atol=1e-3
     )
     far, near = (
-        signature(one, {"signature": {"method": "r-bihdm"}}).values for one in (there, here)
+        signature(one, {"signature": {"method": "r-bihdm"}}).values
+        for one in (there, here)
     )
     np.testing.assert_allclose(np.log(far), np.log(near), atol=0.02)
 
@@ -204,13 +226,19 @@ def test_an_error_names_its_scan_and_its_stage(tmp_path: Path) -> None:
     with pytest.raises(ReconstructionError) as raised:
         reconstruct(tmp_path / "few.xyz")
     assert (raised.value.shape_id, raised.value.stage) == ("few.xyz", "crop")
-    assert str(raised.value).startswith("[few.xyz / crop] a scan needs at least 100 points, got 2")
-    with pytest.raises(ScanReadError, match=r"^\[gone\.ply / read\] cannot read .*gone\.ply"):
+    assert str(raised.value).startswith(
+        "[few.xyz / crop] a scan needs at least 100 points, got 2"
+    )
+    with pytest.raises(
+        ScanReadError, match=r"^\[gone\.ply / read\] cannot read .*gone\.ply"
+    ):
         signature(tmp_path / "gone.ply")
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not DATA.is_dir(), reason="needs the Stanford scans, in ../shared/data")
+@pytest.mark.skipif(
+    not DATA.is_dir(), reason="needs the Stanford scans, in ../shared/data"
+)
 def test_the_dragon_has_a_surface() -> None:
     """Its coils touch, its mouth is full of points, and a quarter of it no scan shows."""
     surface = reconstruct(DATA / "stanford_dragon" / "dragonStandRight.conf")
@@ -218,7 +246,9 @@ def test_the_dragon_has_a_surface() -> None:
     assert surface.provenance[-1].sizes["invented"] < 0.3
 
 
-@pytest.mark.parametrize("preset", sorted(set(PRESETS) - {"clean-mesh", "paper", "classic"}))
+@pytest.mark.parametrize(
+    "preset", sorted(set(PRESETS) - {"clean-mesh", "paper", "classic"})
+)
 def test_each_preset_makes_a_closed_surface_of_a_scan(preset: str) -> None:
     shape = process(HAND, PipelineOptions.of(preset))
     assert len(shape.surfaces) == 2
@@ -238,7 +268,10 @@ def test_poisson_makes_the_same_body_and_says_what_it_does_not_use() -> None:
     assert len(shape.surfaces) == 1
     notes = [note for step in shape.provenance for note in step.notes]
     assert "surface.method = 'poisson' does not use surface.genus, surface.gap" in notes
-    assert "the method poisson makes one surface, so that the signature has no error bar" in notes
+    assert (
+        "the method poisson makes one surface, so that the signature has no error bar"
+        in notes
+    )
     described = signature(POINTS, options)
     assert described.errors is None
     assert np.isfinite(described.values).all()
@@ -251,18 +284,27 @@ def test_each_stage_is_logged_once_with_its_repairs(
     np.savetxt(scan, [*POINTS, [300.0, 0, 0]])
     with caplog.at_level(logging.INFO, logger="pcretrieve.pipeline"):
         shape = process(scan, PipelineOptions())
-    records = [record for record in caplog.records if record.name == "pcretrieve.pipeline"]
+    records = [
+        record for record in caplog.records if record.name == "pcretrieve.pipeline"
+    ]
     logged = [
-        record.getMessage().split()[1] for record in records if record.levelno == logging.INFO
+        record.getMessage().split()[1]
+        for record in records
+        if record.levelno == logging.INFO
     ]
     assert logged == [step.stage for step in shape.provenance]
     assert logged[-4:] == ["surface", "surface", "spectrum", "checks"]
-    repairs = [record.getMessage() for record in records if record.levelno == logging.WARNING]
+    repairs = [
+        record.getMessage() for record in records if record.levelno == logging.WARNING
+    ]
     assert repairs == [
-        f"body.xyz: {step.stage}: {note}" for step in shape.provenance for note in step.notes
+        f"body.xyz: {step.stage}: {note}"
+        for step in shape.provenance
+        for note in step.notes
     ]
     assert any(
-        "dropped 1 of 8001 points more than 20 median distances" in repair for repair in repairs
+        "dropped 1 of 8001 points more than 20 median distances" in repair
+        for repair in repairs
     )
 
 
@@ -282,7 +324,9 @@ def test_bodies_of_one_size_have_one_size_in_the_signature_whatever_unit_their_f
     # A file that has a unit is not converted again.
     for file in (metres, millimetres):
         np.testing.assert_allclose(
-            signature(file, {**sized, "scan": {"unit": "mm"}}).values, in_metres, rtol=1e-4
+            signature(file, {**sized, "scan": {"unit": "mm"}}).values,
+            in_metres,
+            rtol=1e-4,
         )
     assert signature(millimetres, sized).values[-1] > 1e6 * in_metres[-1]
 

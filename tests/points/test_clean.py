@@ -39,7 +39,9 @@ def test_outliers_go_and_the_body_stays() -> None:
     rng = np.random.default_rng(0)
     strays = 3 * BODY.diagonal * (rng.random((20, 3)) - 0.5)
     far_from_body = gaps(BODY.points, strays) > 0.1 * BODY.diagonal
-    cleaned = clean(PointCloud(np.concatenate([BODY.points, strays[far_from_body]])), OPTIONS)[0]
+    cleaned = clean(
+        PointCloud(np.concatenate([BODY.points, strays[far_from_body]])), OPTIONS
+    )[0]
     assert gaps(BODY.points, cleaned.points).max() < 0.02 * BODY.diagonal
     assert gaps(cleaned.points, BODY.points).max() < 0.02 * BODY.diagonal
     assert any("as outliers" in note for note in cleaned.provenance[-1].notes)
@@ -64,9 +66,13 @@ def test_strays_beside_a_sparse_side_go_and_its_points_stay() -> None:
     rng = np.random.default_rng(0)
     dense = shapes.points_on(shapes.body(3), 40_000)
     body = dense[(dense[:, 0] < 0) | (rng.random(len(dense)) < 0.05)]
-    strays = (rng.random((80, 3)) - 0.5) * 1.2 * np.ptp(dense, axis=0) + dense.mean(axis=0)
+    strays = (rng.random((80, 3)) - 0.5) * 1.2 * np.ptp(dense, axis=0) + dense.mean(
+        axis=0
+    )
     strays = strays[gaps(dense, strays) > 0.03 * BODY.diagonal]
-    cleaned = clean(PointCloud(np.concatenate([body, strays])), ScanOptions(voxel=0))[0].points
+    cleaned = clean(PointCloud(np.concatenate([body, strays])), ScanOptions(voxel=0))[
+        0
+    ].points
     assert gaps(cleaned, strays).min() > 0
     assert gaps(cleaned, body).max() == 0
 
@@ -84,7 +90,11 @@ def test_each_point_keeps_a_sensor_that_saw_its_voxel() -> None:
 
 
 def test_no_sensor_is_between_two_that_saw_one_voxel() -> None:
-    sensors = np.random.default_rng(0).choice([-9.0, 9.0], (len(BODY.points), 1)) * [1, 0, 0]
+    sensors = np.random.default_rng(0).choice([-9.0, 9.0], (len(BODY.points), 1)) * [
+        1,
+        0,
+        0,
+    ]
     viewpoints = clean(replace(BODY, viewpoints=sensors), COARSE)[0].viewpoints
     assert viewpoints is not None
     assert set(map(tuple, viewpoints.tolist())) == {(-9, 0, 0), (9, 0, 0)}
@@ -98,7 +108,10 @@ def test_what_is_no_body() -> None:
         (RANDOM[:99], "a scan needs at least 100 points, got 99: scan more densely"),
         (np.ones((500, 3)), "all 500 are equal"),
         (np.outer(RANDOM[:, 0], [1, 2, 3]) + 5, "lie on a line"),
-        (RANDOM @ [[1, 0, 1], [0, 1, 1], [0, 0, 0]], "lie in a plane: scan it from several sides"),
+        (
+            RANDOM @ [[1, 0, 1], [0, 1, 1], [0, 0, 0]],
+            "lie in a plane: scan it from several sides",
+        ),
     ):
         with pytest.raises(ReconstructionError, match=words) as raised:
             clean(PointCloud(points), OPTIONS)

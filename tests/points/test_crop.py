@@ -21,7 +21,9 @@ DIAGONAL = BODY.diagonal
 FLOOR = float(POINTS[:, 2].min())
 
 
-def cropped(points: FloatArray, viewpoints: FloatArray | None = None, **options: Any) -> PointCloud:
+def cropped(
+    points: FloatArray, viewpoints: FloatArray | None = None, **options: Any
+) -> PointCloud:
     return crop(PointCloud(points, viewpoints=viewpoints), ScanOptions(**options))
 
 
@@ -45,7 +47,10 @@ def test_a_scan_without_background_is_not_changed(sensors: bool) -> None:
     kept = crop(scan, ScanOptions())
     assert notes(kept) == ()
     np.testing.assert_array_equal(kept.points, scan.points)
-    assert kept.provenance[-1].sizes == {"points_in": len(scan.points), "points": len(scan.points)}
+    assert kept.provenance[-1].sizes == {
+        "points_in": len(scan.points),
+        "points": len(scan.points),
+    }
 
 
 @pytest.mark.parametrize(
@@ -73,7 +78,9 @@ def test_readings_at_the_largest_range_are_no_points(share: float) -> None:
     """A depth camera writes 65.535 m for a ray without an answer: as depth, or as range."""
     body = POINTS + np.array([0, 0, 4])
     n = max(2, round(share * len(body) / (1 - share)))
-    at = np.column_stack([np.random.default_rng(0).uniform(-0.4, 0.4, (n, 2)), np.ones(n)])
+    at = np.column_stack(
+        [np.random.default_rng(0).uniform(-0.4, 0.4, (n, 2)), np.ones(n)]
+    )
     for rays in (at, at / np.linalg.norm(at, axis=1, keepdims=True)):
         kept = cropped(1000 * np.concatenate([body, 65.535 * rays]))
         np.testing.assert_array_equal(kept.points, 1000 * body)
@@ -96,10 +103,12 @@ def test_ranges_and_box() -> None:
     np.testing.assert_array_equal(kept.points, POINTS[between])
     # Without the position of the sensor, it is the origin.
     np.testing.assert_array_equal(
-        cropped(POINTS - sensor, min_range=4.5, max_range=5.5).points, POINTS[between] - sensor
+        cropped(POINTS - sensor, min_range=4.5, max_range=5.5).points,
+        POINTS[between] - sensor,
     )
     with pytest.raises(
-        ReconstructionError, match=r"left 0 \(dropped 6000 .* max_range = 0.1\): give a wider"
+        ReconstructionError,
+        match=r"left 0 \(dropped 6000 .* max_range = 0.1\): give a wider",
     ):
         cropped(POINTS + 100, max_range=0.1)
 
@@ -117,7 +126,9 @@ def test_a_twentieth_of_the_points_far_away_are_errors_and_more_may_be_a_body() 
     far = POINTS + np.array([1e3, 0, 0])
     for share in (0.04, 0.06):
         n = round(share / (1 - share) * len(POINTS))
-        kept = cropped(np.concatenate([POINTS, far[:n]]), keep_largest=False, ground="none")
+        kept = cropped(
+            np.concatenate([POINTS, far[:n]]), keep_largest=False, ground="none"
+        )
         assert len(kept.points) == len(POINTS) + (n if share > 0.05 else 0)
 
 

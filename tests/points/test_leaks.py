@@ -13,7 +13,9 @@ BALL = shapes.oriented_points_on(shapes.ellipsoid((1, 1, 1), subdivisions=4), 20
 
 
 @pytest.mark.parametrize(("share", "has_leaked"), [(0, False), (0.2, False), (4, True)])
-def test_a_patch_of_normals_that_disagree_is_a_leak(share: float, has_leaked: bool) -> None:
+def test_a_patch_of_normals_that_disagree_is_a_leak(
+    share: float, has_leaked: bool
+) -> None:
     """In a leak the two sides of a shell have any normals: every other point of the patch is turned."""
     assert BALL.normals is not None
     n = len(BALL.points)
@@ -36,6 +38,8 @@ def test_points_that_disagree_here_and_there_are_no_leak() -> None:
 
 def test_a_whole_that_disagrees_is_a_leak() -> None:
     assert BALL.normals is not None
-    normals = BALL.normals * np.random.default_rng(0).choice([-1, 1], (len(BALL.points), 1))
+    normals = BALL.normals * np.random.default_rng(0).choice(
+        [-1, 1], (len(BALL.points), 1)
+    )
     near = neighborhoods(BALL.points, 9).near
     assert _has_leaked(normals, near, np.ones(len(near), dtype=np.bool_))

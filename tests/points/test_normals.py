@@ -68,7 +68,10 @@ def test_points_that_coincide_are_neighbours_at_distance_zero() -> None:
 
 K = 9
 GROUPS = (
-    RNG.normal(size=(200, K, 3)) * [1.0, 0.7, 0.05] @ np.linalg.qr(RNG.normal(size=(3, 3)))[0] + 5
+    RNG.normal(size=(200, K, 3))
+    * [1.0, 0.7, 0.05]
+    @ np.linalg.qr(RNG.normal(size=(3, 3)))[0]
+    + 5
 )
 OF_GROUP = np.arange(200 * K).reshape(200, K)
 
@@ -82,11 +85,15 @@ def test_deviations_are_the_smallest_singular_values() -> None:
 
 
 @pytest.mark.parametrize("unit", [1.0, 2.0**-80])
-def test_normals_are_the_last_eigenvectors_with_the_orientation_of_the_guide(unit: float) -> None:
+def test_normals_are_the_last_eigenvectors_with_the_orientation_of_the_guide(
+    unit: float,
+) -> None:
     points = unit * GROUPS.reshape(-1, 3)
     near = np.repeat(OF_GROUP, K, axis=0)  # of each point, all points of its group
     distance = np.zeros(near.shape)
-    distance[:, -1] = unit  # no weight depends on the distance, except that of the last neighbour
+    distance[:, -1] = (
+        unit  # no weight depends on the distance, except that of the last neighbour
+    )
     guide = np.tile([0.6, 0.0, 0.8], (len(points), 1))
     normals = guided_planes(points, guide, near, distance, 0.2, 0.7)
     weight = np.append(np.ones(K - 1), np.exp(-(0.7**-2)))
@@ -127,7 +134,8 @@ def test_noise_is_what_was_added_however_many_points_there_are() -> None:
 
 
 @pytest.mark.parametrize(
-    ("n", "ratio", "error"), [(20_000, 10, 0.003), (20_000, 30, 0.006), (80_000, 100, 0.006)]
+    ("n", "ratio", "error"),
+    [(20_000, 10, 0.003), (20_000, 30, 0.006), (80_000, 100, 0.006)],
 )
 def test_interpolated_points_are_on_the_surface_and_leave_no_gap(
     n: int, ratio: float, error: float
@@ -137,7 +145,9 @@ def test_interpolated_points_are_on_the_surface_and_leave_no_gap(
     points = points[(points[:, 2] < 0) | (np.random.default_rng(2).random(n) < 1 / ratio)]
     some = neighborhoods(points, 9, of_some=True)
     dense = interpolated(
-        PointCloud(points, points, viewpoints=2 * points), some, cell=max(cell, spacing(some))
+        PointCloud(points, points, viewpoints=2 * points),
+        some,
+        cell=max(cell, spacing(some)),
     )
     np.testing.assert_array_equal(dense.points[: len(points)], points)
     added, normals = dense.points[len(points) :], dense.normals
@@ -189,7 +199,9 @@ def share_right(cloud: PointCloud, true: FloatArray) -> float:
 @pytest.mark.parametrize("method", ["flood", "tangent-plane"])
 def test_normals_point_outwards(method: str, name: str) -> None:
     cloud, true = scanned(SURFACES[name])
-    assert share_right(oriented_normals(cloud, ScanOptions(orientation=method)), true) > 0.99
+    assert (
+        share_right(oriented_normals(cloud, ScanOptions(orientation=method)), true) > 0.99
+    )
 
 
 def test_the_two_sides_of_a_thin_plate_look_away_from_each_other() -> None:
@@ -219,7 +231,9 @@ def test_auto_prefers_sensors_to_normals_and_normals_to_a_flood_fill() -> None:
 CAMERAS = 3 * np.array([[np.cos(a), np.sin(a), 0] for a in np.arange(6) * np.pi / 3])
 
 
-@pytest.mark.parametrize("kind", ["inwards", "of any sign", "of a part", "directions of view"])
+@pytest.mark.parametrize(
+    "kind", ["inwards", "of any sign", "of a part", "directions of view"]
+)
 def test_normals_that_the_flood_fill_contradicts_are_not_used(kind: str) -> None:
     cloud, true = scanned(SURFACES["body"])
     signs = np.random.default_rng(0).choice([-1, 1], (len(true), 1))
@@ -236,9 +250,13 @@ def test_normals_that_the_flood_fill_contradicts_are_not_used(kind: str) -> None
     found = oriented_normals(replace(cloud, normals=wrong), ScanOptions())
     assert share_right(found, true) > 0.99
     (note,) = found.provenance[-1].notes
-    assert note.startswith("did not use the file's own normals: the flood fill contradicts ")
+    assert note.startswith(
+        "did not use the file's own normals: the flood fill contradicts "
+    )
     assert note.endswith("(scan.orientation 'given' uses them)")
-    asked = oriented_normals(replace(cloud, normals=wrong), ScanOptions(orientation="given"))
+    asked = oriented_normals(
+        replace(cloud, normals=wrong), ScanOptions(orientation="given")
+    )
     assert asked.normals is not None
     np.testing.assert_array_equal(asked.normals, wrong)
 
@@ -294,6 +312,9 @@ def test_open3d_gives_the_same_in_any_unit(unit: float) -> None:
             orient_by_tangent_planes(scale * normals, normals, n_neighbors=12)
             for scale in (unit, 1.0)
         ),
-        (feature_histograms(scale * normals, normals, radius=0.3 * scale) for scale in (unit, 1.0)),
+        (
+            feature_histograms(scale * normals, normals, radius=0.3 * scale)
+            for scale in (unit, 1.0)
+        ),
     ):
         np.testing.assert_array_equal(found, expected)

@@ -56,14 +56,18 @@ def apart(
     clouds = []
     for view, away in zip(seen, motions, strict=True):
         assert view.viewpoints is not None
-        clouds.append(PointCloud(moved(away, view.points), viewpoints=moved(away, view.viewpoints)))
+        clouds.append(
+            PointCloud(moved(away, view.points), viewpoints=moved(away, view.viewpoints))
+        )
     return tuple(clouds), motions
 
 
 def error(poses: FloatArray, truth: FloatArray, clouds: Sequence[PointCloud]) -> float:
     """Largest distance of any point from its place; diagonals of the body."""
     off = [
-        np.linalg.norm(moved(pose, cloud.points) - moved(true, cloud.points), axis=1).max()
+        np.linalg.norm(
+            moved(pose, cloud.points) - moved(true, cloud.points), axis=1
+        ).max()
         for pose, true, cloud in zip(poses, truth, clouds, strict=True)
     ]
     return float(max(off)) / shapes.body().diagonal
@@ -109,7 +113,9 @@ def test_given_poses_are_refined_or_kept() -> None:
     refined = merge_views(clouds, MergeOptions(), FAR, poses=rough)
     np.testing.assert_array_equal(refined.poses[0], rough[0])
     assert refined.rms() < 0.7 * kept.rms()
-    back = rough[0] @ np.linalg.inv(truth[0])  # to where the first view, which stays, was put
+    back = rough[0] @ np.linalg.inv(
+        truth[0]
+    )  # to where the first view, which stays, was put
     assert error(refined.poses, back @ truth, clouds) < TOLERANCE
 
 
@@ -128,7 +134,9 @@ def test_readings_at_the_sensor_are_no_points() -> None:
         dirty.append(PointCloud(points, viewpoints=np.concatenate([place, place])))
     found = merge_views(dirty, MergeOptions(refine=False), FAR, poses=poses)
     assert len(found.cloud.points) <= n_clean
-    blind = [PointCloud(np.concatenate([cloud.points, np.zeros((9, 3))])) for cloud in clouds]
+    blind = [
+        PointCloud(np.concatenate([cloud.points, np.zeros((9, 3))])) for cloud in clouds
+    ]
     found = merge_views(blind, MergeOptions(refine=False), FAR, poses=poses)
     assert len(found.cloud.points) == n_clean
 
@@ -141,7 +149,9 @@ def test_views_that_stand_off_the_others_are_named(wrong: tuple[int, ...]) -> No
     poses = np.linalg.inv(motions).astype(np.float64)
     for number in wrong:
         shift = motion(rng, angle=np.radians(1.5), shift=0.0)
-        shift[:3, 3] = 0.0067 * shapes.body().diagonal * Rotation.random(rng=rng).apply([1.0, 0, 0])
+        shift[:3, 3] = (
+            0.0067 * shapes.body().diagonal * Rotation.random(rng=rng).apply([1.0, 0, 0])
+        )
         poses[number] = shift @ poses[number]
     found = merge_views(clouds, MergeOptions(refine=False), FAR, poses=poses)
     (step,) = found.cloud.provenance
@@ -165,7 +175,9 @@ def test_background_is_dropped_before_views_are_matched() -> None:
         ahead = (moved(away, np.zeros((1, 3)))[0] - sensor) / distance
         wall = sensor + 3 * distance * ahead + rng.normal(0, 0.2 * diagonal, (500, 3))
         lamp = rng.normal(cloud.points.mean(axis=0) + diagonal, 0.01 * diagonal, (50, 3))
-        dirty.append(PointCloud(np.concatenate([wall, cloud.points, lamp]), viewpoints=sensor))
+        dirty.append(
+            PointCloud(np.concatenate([wall, cloud.points, lamp]), viewpoints=sensor)
+        )
     options, near = (
         MergeOptions(keep_largest=True, refine=False),
         ScanOptions(max_range=1.7 * distance),
@@ -175,7 +187,9 @@ def test_background_is_dropped_before_views_are_matched() -> None:
     # Outliers of the simulated cameras are components too.
     assert 0.98 * n_clean < len(found.cloud.points) <= n_clean
     assert (
-        np.linalg.norm(found.cloud.points - shapes.body().vertices.mean(axis=0), axis=1).max()
+        np.linalg.norm(
+            found.cloud.points - shapes.body().vertices.mean(axis=0), axis=1
+        ).max()
         < diagonal
     )
     left = merge_views(dirty, MergeOptions(refine=False), FAR, poses=poses)
@@ -204,7 +218,13 @@ CLOSE: dict[str, Any] = {"max_range": 0.1, "sensor": "origin"}
         ([CLOUD] * 2, {}, 2 * STILL, InputError, "rigid motions"),
         ([CLOUD] * 2, {}, STILL * [[-1], [1], [1], [1]], InputError, "rigid motions"),
         ([CLOUD] * 2, {"max_range": 0.0}, None, OptionError, "max_range"),
-        ([CLOUD] * 2, {"max_range": 3.0}, None, InputError, "view 0 does not say where that is"),
+        (
+            [CLOUD] * 2,
+            {"max_range": 3.0},
+            None,
+            InputError,
+            "view 0 does not say where that is",
+        ),
         ([CLOUD, MOVING], {}, None, InputError, "view 1 was seen by several"),
         (
             [CLOUD, PointCloud(CLOUD.points[:9])],
@@ -227,7 +247,13 @@ CLOSE: dict[str, Any] = {"max_range": 0.1, "sensor": "origin"}
             ReconstructionError,
             "view 1 has no points",
         ),
-        ([FRONT, FLAT], {}, None, ReconstructionError, "no two of the 2 views share a surface"),
+        (
+            [FRONT, FLAT],
+            {},
+            None,
+            ReconstructionError,
+            "no two of the 2 views share a surface",
+        ),
         (
             [CLOUD] * 2,
             CLOSE,
@@ -252,9 +278,13 @@ def test_what_cannot_be_merged_says_why(
 
 def test_a_range_image_of_a_square_seen_from_above() -> None:
     ticks = np.linspace(-0.5, 0.5, 41)
-    points = np.stack([*np.meshgrid(ticks, ticks), np.zeros((41, 41))], axis=-1).reshape(-1, 3)
+    points = np.stack([*np.meshgrid(ticks, ticks), np.zeros((41, 41))], axis=-1).reshape(
+        -1, 3
+    )
     up, down = np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]])
-    image = RangeImage(points, np.broadcast_to(up, points.shape), np.array([0.0, 0.0, 5.0]))
+    image = RangeImage(
+        points, np.broadcast_to(up, points.shape), np.array([0.0, 0.0, 5.0])
+    )
     for point, normal, agrees, contradicts in (
         ((0.1, 0.2, 0.0), up, True, False),
         ((0.1, 0.2, 0.09), up, True, False),
@@ -266,7 +296,10 @@ def test_a_range_image_of_a_square_seen_from_above() -> None:
         ((0.1, 0.2, 9.0), up, False, False),  # behind the sensor
     ):
         said = image.compare(np.array([point]), normal, tolerance=0.1)
-        assert (said.agrees.tolist(), said.contradicts.tolist()) == ([agrees], [contradicts]), point
+        assert (said.agrees.tolist(), said.contradicts.tolist()) == (
+            [agrees],
+            [contradicts],
+        ), point
 
 
 # --- real scans ---------------------------------------------------------------------------------------
@@ -274,7 +307,9 @@ def test_a_range_image_of_a_square_seen_from_above() -> None:
 DATA = Path(__file__).parents[3] / "shared" / "data"
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="needs the Stanford scans, in ../shared/data")
+@pytest.mark.skipif(
+    not DATA.is_dir(), reason="needs the Stanford scans, in ../shared/data"
+)
 @pytest.mark.slow
 def test_the_views_of_the_bunny_are_registered() -> None:
     """Ten scans without poses; where two of them are one surface, they are so to a third of a millimetre."""

@@ -45,11 +45,15 @@ def sequence() -> tuple[FloatArray, FloatArray]:
 
 def error(poses: FloatArray, truth: FloatArray, points: FloatArray) -> float:
     """Largest distance of a point from its place; m."""
-    return float(np.linalg.norm(moved(poses, points) - moved(truth, points), axis=2).max())
+    return float(
+        np.linalg.norm(moved(poses, points) - moved(truth, points), axis=2).max()
+    )
 
 
 @pytest.mark.slow
-def test_a_turn_before_a_camera_becomes_one_cloud_without_its_background(tmp_path: Path) -> None:
+def test_a_turn_before_a_camera_becomes_one_cloud_without_its_background(
+    tmp_path: Path,
+) -> None:
     images, motions = sequence()
     write_frames(tmp_path, images, CAMERA)
     merged = pcretrieve.merge_views(tmp_path, "depth-camera")
@@ -58,14 +62,20 @@ def test_a_turn_before_a_camera_becomes_one_cloud_without_its_background(tmp_pat
     took, note = step.notes
     assert took.startswith("took max_range = ")
     n_keys = int(note.split()[-3])
-    assert note == f"registered 30 views of a sequence by {n_keys} key frames" and 5 < n_keys < 30
     assert (
-        error(merged.poses @ motions, motions[:1], body().vertices[::50]) < 0.01 * body().diagonal
+        note == f"registered 30 views of a sequence by {n_keys} key frames"
+        and 5 < n_keys < 30
+    )
+    assert (
+        error(merged.poses @ motions, motions[:1], body().vertices[::50])
+        < 0.01 * body().diagonal
     )
     assert merged.rms() < 0.003 * merged.scale
     surface = RayScene(moved(motions[0], body().vertices), body().faces)
     # The floor reaches the soles, and noise is not bounded.
-    assert np.quantile(surface.distance(merged.cloud.points), 0.999) < 0.02 * body().diagonal
+    assert (
+        np.quantile(surface.distance(merged.cloud.points), 0.999) < 0.02 * body().diagonal
+    )
 
 
 def test_a_foreign_frame_does_not_end_the_sequence(tmp_path: Path) -> None:
@@ -90,7 +100,9 @@ def in_a_room(n_frames: int) -> list[PointCloud]:
     things = np.random.default_rng(2).normal(3.1, 0.12, (height // 8, width // 8))
     images = np.where(images > 2.75, np.kron(things, np.ones((8, 8))), images)
     v, u = np.indices((height, width))
-    rays = np.stack([u - (width - 1) / 2, v - (height - 1) / 2, np.full(u.shape, camera.focal)])
+    rays = np.stack(
+        [u - (width - 1) / 2, v - (height - 1) / 2, np.full(u.shape, camera.focal)]
+    )
     clouds = []
     for image in images:
         points = (rays / camera.focal * image)[:, image > 0].T
@@ -119,7 +131,10 @@ def test_a_room_ends_at_a_valley_of_the_histogram_of_depths() -> None:
 def test_a_view_without_a_place_says_what_would_place_it() -> None:
     view = in_a_room(4)[0]
     for options, words in (
-        (MergeOptions(sensor="origin"), "it has a background, remove that by --max-range 2"),
+        (
+            MergeOptions(sensor="origin"),
+            "it has a background, remove that by --max-range 2",
+        ),
         (MergeOptions(), "if it is of a depth camera, give --sensor origin"),
         (MergeOptions(sensor="origin", background="room"), "give --keep-largest"),
         (DEPTH_CAMERA, "lower min_overlap in [merge]"),
@@ -148,7 +163,10 @@ def pose_line(time: float, pose: FloatArray) -> str:
     """A line of groundtruth.txt, with four digits, and more of the pose."""
     quaternion = Rotation.from_matrix(pose[:3, :3]).as_quat()
     return (
-        " ".join([f"{time:.4f}", *(f"{value:.6f}" for value in (*pose[:3, 3], *quaternion))]) + "\n"
+        " ".join(
+            [f"{time:.4f}", *(f"{value:.6f}" for value in (*pose[:3, 3], *quaternion))]
+        )
+        + "\n"
     )
 
 
@@ -169,7 +187,9 @@ def write_folder(folder: Path, images: FloatArray, poses: FloatArray) -> None:
     lines = HEADER.format("ground truth trajectory", "tx ty tz qx qy qz qw")
     # The tracking system takes a hundred poses a second: there is one before each image, and one after it.
     for number, pose in enumerate(poses):
-        lines += "".join(pose_line(START + number / 30 + late, pose) for late in (-0.004, 0.006))
+        lines += "".join(
+            pose_line(START + number / 30 + late, pose) for late in (-0.004, 0.006)
+        )
     (folder / "groundtruth.txt").write_text(lines)
     accelerometer = "".join(f"{START + k / 100:.6f} -0.5 8.1 -4.0\n" for k in range(20))
     (folder / "accelerometer.txt").write_text(
@@ -187,12 +207,16 @@ def test_poses_of_a_folder_are_where_registration_starts(tmp_path: Path) -> None
     given[1:, :3, :3] @= Rotation.from_rotvec([0, np.radians(1), 0]).as_matrix()
     given[1:, :3, 3] += rng.normal(0, 0.01 / np.sqrt(3), (len(given) - 1, 3))
     write_folder(tmp_path, images, given)
-    kept = pcretrieve.merge_views(tmp_path, DEPTH_CAMERA.model_copy(update={"refine": False}))
+    kept = pcretrieve.merge_views(
+        tmp_path, DEPTH_CAMERA.model_copy(update={"refine": False})
+    )
     np.testing.assert_allclose(kept.poses, given, atol=1e-5)
     refined = pcretrieve.merge_views(tmp_path, DEPTH_CAMERA)
     assert refined.left_out == ()
     at_its_range = np.array([[0, 0, 2.4], [0, 0.8, 2.4], [0.3, 0, 2.4]])
-    before, after = (error(poses, truth, at_its_range) for poses in (given, refined.poses))
+    before, after = (
+        error(poses, truth, at_its_range) for poses in (given, refined.poses)
+    )
     assert before > 0.01
     assert after < 0.5 * before
 
@@ -208,17 +232,26 @@ def test_associations_have_poses_or_times(tmp_path: Path) -> None:
     associations, trajectory = tmp_path / "associations.txt", tmp_path / "groundtruth.txt"
     # associate.py depth.txt groundtruth.txt
     with_poses = [
-        f"{10 + k} depth/{k + 1}.png {pose_line(10.015 + k, pose)}" for k, pose in enumerate(poses)
+        f"{10 + k} depth/{k + 1}.png {pose_line(10.015 + k, pose)}"
+        for k, pose in enumerate(poses)
     ]
     associations.write_text("".join(with_poses))
     assert trajectory_file(images) == associations
-    np.testing.assert_allclose(np.array(image_poses(images, associations)), poses, atol=1e-5)
+    np.testing.assert_allclose(
+        np.array(image_poses(images, associations)), poses, atol=1e-5
+    )
     # associate.py rgb.txt depth.txt, with the poses in a file of their own
-    associations.write_text("10.01 rgb/a.png 10.0 depth/1.png\n11.01 rgb/b.png 11.0 depth/2.png\n")
+    associations.write_text(
+        "10.01 rgb/a.png 10.0 depth/1.png\n11.01 rgb/b.png 11.0 depth/2.png\n"
+    )
     assert trajectory_file(images) is None
-    trajectory.write_text("".join(pose_line(10.01 + k, pose) for k, pose in enumerate(poses)))
+    trajectory.write_text(
+        "".join(pose_line(10.01 + k, pose) for k, pose in enumerate(poses))
+    )
     assert trajectory_file(images) == trajectory
-    np.testing.assert_allclose(np.array(image_poses(images, trajectory)), poses, atol=1e-5)
+    np.testing.assert_allclose(
+        np.array(image_poses(images, trajectory)), poses, atol=1e-5
+    )
     for line, words in (
         (
             "1 2 3 4 0 0 0 x",

@@ -22,7 +22,9 @@ def test_components_are_those_of_scipy_with_the_same_numbers(share: float) -> No
             labels, sizes = components(voxels, corners)
             expected, n = ndimage.label(voxels, np.ones((3, 3, 3)) if corners else None)
             np.testing.assert_array_equal(labels, expected)
-            np.testing.assert_array_equal(sizes, np.bincount(expected.ravel(), minlength=n + 1))
+            np.testing.assert_array_equal(
+                sizes, np.bincount(expected.ravel(), minlength=n + 1)
+            )
 
 
 @pytest.mark.parametrize("limit", [3.5, np.inf])
@@ -35,7 +37,9 @@ def test_distances_are_exact_up_to_the_limit(limit: float) -> None:
                 np.float32
             )
             np.testing.assert_array_equal(distances(sources, limit), expected)
-    assert (distances(np.zeros((3, 4, 5), dtype=bool), limit) == limit).all()  # without sources
+    assert (
+        distances(np.zeros((3, 4, 5), dtype=bool), limit) == limit
+    ).all()  # without sources
 
 
 # --- the outside of points ----------------------------------------------------------------------------
@@ -70,7 +74,9 @@ def test_values_between_voxels_are_those_of_scipy() -> None:
     random = np.random.default_rng(0)
     values = random.normal(size=(4, 5, 6)).astype(np.float32)
     at = random.uniform(-2, 8, size=(200, 3))
-    expected = ndimage.map_coordinates(values.astype(float), at.T, order=1, mode="nearest")
+    expected = ndimage.map_coordinates(
+        values.astype(float), at.T, order=1, mode="nearest"
+    )
     np.testing.assert_allclose(sampled(values, at), expected, atol=1e-6)
 
 

@@ -30,7 +30,9 @@ from pcretrieve.retrieval.distances import Distance, Positions
 from pcretrieve.values import FloatArray, Metric, Neighbors, Signature, SignatureTable
 
 
-def some_values(n: int, *, seed: int = 0, n_values: int = 23, spread: float = 1.0) -> FloatArray:
+def some_values(
+    n: int, *, seed: int = 0, n_values: int = 23, spread: float = 1.0
+) -> FloatArray:
     """(n, n_values) positive numbers over several orders of magnitude."""
     return np.exp(spread * np.random.default_rng(seed).normal(-4, 1, (n, n_values)))
 
@@ -47,7 +49,9 @@ def test_is_the_printed_formula_and_exact_for_each_pair(distance: str) -> None:
     """A pair depends neither on its company nor on its order, to the last bit, nor on a common factor."""
     a, b, factor = some_values(8), some_values(5, seed=1), some_values(1, seed=2)
     found = pairwise(distance, coordinates(a), coordinates(b))
-    np.testing.assert_allclose(found, [[LITERAL[distance](p, q) for q in b] for p in a], rtol=1e-12)
+    np.testing.assert_allclose(
+        found, [[LITERAL[distance](p, q) for q in b] for p in a], rtol=1e-12
+    )
     scaled = pairwise(distance, coordinates(a * factor), coordinates(b * factor))
     np.testing.assert_allclose(scaled, found, rtol=1e-10)
     gallery = coordinates(some_values(9000, n_values=31))  # more than one chunk
@@ -64,7 +68,9 @@ def test_metric_laws() -> None:
     logs = coordinates(some_values(30, spread=2.0))
     for distance in ("d1", "log"):
         d = pairwise(distance, logs, logs)
-        assert (d <= (d[:, :, np.newaxis] + d[np.newaxis, :, :]).min(axis=1) + 1e-12).all()
+        assert (
+            d <= (d[:, :, np.newaxis] + d[np.newaxis, :, :]).min(axis=1) + 1e-12
+        ).all()
     line = coordinates([[1.0], [10.0], [100.0]])
     d = pairwise("d2", line, line)
     assert d[0, 2] > d[0, 1] + d[1, 2], "d2 is no metric"
@@ -73,7 +79,9 @@ def test_metric_laws() -> None:
 
 
 def test_what_has_no_distance_or_no_coordinates() -> None:
-    with pytest.raises(OptionError, match="there is no distance 'D2'; there are log, d1, d2"):
+    with pytest.raises(
+        OptionError, match="there is no distance 'D2'; there are log, d1, d2"
+    ):
         pairwise("D2", np.zeros((1, 3)), np.zeros((1, 3)))
     metric: Metric
     for values, metric, message in (
@@ -99,7 +107,9 @@ def test_what_has_no_distance_or_no_coordinates() -> None:
 # --- the index ------------------------------------------------------------------------------------------
 
 
-def a_table(n: int, *, seed: int = 0, n_values: int = 15, copies: int = 0) -> SignatureTable:
+def a_table(
+    n: int, *, seed: int = 0, n_values: int = 15, copies: int = 0
+) -> SignatureTable:
     """Classes of five, in a shuffled order of ids; the last `copies` rows repeat the first ones."""
     rng = np.random.default_rng(seed)
     scale = np.geomspace(1, 0.05, n_values)
@@ -107,7 +117,9 @@ def a_table(n: int, *, seed: int = 0, n_values: int = 15, copies: int = 0) -> Si
     logs = centres[np.arange(n) // 5] + 0.3 * scale * rng.normal(size=(n, n_values)) - 3
     if copies:
         logs[-copies:] = logs[:copies]
-    return replace(table_of(logs), ids=tuple(f"T{number}" for number in rng.permutation(n)))
+    return replace(
+        table_of(logs), ids=tuple(f"T{number}" for number in rng.permutation(n))
+    )
 
 
 def an_index(
@@ -117,7 +129,11 @@ def an_index(
 
 
 def assert_exact(
-    found: Neighbors, made: SignatureIndex, table: SignatureTable, values: FloatArray, k: int
+    found: Neighbors,
+    made: SignatureIndex,
+    table: SignatureTable,
+    values: FloatArray,
+    k: int,
 ) -> None:
     """Results are the first k of all shapes, sorted by (distance, id)."""
     query, gallery = (
@@ -147,7 +163,10 @@ def test_agrees_with_brute_force(
     made = an_index(table, distance, whitening)
     copies = [made] * 3
     if distance.name in DISTANCES:
-        copies[1:] = pickle.loads(pickle.dumps(made)), SignatureIndex.from_arrays(made.to_arrays())
+        copies[1:] = (
+            pickle.loads(pickle.dumps(made)),
+            SignatureIndex.from_arrays(made.to_arrays()),
+        )
     rng = np.random.default_rng(100)
     near = table.values[:15] * np.exp(0.1 * rng.normal(size=(15, 15)))
     outside = np.exp(rng.normal(size=(15, 15)) * 8)
@@ -172,7 +191,9 @@ def test_few_and_equal_shapes(distance: Distance) -> None:
         for values in 2 * table.values[:3]:
             assert_exact(made.query(values, 1000), made, table, values, 1000)
     values = np.exp([[700.0], [-700.0], [699.0], [-699.0], [-698.0]])
-    infinite = an_index(SignatureTable(tuple("dceba"), values, "r-bihdm"), DISTANCES["d2"])
+    infinite = an_index(
+        SignatureTable(tuple("dceba"), values, "r-bihdm"), DISTANCES["d2"]
+    )
     far = infinite.query(np.exp([720.0 - 15]), 4)
     assert (far.ids, far.distances[2]) == (tuple("deab"), np.inf)
 
@@ -181,7 +202,9 @@ def test_what_is_no_index_and_no_query() -> None:
     made = an_index(a_table(5))
     other: Any
     for k in (0, -3, 2.5, True):
-        with pytest.raises(OptionError, match=f"k must be a whole number of at least 1, got {k}"):
+        with pytest.raises(
+            OptionError, match=f"k must be a whole number of at least 1, got {k}"
+        ):
             made.query(np.ones(15), k)  # type: ignore[arg-type]
     for other, message in (
         (
@@ -198,19 +221,25 @@ def test_what_is_no_index_and_no_query() -> None:
     ):
         with pytest.raises(InputError, match=message):
             made.query(other)
-    with pytest.raises(InputError, match="an index needs at least 1 shape, got an empty table"):
+    with pytest.raises(
+        InputError, match="an index needs at least 1 shape, got an empty table"
+    ):
         an_index(a_table(0))
     table = a_table(50)
     for digest, n_values, message in (
         ("77b1", 15, r"same options as the table \('3f2a'\), got '77b1'; fit it again"),
         ("3f2a", 9, r"must have shape \(N, 9\)"),
     ):
-        whitening = fit_whitening("pca", np.log(table.values[:, :n_values]), options_digest=digest)
+        whitening = fit_whitening(
+            "pca", np.log(table.values[:, :n_values]), options_digest=digest
+        )
         with pytest.raises(InputError, match=message):
             SignatureIndex(table, whitening=whitening)
 
 
-def test_arrays_are_mapped_and_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_arrays_are_mapped_and_checked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(index, "N_ALL", 0)
     made = an_index(a_table(300), whitening="pca")
     for name, array in made.to_arrays().items():
@@ -249,7 +278,9 @@ def scan_by_numpy(
 ) -> tuple[Rows, Singles]:
     """The reference of the compiled scan, by arrays: distances to cells as to their middles, less `reach`."""
     with np.errstate(over="ignore", invalid="ignore"):
-        along = codes[blocks] * step[blocks, :, np.newaxis] + middle[blocks, :, np.newaxis]
+        along = (
+            codes[blocks] * step[blocks, :, np.newaxis] + middle[blocks, :, np.newaxis]
+        )
         total = (along**2).sum(axis=1, dtype=np.float32)
         most = ((np.sqrt(limit) + reach[blocks]) ** 2).astype(np.float32)
         within = ~(total > most[:, np.newaxis]) & (rows[blocks] != bounds.NO_ROW)
@@ -303,7 +334,9 @@ def test_no_signature_lies_within_a_distance_and_beyond_its_limit(
         for query in queries:
             exact = pairwise("log", query[np.newaxis], gallery)[0]
             rounding = (
-                index.ROUNDING * N_VALUES**2 * max(np.abs(gallery).max(), np.abs(query).max())
+                index.ROUNDING
+                * N_VALUES**2
+                * max(np.abs(gallery).max(), np.abs(query).max())
             )
             found = [bounds_of_all(made, query, scan) for scan in SCANS]
             np.testing.assert_allclose(found[1], found[0], rtol=1e-5, atol=1e-6)
@@ -319,7 +352,9 @@ def test_no_signature_lies_within_a_distance_and_beyond_its_limit(
 def test_where_no_directions_lead_few_signatures_are_compared() -> None:
     gallery = np.random.default_rng(7).normal(size=(3000, 60))
     exact = np.linalg.norm(gallery - gallery[0], axis=1)
-    found = LowerBounds.of(gallery).candidates(gallery[0], 5, lambda rows: np.sort(exact[rows])[4])
+    found = LowerBounds.of(gallery).candidates(
+        gallery[0], 5, lambda rows: np.sort(exact[rows])[4]
+    )
     assert np.isin(np.argsort(exact)[:5], found).all()
     assert len(found) <= bounds.N_LAST * 5
 
@@ -330,7 +365,9 @@ def test_many_neighbours_are_looked_for_beyond_the_first_blocks() -> None:
     exact = np.linalg.norm(gallery - gallery[0], axis=1)
     made = LowerBounds.of(gallery)
     k = made.rows.shape[1] // 4
-    found = made.candidates(gallery[0], k, lambda rows: float(np.sort(exact[rows])[k - 1]))
+    found = made.candidates(
+        gallery[0], k, lambda rows: float(np.sort(exact[rows])[k - 1])
+    )
     assert len(made.rows) > bounds.N_BLOCKS and bounds.N_LAST * k > 2 * made.rows.shape[1]
     assert np.isin(np.argsort(exact)[:k], found).all()
 

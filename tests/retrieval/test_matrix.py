@@ -52,15 +52,27 @@ TEXTS = (
         "a\na\n",
         r"run.txt: ids of a distance matrix must be distinct, 'a' comes twice",
     ),
-    ("0 1 2\n1 0 2\n", "a\nb\n", r"run.txt must hold a square matrix, rows by columns, got 2 by 3"),
+    (
+        "0 1 2\n1 0 2\n",
+        "a\nb\n",
+        r"run.txt must hold a square matrix, rows by columns, got 2 by 3",
+    ),
     ("0 1\n1 0 2\n", "a\nb\n", r"run.txt is not a distance matrix: .*columns"),
-    ("0 x\n1 0\n", "a\nb\n", r"run.txt is not a distance matrix: could not convert string 'x'"),
+    (
+        "0 x\n1 0\n",
+        "a\nb\n",
+        r"run.txt is not a distance matrix: could not convert string 'x'",
+    ),
     (
         "0 nan\n1 0\n",
         "a\nb\n",
         r"run.txt: a distance matrix must be numbers, got 1 values that are NaN",
     ),
-    ("0 -1\n-2 0\n", "a\nb\n", r"run.txt: distances must be 0 or more, got 2 that are negative"),
+    (
+        "0 -1\n-2 0\n",
+        "a\nb\n",
+        r"run.txt: distances must be 0 or more, got 2 that are negative",
+    ),
     ("", "", r"run.txt must hold a square matrix"),
 )
 ARRAYS = (
@@ -74,7 +86,9 @@ ARRAYS = (
 
 
 def test_files_that_are_no_matrix(tmp_path: Path) -> None:
-    ids, text_file, binary = (tmp_path / f"run.{suffix}" for suffix in ("ids", "txt", "npy"))
+    ids, text_file, binary = (
+        tmp_path / f"run.{suffix}" for suffix in ("ids", "txt", "npy")
+    )
     for text, names, message in TEXTS:
         text_file.write_text(text)
         ids.unlink(missing_ok=True) if names is None else ids.write_text(names)
@@ -96,7 +110,9 @@ def test_where_a_matrix_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"must not end in \.ids"):
         write_matrix(MATRIX, tmp_path / "run.ids")
     for name in ("a\nb", "a\rb", "a\x0bb", "a\u2028b", ""):
-        with pytest.raises(InputError, match="ids must have one line each, got ") as raised:
+        with pytest.raises(
+            InputError, match="ids must have one line each, got "
+        ) as raised:
             write_matrix(DistanceMatrix((name,), np.zeros((1, 1))), tmp_path / "run.txt")
         assert repr(name) in str(raised.value)
     assert not list(tmp_path.iterdir())

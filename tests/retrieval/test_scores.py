@@ -18,7 +18,9 @@ from pcretrieve.values import Neighbors, SignatureTable
 PLAIN = RetrievalOptions(whitening="none")
 
 
-def classes(n_classes: int, n_each: int, seed: int, spread: float = 0.5) -> SignatureTable:
+def classes(
+    n_classes: int, n_each: int, seed: int, spread: float = 0.5
+) -> SignatureTable:
     """Normally distributed classes, which differ most within themselves in the first direction."""
     rng, n = np.random.default_rng(seed), n_classes * n_each
     noise = spread * rng.normal(size=(n, 6)) * np.geomspace(3, 0.5, 6)
@@ -94,7 +96,9 @@ def test_the_reach_of_a_rate_is_farther_than_that_share_of_strangers() -> None:
     apart = pairwise("log", logs, logs)[first, second][strangers]
     for rate in (0.003, 0.01, 0.1, 0.3, 0.9):
         assert (apart <= found.limit(rate)).mean() == pytest.approx(rate, rel=0.1)
-    assert (found.limit(0.0), found.limit(1.0)) == pytest.approx((apart.min(), apart.max()))
+    assert (found.limit(0.0), found.limit(1.0)) == pytest.approx(
+        (apart.min(), apart.max())
+    )
 
 
 def test_two_points_have_scores_that_can_be_counted() -> None:
@@ -106,9 +110,13 @@ def test_two_points_have_scores_that_can_be_counted() -> None:
 
 def test_scores_need_ten_pairs_of_one_class() -> None:
     for sizes, n_pairs in (((5, 1), 10), ((3, 3, 3), 9)):
-        labels = [f"class {number}" for number, size in enumerate(sizes) for _ in range(size)]
+        labels = [
+            f"class {number}" for number, size in enumerate(sizes) for _ in range(size)
+        ]
         table = table_of(np.random.default_rng(0).normal(size=(len(labels), 3)), labels)
-        assert (fit_scores(table, table_whitening(table, PLAIN)) is None) == (n_pairs == 9)
+        assert (fit_scores(table, table_whitening(table, PLAIN)) is None) == (
+            n_pairs == 9
+        )
 
 
 def test_a_score_is_known_for_every_five_pairs_and_at_a_hundred_distances() -> None:
@@ -119,13 +127,17 @@ def test_a_score_is_known_for_every_five_pairs_and_at_a_hundred_distances() -> N
         same = np.arange(n_same + len(others)) < n_same
         pairs = _Pairs(np.append(ours, others), same, np.ones(len(same)))
         distances, scores = _shares(pairs)
-        assert len(distances) == len(np.unique(scores)) == n_known + 1  # and behind the last
+        assert (
+            len(distances) == len(np.unique(scores)) == n_known + 1
+        )  # and behind the last
 
 
 def test_a_stranger_counts_as_a_tenth_of_a_known_query() -> None:
     """All distances are 1: the first class is the answer to each query, and right for its two shapes."""
     table = table_of(np.eye(20) / np.sqrt(2), classes_of(20, 2))
-    assert scores_of(table).certainty(1.0, 1.0) == pytest.approx(2 / (20 + 0.1 * 20), rel=1e-3)
+    assert scores_of(table).certainty(1.0, 1.0) == pytest.approx(
+        2 / (20 + 0.1 * 20), rel=1e-3
+    )
 
 
 def test_slopes_of_certainty_are_where_the_ridge_holds_the_likelihood() -> None:
@@ -152,7 +164,9 @@ def test_shapes_nearer_than_a_thousandth_are_equally_near() -> None:
     assert found.certainty(0.00105, 0.5) != at_limit
 
 
-def test_the_next_class_is_as_far_as_the_last_neighbour_if_none_of_them_is_of_it() -> None:
+def test_the_next_class_is_as_far_as_the_last_neighbour_if_none_of_them_is_of_it() -> (
+    None
+):
     found = scores_of(classes(20, 6, seed=1, spread=0.05))
     near, far = 0.1, 0.5
     question, answer = Question(PipelineOptions()), Answer(Neighbors((), np.zeros(0)), ())
@@ -162,7 +176,9 @@ def test_the_next_class_is_as_far_as_the_last_neighbour_if_none_of_them_is_of_it
     other = _judged(answer, [(far, "dog"), (near, "cat")], found, question)
     assert (other.label, other.other, other.certainty) == ("cat", "dog", alone.certainty)
     rare = Question(PipelineOptions(), false_match_rate=1e-9)
-    assert _judged(answer, [(9.0, "cat"), (9.5, "dog")], found, rare).verdict == "stranger"
+    assert (
+        _judged(answer, [(9.0, "cat"), (9.5, "dog")], found, rare).verdict == "stranger"
+    )
     assert _judged(answer, [], found, question).verdict == "unknown"
 
 

@@ -15,13 +15,19 @@ from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import RetrievalOptions, SignatureOptions
 from pcretrieve.retrieval import People, Whitening, fit_whitening, pairwise, people
 from pcretrieve.retrieval.people import corrected
-from pcretrieve.retrieval.whitening import calibrated_whitening, read_whitening, write_whitening
+from pcretrieve.retrieval.whitening import (
+    calibrated_whitening,
+    read_whitening,
+    write_whitening,
+)
 from pcretrieve.values import FloatArray, Metric
 
 FITTED = ("neighbours", "pca", "within-class")
 
 
-def labelled_logs(n_classes: int = 12, per_class: int = 10) -> tuple[FloatArray, list[str]]:
+def labelled_logs(
+    n_classes: int = 12, per_class: int = 10
+) -> tuple[FloatArray, list[str]]:
     """(n, 8) log-signatures with different covariances within and between classes, and their classes."""
     rng = np.random.default_rng(0)
     centres = rng.normal(size=(n_classes, 8)) * np.geomspace(2, 0.1, 8)
@@ -50,7 +56,9 @@ def test_laws_of_every_whitening(kind: str, tmp_path: Path) -> None:
     assert (again.kind, again.options_digest) == ("calibrated", "3f2a")
     assert Whitening.from_arrays(whitening.to_arrays()) == whitening
     few = fit_whitening(kind, logs[:3], ["a", "a", "a"])
-    assert few.apply(logs[:3]).var(axis=0).sum() == pytest.approx(logs[:3].var(axis=0).sum())
+    assert few.apply(logs[:3]).var(axis=0).sum() == pytest.approx(
+        logs[:3].var(axis=0).sum()
+    )
     with pytest.raises(InputError, match=r"must have shape \(N, 8\).*got \(120, 7\)"):
         whitening.apply(logs[:, :7])
 
@@ -58,19 +66,29 @@ def test_laws_of_every_whitening(kind: str, tmp_path: Path) -> None:
 def test_pca_makes_directions_equal_and_damps_small_ones() -> None:
     logs, labels = labelled_logs()
     variances = np.linalg.eigvalsh(np.cov(logs.T))
-    whitened = np.linalg.eigvalsh(np.cov(fit_whitening("pca", logs, shrinkage=0.05).apply(logs).T))
+    whitened = np.linalg.eigvalsh(
+        np.cov(fit_whitening("pca", logs, shrinkage=0.05).apply(logs).T)
+    )
     expected = variances / (variances + 0.05 * variances[-1])
-    np.testing.assert_allclose(whitened / whitened[-1], expected / expected[-1], rtol=1e-10)
-    assert (fit_whitening("pca", logs, labels).matrix == fit_whitening("pca", logs).matrix).all()
+    np.testing.assert_allclose(
+        whitened / whitened[-1], expected / expected[-1], rtol=1e-10
+    )
+    assert (
+        fit_whitening("pca", logs, labels).matrix == fit_whitening("pca", logs).matrix
+    ).all()
 
 
 def test_within_class_makes_spread_within_classes_equal() -> None:
     logs, labels = labelled_logs()
-    centres = np.array([logs[[one == label for one in labels]].mean(axis=0) for label in labels])
+    centres = np.array(
+        [logs[[one == label for one in labels]].mean(axis=0) for label in labels]
+    )
     pooled = (logs - centres).T @ (logs - centres) / (120 - 12)
     matrix = fit_whitening("within-class", logs, labels, shrinkage=0.3).matrix
     product = matrix @ (0.7 * pooled + 0.3 * np.trace(pooled) / 8 * np.eye(8)) @ matrix
-    np.testing.assert_allclose(product, product[0, 0] * np.eye(8), atol=1e-10 * product[0, 0])
+    np.testing.assert_allclose(
+        product, product[0, 0] * np.eye(8), atol=1e-10 * product[0, 0]
+    )
     strangers = 100 + np.random.default_rng(1).normal(size=(3, 8))
     alone = fit_whitening("within-class", logs, labels)
     among = fit_whitening(
@@ -90,7 +108,9 @@ def test_values_with_different_units_do_not_depend_on_the_units() -> None:
         relative: FloatArray = d / d.mean()
         return relative
 
-    np.testing.assert_allclose(gaps(logs, "values"), gaps(logs * units, "values"), rtol=1e-6)
+    np.testing.assert_allclose(
+        gaps(logs, "values"), gaps(logs * units, "values"), rtol=1e-6
+    )
     assert np.abs(gaps(logs, "logarithms") - gaps(logs * units, "logarithms")).max() > 0.1
     constant = np.column_stack([logs, np.ones(len(logs))])
     assert np.isfinite(
@@ -148,16 +168,30 @@ def test_what_cannot_be_fitted() -> None:
 
 def test_auto_uses_labels_that_determine_the_covariance() -> None:
     logs, labels = labelled_logs()
-    assert fit_whitening("auto", logs, labels).reason == "within-class: 12 classes of 120 shapes"
+    assert (
+        fit_whitening("auto", logs, labels).reason
+        == "within-class: 12 classes of 120 shapes"
+    )
     for unknown in (None, [None] * len(logs), [*labels[:40], *[None] * 80]):
-        assert fit_whitening("auto", logs, unknown).kind == "neighbours"  # 0, 0 and 4 classes
+        assert (
+            fit_whitening("auto", logs, unknown).kind == "neighbours"
+        )  # 0, 0 and 4 classes
     sparse = [label if row % 10 < 2 else None for row, label in enumerate(labels)]
-    assert fit_whitening("auto", logs, sparse).kind == "within-class"  # 12 classes of 2, rank 12
-    assert fit_whitening("auto", np.hstack([logs, logs]), sparse).kind == "neighbours"  # 16 values
+    assert (
+        fit_whitening("auto", logs, sparse).kind == "within-class"
+    )  # 12 classes of 2, rank 12
+    assert (
+        fit_whitening("auto", np.hstack([logs, logs]), sparse).kind == "neighbours"
+    )  # 16 values
     few = fit_whitening("neighbours", logs[:23])
-    assert few.reason == "none, because 23 shapes are too few to learn from neighbours (24)"
+    assert (
+        few.reason == "none, because 23 shapes are too few to learn from neighbours (24)"
+    )
     equal = fit_whitening("neighbours", np.ones((30, 3)))
-    assert equal.kind == "none" and "only 0 pairs of shapes are mutual neighbours" in equal.reason
+    assert (
+        equal.kind == "none"
+        and "only 0 pairs of shapes are mutual neighbours" in equal.reason
+    )
 
 
 def test_classes_that_overlap_by_pose_are_separated() -> None:
@@ -165,7 +199,9 @@ def test_classes_that_overlap_by_pose_are_separated() -> None:
     logs, labels = labelled_logs(30)
 
     def precision(points: FloatArray) -> float:
-        return evaluate_table(table_of(points, labels), RetrievalOptions(whitening="none")).map
+        return evaluate_table(
+            table_of(points, labels), RetrievalOptions(whitening="none")
+        ).map
 
     plain = precision(logs)
     assert plain < 0.9
@@ -182,8 +218,12 @@ def some_people(known: People, n_people: int = 60) -> tuple[FloatArray, list[str
     between = rng.multivariate_normal(
         known.mean, known.total - known.within, n_people, method="eigh"
     )
-    within = rng.multivariate_normal(0 * known.mean, known.within, 3 * n_people, method="eigh")
-    return np.repeat(between, 3, axis=0) + within, [f"{row // 3}" for row in range(3 * n_people)]
+    within = rng.multivariate_normal(
+        0 * known.mean, known.within, 3 * n_people, method="eigh"
+    )
+    return np.repeat(between, 3, axis=0) + within, [
+        f"{row // 3}" for row in range(3 * n_people)
+    ]
 
 
 @pytest.mark.parametrize("size_weight", [0.0, 6.0])
@@ -195,20 +235,26 @@ def test_the_metric_of_people_finds_them(method: str, size_weight: float) -> Non
     known = people(options)
     assert known is not None
     assert len(known.mean) == signature_length(options)
-    assert np.linalg.eigvalsh(known.metric())[0] > -1e-6 * np.linalg.eigvalsh(known.metric())[-1]
+    assert (
+        np.linalg.eigvalsh(known.metric())[0]
+        > -1e-6 * np.linalg.eigvalsh(known.metric())[-1]
+    )
     logs, labels = some_people(known)
     assert known.unlikeness(logs) == pytest.approx(1, rel=0.3)
     whitening = fit_whitening("auto", logs, labels, people=known)
     assert whitening.kind == "people"
     table = replace(table_of(logs, labels), values=logs, metric="values", digest="")
     plain = fit_whitening("none", logs)
-    found, without = (evaluate_table(table, whitening=one).map for one in (whitening, plain))
+    found, without = (
+        evaluate_table(table, whitening=one).map for one in (whitening, plain)
+    )
     assert 1 - found < 0.6 * (1 - without)
     # Scans of others are compared by their own neighbours, the more so the less they are like people.
     far = known.mean + 30 * (logs - known.mean)
     assert fit_whitening("auto", far, people=known).kind == "neighbours"
     assert (
-        "% from neighbours: " in fit_whitening("people", 2 * logs - known.mean, people=known).reason
+        "% from neighbours: "
+        in fit_whitening("people", 2 * logs - known.mean, people=known).reason
     )
     # Three scans are compared by the simulated people alone.
     assert fit_whitening("unsupervised", logs[:3], people=known).n_fitted == 0
@@ -232,18 +278,22 @@ def test_the_metric_of_people_is_known_for_these_signatures_alone() -> None:
     )
     assert fused is not None and alone is not None
     spread = DESCRIPTORS["r-bihdm"].spread
-    np.testing.assert_allclose(fused.within[:23, :23] * spread**2, alone.within, rtol=1e-5)
+    np.testing.assert_allclose(
+        fused.within[:23, :23] * spread**2, alone.within, rtol=1e-5
+    )
     default = people(SignatureOptions(size_weight=6.0))
     assert default is not None and default.network.size and not fused.network.size
     logs = some_people(default)[0]
     whitening = fit_whitening("people", logs, people=default)
     assert (
-        Whitening.from_arrays(whitening.to_arrays()).apply(logs[5:6]) == whitening.apply(logs)[5]
+        Whitening.from_arrays(whitening.to_arrays()).apply(logs[5:6])
+        == whitening.apply(logs)[5]
     ).all()
     moved = corrected(logs, default.network)
     assert (moved[:, -1] == logs[:, -1]).all() and (moved[:, :-1] != logs[:, :-1]).all()
     with pytest.raises(
-        OptionError, match="whitening 'people' is known for hapt, r-bihdm and their fusion"
+        OptionError,
+        match="whitening 'people' is known for hapt, r-bihdm and their fusion",
     ):
         fit_whitening("people", np.ones((3, 8)))
 

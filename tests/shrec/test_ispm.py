@@ -23,7 +23,8 @@ def pear() -> Eigenpairs:
     x, y, z = ball.vertices.T
     thickness = 0.35 + 0.3 * z
     return unit_eigenpairs(
-        replace(ball, vertices=np.column_stack([thickness * x, thickness * y, z])), N_MODES + 1
+        replace(ball, vertices=np.column_stack([thickness * x, thickness * y, z])),
+        N_MODES + 1,
     )
 
 
@@ -36,7 +37,9 @@ def levels(pairs: Eigenpairs) -> list[FloatArray]:
 
 def test_the_sign_of_the_cutting_eigenfunction_does_not_matter() -> None:
     vectors = pear().eigenvectors * np.where(np.arange(N_MODES + 1) == 1, -1, 1)
-    turned, here = (levels(pairs) for pairs in (replace(pear(), eigenvectors=vectors), pear()))
+    turned, here = (
+        levels(pairs) for pairs in (replace(pear(), eigenvectors=vectors), pear())
+    )
     np.testing.assert_allclose(np.concatenate(turned), np.concatenate(here), atol=1e-12)
 
 

@@ -124,7 +124,9 @@ def test_each_distance_is_that_of_the_matcher_from_the_query() -> None:
     )
 
 
-def test_a_shape_that_a_matcher_fails_on_is_left_out(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_shape_that_a_matcher_fails_on_is_left_out(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     def clumsy(shape: Shape) -> float:
         if shape.area == 2:
             raise IndexError("list index out of range")
@@ -140,16 +142,19 @@ def test_distances_are_those_of_what_all_shapes_taught() -> None:
         largest = max(gallery)
         return lambda area: area / largest
 
-    assert matched(replace(LACKING, distance=apart, learn=relative)).values[1] == pytest.approx(
-        [0.5, 0, 0.25, 0.25]
-    )
+    assert matched(replace(LACKING, distance=apart, learn=relative)).values[
+        1
+    ] == pytest.approx([0.5, 0, 0.25, 0.25])
 
 
 def test_surfaces_without_features_are_named() -> None:
     flat = TriangleMesh(np.zeros((4, 3)), shapes.TETRAHEDRON_FACES)
     two = shapes.joined(shapes.icosphere(1), shapes.moved(shapes.icosphere(1), 1))
     triangle = TriangleMesh(np.eye(3), np.array([[0, 1, 2]]))
-    for mesh, message in ((two, "a connected surface"), (triangle, "at least 4 vertices, got 3")):
+    for mesh, message in (
+        (two, "a connected surface"),
+        (triangle, "at least 4 vertices, got 3"),
+    ):
         with pytest.raises(DegenerateMeshError, match=message):
             canonical_form(mesh)
     with pytest.raises(DegenerateMeshError, match="no keypoints"):
@@ -166,7 +171,8 @@ def test_the_distance_is_the_larger_mean_of_smallest_distances() -> None:
     rng = np.random.default_rng(0)
     one, two = rng.normal(size=(7, 6)), rng.normal(size=(5, 6)) + 1
     sets = [
-        HeatPoints(features, np.full(len(features), 1 / len(features))) for features in (one, two)
+        HeatPoints(features, np.full(len(features), 1 / len(features)))
+        for features in (one, two)
     ]
     gaps = np.linalg.norm(one[:, np.newaxis] - two, axis=2)
     expected = max(gaps.min(axis=1).mean(), gaps.min(axis=0).mean())
@@ -257,7 +263,9 @@ def words_of(histograms: NDArray[np.int64]) -> ViewWords:
 
 def test_the_best_position_counts() -> None:
     rng = np.random.default_rng(0)
-    one, two = (rng.poisson(0.2, (66, 30)) * (rng.random((66, 1)) < 0.9) for _ in range(2))
+    one, two = (
+        rng.poisson(0.2, (66, 30)) * (rng.random((66, 1)) < 0.9) for _ in range(2)
+    )
     means = []
     for row in exchanges():
         common = np.minimum(one[row], two).sum(axis=1)
@@ -296,7 +304,9 @@ def test_a_bump_on_a_ball_is_the_only_keypoint() -> None:
 def test_a_noisy_surface_matches() -> None:
     noise = np.random.default_rng(0).normal(scale=0.002, size=BUMPY.vertices.shape)
     noisy = TriangleMesh(BUMPY.vertices + noise, BUMPY.faces)
-    made, near, far = (mesh_features(shapes.shape(mesh)) for mesh in (BUMPY, noisy, bumpy(1)))
+    made, near, far = (
+        mesh_features(shapes.shape(mesh)) for mesh in (BUMPY, noisy, bumpy(1))
+    )
     assert match_distance(made, near) < 0.3 < 0.7 < match_distance(made, far)
 
 

@@ -42,7 +42,9 @@ def test_codes_are_minimisers_of_the_lasso() -> None:
 def test_a_dictionary_finds_the_directions_that_points_are_sums_of() -> None:
     random = np.random.default_rng(1)
     axes = np.linalg.qr(random.normal(size=(5, 5)))[0]
-    points = axes[random.integers(5, size=200)] * random.choice([-1.0, 1.0], size=(200, 1))
+    points = axes[random.integers(5, size=200)] * random.choice(
+        [-1.0, 1.0], size=(200, 1)
+    )
     atoms = sparse_dictionary(points, 5, 0.05)
     np.testing.assert_allclose(np.abs(atoms @ axes.T).max(axis=0), 1, atol=1e-3)
     np.testing.assert_array_equal(sparse_dictionary(points, 5, 0.05), atoms)
@@ -59,7 +61,9 @@ def test_the_derivative_of_the_loss_is_the_limit_of_differences() -> None:
         triplet_loss(bodies, LABELS, atoms + sign * step * direction, 0.5, 2000)[0]
         for sign in (1, -1)
     )
-    assert (gradient * direction).sum() == pytest.approx((ahead - behind) / (2 * step), rel=0.02)
+    assert (gradient * direction).sum() == pytest.approx(
+        (ahead - behind) / (2 * step), rel=0.02
+    )
 
 
 def test_learning_with_labels_separates_surfaces_that_it_has_not_seen() -> None:
@@ -78,7 +82,8 @@ def test_learning_with_labels_separates_surfaces_that_it_has_not_seen() -> None:
     np.testing.assert_allclose(np.linalg.norm(learned, axis=1), 1)
     points = np.array([surface.features for surface in unseen])
     before, after = (
-        triplet_loss(points, np.array(labels), atoms, 0.1)[0] for atoms in (start, learned)
+        triplet_loss(points, np.array(labels), atoms, 0.1)[0]
+        for atoms in (start, learned)
     )
     assert after < 0.75 * before
 

@@ -10,7 +10,14 @@ import pytest
 from benchmarks.poses import POSES
 from benchmarks.simulation import body, make_subject
 from benchmarks.simulation.bodies import close_contacts, skin
-from benchmarks.simulation.skeleton import Bone, Pose, RoundCone, Subject, bone_distance, motions
+from benchmarks.simulation.skeleton import (
+    Bone,
+    Pose,
+    RoundCone,
+    Subject,
+    bone_distance,
+    motions,
+)
 
 from pcretrieve.surface import defects
 from pcretrieve.values import FloatArray
@@ -30,7 +37,9 @@ def tip(subject: Subject, pose: Pose, bone: str) -> FloatArray:
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_a_body_is_a_closed_oriented_sphere_of_nearly_one_area_in_all_poses(family: str) -> None:
+def test_a_body_is_a_closed_oriented_sphere_of_nearly_one_area_in_all_poses(
+    family: str,
+) -> None:
     subject = someone(family)
     rest = skin(subject).rest
     assert 5_000 < len(rest.vertices) < 10_000
@@ -51,7 +60,10 @@ def test_contacts_are_closed_whatever_the_jitter(family: str) -> None:
     own = skin(subject)
     for name, pose in POSES[family].items():
         jittered = pose.jittered(subject.joints, 2.0, rng)
-        moved, mesh = motions(subject, close_contacts(own, jittered)), body(subject, jittered)
+        moved, mesh = (
+            motions(subject, close_contacts(own, jittered)),
+            body(subject, jittered),
+        )
         for contact in pose.contacts:
             coming = mesh.vertices[
                 np.isin(own.owner, [subject.number(bone) for bone in contact.bones])
@@ -68,7 +80,9 @@ def test_bend_goes_to_the_front_and_spread_away_from_the_body() -> None:
     subject, still = someone("person"), Pose()
     hand = tip(subject, still, "left_hand")
     assert tip(subject, Pose({"left_elbow": (60, 0, 0)}), "left_hand")[2] > hand[2] + 0.1
-    assert tip(subject, Pose({"left_shoulder": (0, 30, 0)}), "left_hand")[1] > hand[1] + 0.1
+    assert (
+        tip(subject, Pose({"left_shoulder": (0, 30, 0)}), "left_hand")[1] > hand[1] + 0.1
+    )
     foot = tip(subject, still, "left_calf")
     assert tip(subject, Pose({"left_hip": (0, 30, 0)}), "left_calf")[0] > foot[0] + 0.1
 
@@ -81,7 +95,13 @@ def test_the_skin_of_a_rod_is_a_capsule_and_converges() -> None:
     )
     start, end = (0.0, 0.0, 0.0), (0.0, length, 0.0)
     rod = Bone(
-        "rod", None, start, end, (0, 0, 1), (RoundCone(start, end, (radius, radius)),), "rod"
+        "rod",
+        None,
+        start,
+        end,
+        (0, 0, 1),
+        (RoundCone(start, end, (radius, radius)),),
+        "rod",
     )
     errors = []
     for cell in (0.12, 0.06, 0.03):

@@ -15,7 +15,14 @@ import pytest
 import shapes
 from benchmarks.poses import POSES, SUBJECTS
 from benchmarks.samples import write, write_views
-from benchmarks.simulation import RigOptions, body, camera_pose, make_subject, scan, scan_views
+from benchmarks.simulation import (
+    RigOptions,
+    body,
+    camera_pose,
+    make_subject,
+    scan,
+    scan_views,
+)
 from benchmarks.simulation.samples import random_motion, write_samples
 from benchmarks.simulation.skeleton import Bone, Pose, RoundCone, Subject
 from benchmarks.turning import TurningOptions, turning_frames, write_frames
@@ -95,8 +102,12 @@ def test_a_perfect_scanner_sees_the_surface_from_its_cameras() -> None:
 
 def test_noise_has_its_size_along_the_ray_and_grows_with_incidence() -> None:
     noise = 0.004
-    direction, distance, true = rays(scan(ball(), perfect(noise=noise, pixels=200), rng()))
-    normals = scan(ball(), perfect(pixels=200), rng()).points  # same pixels, in the same order
+    direction, distance, true = rays(
+        scan(ball(), perfect(noise=noise, pixels=200), rng())
+    )
+    normals = scan(
+        ball(), perfect(pixels=200), rng()
+    ).points  # same pixels, in the same order
     cosine = -np.einsum("ij,ij->i", direction, normals)
     error = (distance - true) / (noise * ball().diagonal)
     for low, high in ((0.97, 1.0), (0.45, 0.55)):
@@ -131,7 +142,9 @@ def test_uniform_points_are_uniform_and_holes_stay_empty() -> None:
 
 
 def test_sensors_of_uniform_scans_see_their_points() -> None:
-    cloud, blind = (uniform(5_000, outlier_share=0.1, sensors=sensors) for sensors in (True, False))
+    cloud, blind = (
+        uniform(5_000, outlier_share=0.1, sensors=sensors) for sensors in (True, False)
+    )
     assert np.array_equal(cloud.points, blind.points), "a ball hides nothing"
     assert cloud.viewpoints is not None
     reach = RigOptions().distance * ball().diagonal
@@ -150,11 +163,17 @@ EXACT = TurningOptions(
 )
 
 
-def test_without_noise_every_point_is_on_the_body_the_floor_or_the_wall(tmp_path: Path) -> None:
+def test_without_noise_every_point_is_on_the_body_the_floor_or_the_wall(
+    tmp_path: Path,
+) -> None:
     mesh = shapes.icosphere(4, radius=0.6)
     images, motions = turning_frames(mesh, EXACT, rng())
     files = write_frames(tmp_path, images, EXACT)
-    assert [file.name for file in files] == ["frame000.png", "frame001.png", "frame002.png"]
+    assert [file.name for file in files] == [
+        "frame000.png",
+        "frame001.png",
+        "frame002.png",
+    ]
     tilt = np.radians(EXACT.tilt)
     down, ahead = (
         np.array([0, np.cos(tilt), np.sin(tilt)]),
@@ -163,7 +182,10 @@ def test_without_noise_every_point_is_on_the_body_the_floor_or_the_wall(tmp_path
     for file, motion in zip(files, motions, strict=True):
         frame = read_scan(file)
         assert isinstance(frame, PointCloud)
-        on_body = RayScene(moved(motion, mesh.vertices), mesh.faces).distance(frame.points) < 0.002
+        on_body = (
+            RayScene(moved(motion, mesh.vertices), mesh.faces).distance(frame.points)
+            < 0.002
+        )
         on_floor = abs(frame.points @ down - EXACT.camera_height) < 0.002
         on_wall = abs(frame.points @ ahead - EXACT.wall) < 0.002
         assert (on_body | on_floor | on_wall).all()
@@ -175,7 +197,9 @@ def test_without_noise_every_point_is_on_the_body_the_floor_or_the_wall(tmp_path
 SCANS = Path(__file__).parents[2] / "scans"
 
 
-def test_the_same_seed_makes_the_same_bytes_and_the_points_of_the_set(tmp_path: Path) -> None:
+def test_the_same_seed_makes_the_same_bytes_and_the_points_of_the_set(
+    tmp_path: Path,
+) -> None:
     bodies, files = {}, []
 
     def kept(
@@ -192,9 +216,14 @@ def test_the_same_seed_makes_the_same_bytes_and_the_points_of_the_set(tmp_path: 
             poses=POSES,
             write=kept,
         )
-        assert labels == {"hand-1/hand-1_open.ply": "hand-1", "hand-2/hand-2_fan.conf": "hand-2"}
+        assert labels == {
+            "hand-1/hand-1_open.ply": "hand-1",
+            "hand-2/hand-2_fan.conf": "hand-2",
+        }
         made = (tmp_path / run).rglob("*.*")
-        files.append({file.relative_to(tmp_path / run): file.read_bytes() for file in made})
+        files.append(
+            {file.relative_to(tmp_path / run): file.read_bytes() for file in made}
+        )
     assert len(files[0]) == 2 + RigOptions().n_views + 1
     assert files[0] == files[1]
     # Points differ by processor and version; those of the set are on the same bodies, by the noise.
@@ -215,8 +244,12 @@ def test_views_lie_on_the_body_and_sensors_where_they_stood(tmp_path: Path) -> N
     assert isinstance(whole, PointCloud) and whole.viewpoints is not None
     off = scene.distance(moved(back, whole.points)) / surface.diagonal
     assert np.quantile(off, 0.95) < 4 * rig.noise
-    cameras = np.array([camera_pose(surface, rig, number)[:3, 3] for number in range(rig.n_views)])
-    apart = np.linalg.norm(moved(back, whole.viewpoints)[:, None] - cameras, axis=2)  # (n, v)
+    cameras = np.array(
+        [camera_pose(surface, rig, number)[:3, 3] for number in range(rig.n_views)]
+    )
+    apart = np.linalg.norm(
+        moved(back, whole.viewpoints)[:, None] - cameras, axis=2
+    )  # (n, v)
     assert apart.min(axis=1) == pytest.approx(0, abs=1e-6)
     assert (np.diff(apart.argmin(axis=1)) >= 0).all(), "view by view"
     views = read_poses(conf)
@@ -239,7 +272,12 @@ def test_the_sample_set_is_whole_and_small() -> None:
         labels = list(csv.DictReader(file))
     assert list(Counter(row["class"] for row in labels).values()) == [5] * 8
     files = {SCANS / row["file"] for row in labels}
-    views = {view for file in files if file.suffix == ".conf" for view, _, _ in read_poses(file)}
+    views = {
+        view
+        for file in files
+        if file.suffix == ".conf"
+        for view, _, _ in read_poses(file)
+    }
     assert all(file.is_file() for file in files | views)
     strange = {file for file in SCANS.rglob("*.*") if file.is_file()} - files - views
     assert strange == {SCANS / "labels.csv", SCANS / "README.md"}

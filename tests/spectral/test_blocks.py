@@ -33,7 +33,9 @@ def test_substitution_solves_and_pairs_are_columns_with_the_same_rows() -> None:
     matrix = operator.stiffness - 3.0 * operator.mass
     factor = Factor(matrix, operator.mass)
     right = np.random.default_rng(1).normal(size=(matrix.shape[0], BLOCK))
-    expected = np.linalg.solve(matrix.toarray()[np.ix_(factor.order, factor.order)], right)
+    expected = np.linalg.solve(
+        matrix.toarray()[np.ix_(factor.order, factor.order)], right
+    )
     np.testing.assert_allclose(factor.solve(right), expected, rtol=1e-9, atol=1e-9)
     expected = (operator.mass[factor.order][:, factor.order]) @ right
     np.testing.assert_allclose(factor.mass(right), expected, atol=1e-12)

@@ -44,7 +44,10 @@ def mean(p: Polynomial) -> Fraction:
     """(1/a) ∫ λ₀ᵃ λ₁ᵇ λ₂ᶜ = 2 a! b! c! / (a + b + c + 2)!"""
     return sum(
         (
-            x * Fraction(2 * factorial(a) * factorial(b) * factorial(c), factorial(a + b + c + 2))
+            x
+            * Fraction(
+                2 * factorial(a) * factorial(b) * factorial(c), factorial(a + b + c + 2)
+            )
             for (a, b, c), x in p.items()
         ),
         Fraction(0),
@@ -57,7 +60,10 @@ def basis(node: tuple[int, int, int], degree: int) -> Polynomial:
     for k, power in enumerate(node):
         unit = tuple(int(k == j) for j in range(3))
         for s in range(power):
-            factor = {unit: Fraction(degree, power - s), (0, 0, 0): Fraction(-s, power - s)}
+            factor = {
+                unit: Fraction(degree, power - s),
+                (0, 0, 0): Fraction(-s, power - s),
+            }
             out = product(out, factor)  # type: ignore[arg-type]
     return out
 
@@ -83,15 +89,20 @@ def rational(matrix: FloatArray) -> list[list[Fraction]]:
 
 
 @pytest.mark.parametrize(
-    ("element", "nodes"), [(LINEAR_REFERENCE, LINEAR_NODES), (CUBIC_REFERENCE, CUBIC_NODES)]
+    ("element", "nodes"),
+    [(LINEAR_REFERENCE, LINEAR_NODES), (CUBIC_REFERENCE, CUBIC_NODES)],
 )
-def test_matrices_are_those_of_the_basis_functions(element: ReferenceElement, nodes: Nodes) -> None:
+def test_matrices_are_those_of_the_basis_functions(
+    element: ReferenceElement, nodes: Nodes
+) -> None:
     functions = [basis(node, sum(node)) for node in nodes]
     assert rational(element.mass) == gram(functions)
     numbers = list(range(len(nodes)))
     for k in range(3):
         stiffness = gram([along(p, k) for p in functions])
-        assert [[stiffness[i][j] for j in numbers] for i in numbers] == rational(element.along)
+        assert [[stiffness[i][j] for j in numbers] for i in numbers] == rational(
+            element.along
+        )
         numbers = element.turn[numbers].tolist()
 
 
@@ -114,6 +125,10 @@ def test_energy_and_norm_of_a_cubic_function_are_exact() -> None:
 
 
 def test_lumped_mass_costs_two_orders() -> None:
-    operators = (laplace_beltrami(shapes.square(n), "cubic", mass="lumped") for n in (6, 12))
-    coarse, fine = (eigenpairs(operator, 4).eigenvalues[1] / np.pi**2 - 1 for operator in operators)
+    operators = (
+        laplace_beltrami(shapes.square(n), "cubic", mass="lumped") for n in (6, 12)
+    )
+    coarse, fine = (
+        eigenpairs(operator, 4).eigenvalues[1] / np.pi**2 - 1 for operator in operators
+    )
     assert np.log2(coarse / fine) == pytest.approx(4, abs=0.2)

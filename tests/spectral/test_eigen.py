@@ -29,7 +29,9 @@ def dense_eigenvalues(operator: LaplaceBeltrami) -> FloatArray:
     return eigenvalues
 
 
-def test_orthonormal_ascending_from_zero_and_the_same_bits_each_time(n_pairs: int) -> None:
+def test_orthonormal_ascending_from_zero_and_the_same_bits_each_time(
+    n_pairs: int,
+) -> None:
     pairs, again = (
         eigenpairs(operator, n_pairs, tolerance=1e-10)
         for operator in (BODY, laplace_beltrami(shapes.body(3)))
@@ -42,9 +44,9 @@ def test_orthonormal_ascending_from_zero_and_the_same_bits_each_time(n_pairs: in
     assert (np.diff(lam) > 0).all()  # nothing about the body is symmetric
     assert (phi[:, 0] == 1 / np.sqrt(pairs.area)).all()
     mapped = (BODY.mass @ phi * lam)[:, 1:]
-    residuals = np.linalg.norm((BODY.stiffness @ phi)[:, 1:] - mapped, axis=0) / np.linalg.norm(
-        mapped, axis=0
-    )
+    residuals = np.linalg.norm(
+        (BODY.stiffness @ phi)[:, 1:] - mapped, axis=0
+    ) / np.linalg.norm(mapped, axis=0)
     assert residuals.max() == pytest.approx(pairs.largest_residual, rel=0.5)
     assert residuals.max() < 1e-9
 
@@ -52,7 +54,9 @@ def test_orthonormal_ascending_from_zero_and_the_same_bits_each_time(n_pairs: in
 def test_all_routes_agree() -> None:
     operator = laplace_beltrami(shapes.body(3), mass="lumped")
     sparse, dense = eigenpairs(operator, 61, tolerance=1e-9), eigenpairs(operator, 250)
-    np.testing.assert_allclose(sparse.eigenvalues[1:], dense.eigenvalues[1:61], rtol=1e-10)
+    np.testing.assert_allclose(
+        sparse.eigenvalues[1:], dense.eigenvalues[1:61], rtol=1e-10
+    )
     np.testing.assert_allclose(sparse.eigenvectors, dense.eigenvectors[:, :61], atol=1e-6)
 
 
@@ -109,7 +113,9 @@ def test_without_a_zero_mode_nothing_is_pinned(n_pairs: int) -> None:
         csc_array(BODY.stiffness[1:, 1:]), csc_array(BODY.mass[1:, 1:]), n_components=0
     )
     pairs = eigenpairs(held, n_pairs, tolerance=1e-6)
-    np.testing.assert_allclose(pairs.eigenvalues, dense_eigenvalues(held)[:n_pairs], rtol=1e-9)
+    np.testing.assert_allclose(
+        pairs.eigenvalues, dense_eigenvalues(held)[:n_pairs], rtol=1e-9
+    )
     phi = pairs.eigenvectors
     assert phi[:, 0].std() > 0.01 * phi[:, 0].mean() > 0
     np.testing.assert_allclose(phi.T @ (held.mass @ phi), np.eye(n_pairs), atol=1e-9)
@@ -134,7 +140,11 @@ BROKEN = {
         TWO.mass,
         "at least 1e-06 after 1 zero modes, got .*: the surface is not",
     ),
-    "massless": (STIFFNESS, edited(MASS, 0, (3, 3)), "must have mass, got 1 of 642 without"),
+    "massless": (
+        STIFFNESS,
+        edited(MASS, 0, (3, 3)),
+        "must have mass, got 1 of 642 without",
+    ),
     "indefinite": (
         STIFFNESS,
         edited(MASS, 1, (3, 5), (5, 3)),
@@ -147,7 +157,11 @@ BROKEN = {
     ),
     "negative": (-STIFFNESS, MASS, NEGATIVE),
     # Above the shift, so that there is a Cholesky factor.
-    "just negative": (-0.5 / dense_eigenvalues(BODY)[-1] / BODY.area * STIFFNESS, MASS, NEGATIVE),
+    "just negative": (
+        -0.5 / dense_eigenvalues(BODY)[-1] / BODY.area * STIFFNESS,
+        MASS,
+        NEGATIVE,
+    ),
 }
 
 
@@ -162,15 +176,30 @@ def test_questions_without_an_answer() -> None:
     for error, n_pairs, tolerance, message in (
         (OptionError, 1, 1e-4, "n_pairs must be at least 2, got 1"),
         (OptionError, 12, 0, r"tolerance must be above 0 and at most 0\.001, got 0"),
-        (OptionError, 12, 1e-2, r"tolerance must be above 0 and at most 0\.001, got 0\.01"),
-        (OptionError, 12, np.nan, r"tolerance must be above 0 and at most 0\.001, got nan"),
+        (
+            OptionError,
+            12,
+            1e-2,
+            r"tolerance must be above 0 and at most 0\.001, got 0\.01",
+        ),
+        (
+            OptionError,
+            12,
+            np.nan,
+            r"tolerance must be above 0 and at most 0\.001, got nan",
+        ),
         (
             SpectrumError,
             642,
             1e-4,
             r"^\[spectrum\] 642 .* need a surface of at least 643 vertices, got 642",
         ),
-        (SpectrumError, 12, 1e-25, "residuals must fall below 1e-25, got .* after 82 blocks"),
+        (
+            SpectrumError,
+            12,
+            1e-25,
+            "residuals must fall below 1e-25, got .* after 82 blocks",
+        ),
     ):
         with pytest.raises(error, match=message):
             eigenpairs(BODY, n_pairs, tolerance=tolerance)

@@ -10,7 +10,13 @@ import pytest
 import shapes
 from scipy.linalg import eigh
 
-from pcretrieve.errors import DegenerateMeshError, InputError, OptionError, ShapeError, Stage
+from pcretrieve.errors import (
+    DegenerateMeshError,
+    InputError,
+    OptionError,
+    ShapeError,
+    Stage,
+)
 from pcretrieve.spectral import Element, eigenpairs, laplace_beltrami
 from pcretrieve.spectral.operators import ELEMENTS
 from pcretrieve.values import FloatArray, LaplaceBeltrami, PointCloud, TriangleMesh
@@ -39,12 +45,16 @@ def book(n: int, pages: int = 3) -> TriangleMesh:
     page = shapes.square(n)
     x, y, _ = page.vertices.T
     angles = 2 * np.pi * np.arange(pages) / pages
-    turned = (np.column_stack([x * np.cos(angle), y, x * np.sin(angle)]) for angle in angles)
+    turned = (
+        np.column_stack([x * np.cos(angle), y, x * np.sin(angle)]) for angle in angles
+    )
     mesh = shapes.joined(*(TriangleMesh(vertices, page.faces) for vertices in turned))
     _, first, numbers = np.unique(
         mesh.vertices.round(9), axis=0, return_index=True, return_inverse=True
     )
-    return TriangleMesh(mesh.vertices[first], numbers.astype(np.int32).reshape(-1)[mesh.faces])
+    return TriangleMesh(
+        mesh.vertices[first], numbers.astype(np.int32).reshape(-1)[mesh.faces]
+    )
 
 
 def spectrum(operator: LaplaceBeltrami, n: int) -> FloatArray:
@@ -62,10 +72,14 @@ def spectrum(operator: LaplaceBeltrami, n: int) -> FloatArray:
 
 
 @pytest.mark.parametrize(
-    ("element", "surface"), [*product(ON_MESHES, SURFACES.values()), *product(["points"], CLOUDS)]
+    ("element", "surface"),
+    [*product(ON_MESHES, SURFACES.values()), *product(["points"], CLOUDS)],
 )
 def test_the_laws_of_the_matrices(element: Any, surface: Any) -> None:
-    masses = ("lumped", "consistent" if "consistent" in ELEMENTS[element].masses else "lumped")
+    masses = (
+        "lumped",
+        "consistent" if "consistent" in ELEMENTS[element].masses else "lumped",
+    )
     lumped, whole = (laplace_beltrami(surface, element, mass=mass) for mass in masses)  # type: ignore[arg-type]
     assert lumped.mass.nnz == lumped.mass.shape[0]
     np.testing.assert_allclose(lumped.mass.diagonal(), whole.mass.sum(axis=1), rtol=1e-12)
@@ -76,7 +90,9 @@ def test_the_laws_of_the_matrices(element: Any, surface: Any) -> None:
         assert np.abs(stiffness.sum(axis=1)).max() < 1e-11
         eigenvalues = np.linalg.eigvalsh(stiffness.toarray())
         assert eigenvalues[0] > -1e-12
-        assert eigenvalues[1] > 1e-6  # connected: the null space is spanned by the constants
+        assert (
+            eigenvalues[1] > 1e-6
+        )  # connected: the null space is spanned by the constants
         assert abs(mass - mass.T).max() == 0
         assert np.linalg.eigvalsh(mass.toarray())[0] > 0
         if element != "points":
@@ -123,7 +139,10 @@ def test_eigenvalues_of_the_sphere_converge_at_order_two(mass: Any) -> None:
     )
     errors = [
         np.abs(
-            eigenpairs(laplace_beltrami(shapes.icosphere(level), mass=mass), 36).eigenvalues - exact
+            eigenpairs(
+                laplace_beltrami(shapes.icosphere(level), mass=mass), 36
+            ).eigenvalues
+            - exact
         )[1:]
         / exact[1:]
         for level in (3, 4, 5)
@@ -142,7 +161,9 @@ def test_eigenvalues_are_invariant_to_bending_without_stretching() -> None:
     flat = shapes.square(24)
     x, y, _ = flat.vertices.T
     rolled = TriangleMesh(np.column_stack([np.sin(x), y, 1 - np.cos(x)]), flat.faces)
-    one, other = (eigenpairs(laplace_beltrami(mesh), 12).eigenvalues for mesh in (flat, rolled))
+    one, other = (
+        eigenpairs(laplace_beltrami(mesh), 12).eigenvalues for mesh in (flat, rolled)
+    )
     np.testing.assert_allclose(one[1:], other[1:], rtol=1e-3)
 
 
@@ -157,7 +178,10 @@ def test_eigenvalues_of_the_square_converge_at_their_order(
     waves = range(10) if boundary == "neumann" else range(1, 11)
     exact = np.sort([np.pi**2 * (m**2 + n**2) for m in waves for n in waves])[:6]
     errors = [
-        np.abs(spectrum(laplace_beltrami(shapes.square(n), element, boundary=boundary), 6) - exact)
+        np.abs(
+            spectrum(laplace_beltrami(shapes.square(n), element, boundary=boundary), 6)
+            - exact
+        )
         for n in sizes
     ]
     first = int(boundary == "neumann")  # 0 is exact
@@ -169,7 +193,9 @@ def test_eigenvalues_of_the_square_converge_at_their_order(
 def test_three_pages_of_a_book_vibrate_as_one(element: Any) -> None:
     """Across the pages, the eigenfunctions of a star graph of three edges: k = 1/2 twice, and k = 1 once."""
     across = np.array([0, 0.5, 0.5, 1, 1.5, 1.5])
-    exact = np.sort([(np.pi * k) ** 2 + (np.pi * n) ** 2 for k in across for n in range(3)])[:10]
+    exact = np.sort(
+        [(np.pi * k) ** 2 + (np.pi * n) ** 2 for k in across for n in range(3)]
+    )[:10]
     size, tolerance = (4, 1e-4) if element == "cubic" else (12, 0.02)
     mesh = book(size)
     operator = laplace_beltrami(mesh, element)
@@ -198,10 +224,14 @@ def test_nodes_on_the_boundary_have_no_rows(name: str, element: Any) -> None:
 
 
 def test_components_and_nodes_inside() -> None:
-    two = laplace_beltrami(shapes.joined(shapes.square(3), shapes.square(3)), boundary="dirichlet")
+    two = laplace_beltrami(
+        shapes.joined(shapes.square(3), shapes.square(3)), boundary="dirichlet"
+    )
     assert two.n_components == 0
     # Two faces with all vertices on the boundary; of cubic elements, four nodes are inside.
-    assert laplace_beltrami(shapes.square(1), "cubic", boundary="dirichlet").mass.shape == (4, 4)
+    assert laplace_beltrami(
+        shapes.square(1), "cubic", boundary="dirichlet"
+    ).mass.shape == (4, 4)
 
 
 # --- the intrinsic Delaunay triangulation -------------------------------------------------------------
@@ -216,7 +246,9 @@ def assert_same(one: LaplaceBeltrami, other: LaplaceBeltrami) -> None:
     assert abs(one.mass - other.mass).max() < 1e-12
 
 
-@pytest.mark.parametrize("mesh", [shapes.icosphere(3), shapes.square(6)], ids=["sphere", "square"])
+@pytest.mark.parametrize(
+    "mesh", [shapes.icosphere(3), shapes.square(6)], ids=["sphere", "square"]
+)
 def test_on_a_delaunay_surface_it_is_the_linear_one(mesh: TriangleMesh) -> None:
     assert_same(delaunay(mesh), laplace_beltrami(mesh, mass="lumped"))
 
@@ -225,13 +257,19 @@ def test_it_flips_the_edges_that_should_be() -> None:
     # After the shear the diagonal of every cell is its longer one; with the shorter one it is Delaunay.
     square = shapes.square(5)
     sheared = square.vertices + square.vertices[:, 1:2] * [1, 0, 0]
-    lower, upper = square.faces[: len(square.faces) // 2], square.faces[len(square.faces) // 2 :]
+    lower, upper = (
+        square.faces[: len(square.faces) // 2],
+        square.faces[len(square.faces) // 2 :],
+    )
     (a, b, c), d = lower.T, upper[:, 2]
     flipped = TriangleMesh(
         sheared, np.concatenate([np.column_stack([a, b, d]), np.column_stack([b, c, d])])
     )
     long = TriangleMesh(sheared, square.faces)
-    assert abs(laplace_beltrami(long).stiffness - laplace_beltrami(flipped).stiffness).max() > 0.4
+    assert (
+        abs(laplace_beltrami(long).stiffness - laplace_beltrami(flipped).stiffness).max()
+        > 0.4
+    )
     assert_same(delaunay(long), laplace_beltrami(flipped, mass="lumped"))
 
 
@@ -248,7 +286,9 @@ def test_a_face_without_area_is_stood() -> None:
     # A vertex in the middle of a side of one face only: a degenerate face closes the slit.
     mesh = shapes.square(8)
     (a, b, third), middle = mesh.faces[30], len(mesh.vertices)
-    vertices = np.concatenate([mesh.vertices, mesh.vertices[[a, b]].mean(axis=0, keepdims=True)])
+    vertices = np.concatenate(
+        [mesh.vertices, mesh.vertices[[a, b]].mean(axis=0, keepdims=True)]
+    )
     around = [[a, middle, third], [middle, b, third], [a, b, middle]]
     slit = surface(vertices, [*np.delete(mesh.faces, 30, axis=0).tolist(), *around])
     assert slit.flat_faces.sum() == 1
@@ -256,7 +296,9 @@ def test_a_face_without_area_is_stood() -> None:
         laplace_beltrami(slit)
     operator = delaunay(slit)
     assert operator.area == pytest.approx(1, rel=1e-3)
-    found, expected = (eigenpairs(each, 20).eigenvalues[1:] for each in (operator, delaunay(mesh)))
+    found, expected = (
+        eigenpairs(each, 20).eigenvalues[1:] for each in (operator, delaunay(mesh))
+    )
     np.testing.assert_allclose(found, expected, rtol=0.02)
 
 
@@ -264,9 +306,12 @@ def test_a_face_without_area_is_stood() -> None:
 
 linear = ELEMENTS["linear"].assemble
 SOFT = Element(
-    "soft", lambda mesh: linear(mesh)._replace(stiffness=(linear(mesh).stiffness * 0.5).tocsc())
+    "soft",
+    lambda mesh: linear(mesh)._replace(stiffness=(linear(mesh).stiffness * 0.5).tocsc()),
 )
-CLOUD = Element("cloud", ELEMENTS["points"].assemble, needs="points", masses=("consistent",))
+CLOUD = Element(
+    "cloud", ELEMENTS["points"].assemble, needs="points", masses=("consistent",)
+)
 WEIGHTLESS = Element(
     "weightless", lambda mesh: linear(mesh)._replace(mass=linear(mesh).mass * np.nan)
 )
@@ -276,9 +321,13 @@ def test_an_element_is_passed_as_an_object() -> None:
     mesh, points = shapes.body(3), shapes.points_on(shapes.body(), 3000)
     soft, own = (laplace_beltrami(mesh, element) for element in (SOFT, "linear"))
     assert abs(2 * soft.stiffness - own.stiffness).max() < 1e-12
-    consistent, lumped = (laplace_beltrami(points, element) for element in (CLOUD, "points"))
+    consistent, lumped = (
+        laplace_beltrami(points, element) for element in (CLOUD, "points")
+    )
     np.testing.assert_allclose(consistent.mass.sum(), lumped.mass.sum())
-    with pytest.raises(ShapeError, match="stiffness and mass must be finite, got NaN or") as raised:
+    with pytest.raises(
+        ShapeError, match="stiffness and mass must be finite, got NaN or"
+    ) as raised:
         laplace_beltrami(mesh, WEIGHTLESS)
     assert raised.value.stage == Stage.SPECTRUM
 
@@ -305,7 +354,12 @@ ELEMENT_NAMES = "element must be 'linear', 'cubic', 'intrinsic-delaunay' or 'poi
             OptionError,
             "'cloud' has consistent mass only, got",
         ),
-        (BALL, {"boundary": "robin"}, OptionError, "must be 'neumann' or 'dirichlet', got 'robin'"),
+        (
+            BALL,
+            {"boundary": "robin"},
+            OptionError,
+            "must be 'neumann' or 'dirichlet', got 'robin'",
+        ),
         (
             POINTS,
             {"element": CLOUD} | DIRICHLET,
@@ -344,7 +398,9 @@ ELEMENT_NAMES = "element must be 'linear', 'cubic', 'intrinsic-delaunay' or 'poi
         ),
     ],
 )
-def test_questions_without_an_answer(geometry: Any, options: Any, error: Any, message: str) -> None:
+def test_questions_without_an_answer(
+    geometry: Any, options: Any, error: Any, message: str
+) -> None:
     with pytest.raises(error, match=message):
         laplace_beltrami(geometry, **options)
 
@@ -364,7 +420,11 @@ REFUSED = [
     # On a face without area there is no gradient.
     *((name, flat, NO_AREA) for name in ("linear", "cubic") for flat in (FLAT, FOLDED)),
     ("intrinsic-delaunay", FLAT, "must have an area, got only faces without"),
-    ("intrinsic-delaunay", FOLDED, "every face must have three corners, got 1 that name one twice"),
+    (
+        "intrinsic-delaunay",
+        FOLDED,
+        "every face must have three corners, got 1 that name one twice",
+    ),
     ("points", POINTS.points[:30], "a cloud must have at least 31 points, got 30"),
     (
         "points",

@@ -30,7 +30,9 @@ def test_neither_place_nor_order_matters_and_scaling_squares_mass(
     here, there = eigenpairs(on_points(BODY), 30), eigenpairs(on_points(moved), 30)
     assert there.area == pytest.approx(scale**2 * here.area, rel=1e-3)
     # If four points are nearly cocircular, both diagonals are allowed.
-    np.testing.assert_allclose(scale**2 * there.eigenvalues[1:], here.eigenvalues[1:], rtol=2e-4)
+    np.testing.assert_allclose(
+        scale**2 * there.eigenvalues[1:], here.eigenvalues[1:], rtol=2e-4
+    )
 
 
 def test_no_neighbour_lies_in_the_circle_of_a_triangle() -> None:
@@ -48,7 +50,9 @@ def test_no_neighbour_lies_in_the_circle_of_a_triangle() -> None:
     assert (nearest > radius * (1 - 1e-6)).mean() > 0.99
 
 
-@pytest.mark.parametrize(("points", "area"), [(SPHERE, 4 * np.pi), (BODY, shapes.body(5).area)])
+@pytest.mark.parametrize(
+    ("points", "area"), [(SPHERE, 4 * np.pi), (BODY, shapes.body(5).area)]
+)
 def test_the_mass_is_the_area_of_the_surface_that_was_sampled(
     points: FloatArray, area: float
 ) -> None:
@@ -56,9 +60,9 @@ def test_the_mass_is_the_area_of_the_surface_that_was_sampled(
 
 
 def test_eigenvalues_of_the_sphere_converge_at_order_two() -> None:
-    exact = np.array([degree * (degree + 1) for degree in range(5) for _ in range(2 * degree + 1)])[
-        1:
-    ]
+    exact = np.array(
+        [degree * (degree + 1) for degree in range(5) for _ in range(2 * degree + 1)]
+    )[1:]
     sizes = (500, 2000, 8000)  # the spacing halves
     errors = []
     for n in sizes:
@@ -67,7 +71,9 @@ def test_eigenvalues_of_the_sphere_converge_at_order_two() -> None:
         angle = np.pi * (1 + np.sqrt(5)) * np.arange(n)
         ring = np.sqrt(1 - height**2)
         spiral = np.column_stack([ring * np.cos(angle), ring * np.sin(angle), height])
-        errors.append(np.abs(eigenpairs(on_points(spiral), 25).eigenvalues[1:] / exact - 1).max())
+        errors.append(
+            np.abs(eigenpairs(on_points(spiral), 25).eigenvalues[1:] / exact - 1).max()
+        )
     rates = np.log2(np.array(errors[:-1]) / errors[1:])
     np.testing.assert_allclose(rates, 2, atol=0.4)
     assert errors[-1] < 0.005
@@ -83,4 +89,6 @@ def test_normals_keep_the_sides_of_a_thin_limb_apart() -> None:
     apart = laplace_beltrami(PointCloud(points, np.concatenate([-up, up])), "points")
     assert on_points(points).n_components == 1
     assert apart.n_components == 2
-    assert apart.area == pytest.approx(2, rel=0.2)  # half of the neighbours that there could be
+    assert apart.area == pytest.approx(
+        2, rel=0.2
+    )  # half of the neighbours that there could be

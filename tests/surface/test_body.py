@@ -54,7 +54,9 @@ def limbed() -> PointCloud:
     along = np.array([1.7, 0, 0])
     one = shapes.oriented_points_on(trunk, 8000)
     other = shapes.oriented_points_on(limb, round(8000 * limb.area / trunk.area))
-    one = one.select((((one.points - along) / [1, LIMB_RADIUS, LIMB_RADIUS]) ** 2).sum(axis=1) > 1)
+    one = one.select(
+        (((one.points - along) / [1, LIMB_RADIUS, LIMB_RADIUS]) ** 2).sum(axis=1) > 1
+    )
     other = other.select((((other.points + along) / [1, 0.7, 0.5]) ** 2).sum(axis=1) > 1)
     assert one.normals is not None and other.normals is not None
     return PointCloud(
@@ -86,16 +88,22 @@ def test_a_body_comes_back_also_with_a_hole(name: str, top: float) -> None:
     assert mesh.provenance[-1].sizes["invented"] > 0 or top > 0.48
 
 
-@pytest.mark.parametrize(("genus", "euler"), [("auto", 0), ("sphere", 2), (1, 0)], ids=str)
+@pytest.mark.parametrize(
+    ("genus", "euler"), [("auto", 0), ("sphere", 2), (1, 0)], ids=str
+)
 def test_a_torus_keeps_the_handles_asked_for(genus: str | int, euler: int) -> None:
     mesh, marks = surface(cloud_of("torus"), genus=genus, cell=CELL)
     assert mesh.euler_characteristic == euler
     assert mesh.volume == pytest.approx(shapes.torus().volume, rel=0.02)
     if euler == 2:
         cloud = cloud_of("torus")
-        cell = max(CELL * cloud.diagonal, spacing(neighborhoods(cloud.points, 7, of_some=True)))
+        cell = max(
+            CELL * cloud.diagonal, spacing(neighborhoods(cloud.points, 7, of_some=True))
+        )
         # One cross-section of the tube, one or two voxels thick.
-        assert np.hypot(np.hypot(*marks.cuts.T[:2]) - 1, marks.cuts[:, 2]).max() < 0.4 + cell
+        assert (
+            np.hypot(np.hypot(*marks.cuts.T[:2]) - 1, marks.cuts[:, 2]).max() < 0.4 + cell
+        )
         assert 0.7 < len(marks.cuts) * cell**2 / (np.pi * 0.4**2) < 2
     else:
         assert not len(marks.cuts)
@@ -159,13 +167,17 @@ def test_a_scan_of_one_side_or_without_normals_is_refused(name: str) -> None:
     for axis in (0, 2):
         with pytest.raises(ReconstructionError, match="the points must surround a body"):
             surface(cloud.select(cloud.points[:, axis] > 0))
-    with pytest.raises(ReconstructionError, match="needs points with normals, these have none"):
+    with pytest.raises(
+        ReconstructionError, match="needs points with normals, these have none"
+    ):
         next(body_surfaces(PointCloud(cloud.points), SurfaceOptions()))
 
 
 def test_density_of_points_is_that_of_the_area() -> None:
     """On two triangles, of areas 3 and 1."""
-    corners = np.array([[0.0, 0, 2], [3, 0, 2], [0, 2, 2], [10, 0, 2], [11, 0, 2], [10, 2, 2]])
+    corners = np.array(
+        [[0.0, 0, 2], [3, 0, 2], [0, 2, 2], [10, 0, 2], [11, 0, 2], [10, 2, 2]]
+    )
     both = TriangleMesh(corners, np.array([[0, 1, 2], [3, 4, 5]]))
     points, faces = uniform_points(both, 40_000, np.random.default_rng(0))
     second = points[:, 0] >= 10
@@ -211,14 +223,21 @@ def test_vectors_are_shared_among_the_voxels_around_them_without_a_loss() -> Non
     moments = np.einsum("vabc,wabc->vw", field, np.indices((5, 6, 7)).astype(float))
     np.testing.assert_allclose(moments, vectors.T @ at, atol=1e-4)
     alone = _splatted(np.array([[1.25, 2.0, 3.5]]), np.array([[1.0, 0, 0]]), (5, 6, 7))
-    assert np.argwhere(alone)[:, 1:].tolist() == [[1, 2, 3], [1, 2, 4], [2, 2, 3], [2, 2, 4]]
+    assert np.argwhere(alone)[:, 1:].tolist() == [
+        [1, 2, 3],
+        [1, 2, 4],
+        [2, 2, 3],
+        [2, 2, 4],
+    ]
 
 
 def test_holes_of_a_round_body_are_closed_round() -> None:
     for height in (2.0, 0.996, 0.9, 0.7):
         cloud = ON_EGG.select(ON_EGG.points[:, 2] < height)
         around = neighborhoods(cloud.points, 9)
-        found, _ = coarse_surface(cloud, SurfaceOptions(), around, spacing=spacing(around))
+        found, _ = coarse_surface(
+            cloud, SurfaceOptions(), around, spacing=spacing(around)
+        )
         assert defects(found.surface).boundary_edges == 0
         assert found.surface.volume == pytest.approx(EGG.volume, rel=0.07)
         assert (found.cap != NO_CAP).any() == (height < 0.99)
@@ -263,8 +282,19 @@ RADIUS = 8.234  # voxels
 def octahedron(centre: FloatArray) -> tuple[TriangleMesh, np.ndarray]:
     """The mesh, and the voxels whose centres it contains."""
     corners = np.concatenate([np.eye(3), -np.eye(3)]) * RADIUS + centre
-    faces = [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
-    solid = np.abs(np.moveaxis(np.indices(GRID.shape), 0, -1) - centre).sum(axis=-1) < RADIUS
+    faces = [
+        [0, 1, 2],
+        [1, 3, 2],
+        [3, 4, 2],
+        [4, 0, 2],
+        [1, 0, 5],
+        [3, 1, 5],
+        [4, 3, 5],
+        [0, 4, 5],
+    ]
+    solid = (
+        np.abs(np.moveaxis(np.indices(GRID.shape), 0, -1) - centre).sum(axis=-1) < RADIUS
+    )
     return TriangleMesh(GRID.centres(corners), np.array(faces, dtype=np.int32)), solid
 
 
@@ -275,7 +305,11 @@ def test_voxels_inside_are_those_of_the_solid_but_for_the_border_of_the_grid() -
         [12 + BESIDE[0], 12 + BESIDE[0], 12 + BESIDE[1]],  # vertices on lines
         [12.0, 12.0, 12.0],  # vertices on voxels
         # What sticks out of the grid is cut off.
-        *(np.where(np.arange(3) == axis, end, 12.27) for axis in range(3) for end in (3.31, 19.62)),
+        *(
+            np.where(np.arange(3) == axis, end, 12.27)
+            for axis in range(3)
+            for end in (3.31, 19.62)
+        ),
     ):
         mesh, solid = octahedron(np.array(centre))
         solid = np.pad(solid[1:-1, 1:-1, 1:-1], 1)
@@ -312,5 +346,7 @@ def test_a_quarter_of_a_sheet_may_be_invented_but_not_on_one_side() -> None:
     assert _invented(sheet, both) == pytest.approx(0.25, abs=0.01)
     one = (z > 0) & (x > np.quantile(x[z > 0], 0.5))
     assert one.mean() < 0.26
-    with pytest.raises(ReconstructionError, match="had to be invented, on one side: scan the"):
+    with pytest.raises(
+        ReconstructionError, match="had to be invented, on one side: scan the"
+    ):
         _invented(sheet, one)

@@ -43,7 +43,9 @@ def capped_faces(ring: float, middle: float, spacing: float = 0.001) -> int:
     cloud = PointCloud(points, normals=np.tile([0.0, 0.0, 1.0], (len(points), 1)))
     assert cloud.diagonal == pytest.approx(np.sqrt(2), rel=2e-3)
     found = capped(
-        TriangleMesh(vertices, faces.astype(np.int32)), cloud, spacing=spacing * np.sqrt(2)
+        TriangleMesh(vertices, faces.astype(np.int32)),
+        cloud,
+        spacing=spacing * np.sqrt(2),
     )
     return int((found.cap != NO_CAP).sum())
 
@@ -58,7 +60,10 @@ def test_a_hole_is_capped_from_nearly_a_fiftieth_of_the_diagonal() -> None:
 
 def test_a_hole_begins_a_80th_of_the_diagonal_or_two_spacings_from_the_points() -> None:
     assert [capped_faces(ring, 0.04) for ring in (0.0115, 0.0125)] == [ONE, NINE]
-    assert [capped_faces(ring, 0.04, spacing=0.01) for ring in (0.0195, 0.0205)] == [ONE, NINE]
+    assert [capped_faces(ring, 0.04, spacing=0.01) for ring in (0.0195, 0.0205)] == [
+        ONE,
+        NINE,
+    ]
 
 
 def seat(
@@ -82,7 +87,11 @@ def seat(
 
 
 def body(
-    *, beneath: float = 0.0, depth: float = 0.2, aside: float = 0.0, up: FloatArray | None = None
+    *,
+    beneath: float = 0.0,
+    depth: float = 0.2,
+    aside: float = 0.0,
+    up: FloatArray | None = None,
 ) -> PointCloud:
     """A thousand points above a seat in the plane z = 0, but for a share of them.
 
@@ -95,7 +104,11 @@ def body(
     points[:, 0] = points[:, 0] / 10 + aside
     # The corners of the box.
     points[-2:] = [[-1, -1, -1], [1, 1, 2]]
-    ground = {} if up is None else dict(zip(("up_x", "up_y", "up_z"), up.tolist(), strict=True))
+    ground = (
+        {}
+        if up is None
+        else dict(zip(("up_x", "up_y", "up_z"), up.tolist(), strict=True))
+    )
     cloud = PointCloud(points, provenance=(Step("crop", 0.0, ground),))
     assert cloud.diagonal == pytest.approx(diagonal)
     return cloud
@@ -107,7 +120,11 @@ def test_a_cap_is_flat_if_seven_tenths_of_its_area_face_one_way() -> None:
 
 
 def test_caps_of_a_base_are_parallel_up_to_a_cosine_of_nine_tenths() -> None:
-    assert [seat(0.0, np.arccos(cosine)) for cosine in (1.0, 0.91, 0.89)] == [[0, 1], [0, 1], [0]]
+    assert [seat(0.0, np.arccos(cosine)) for cosine in (1.0, 0.91, 0.89)] == [
+        [0, 1],
+        [0, 1],
+        [0],
+    ]
 
 
 def test_a_body_stands_if_three_tenths_of_its_points_are_beneath() -> None:
@@ -132,19 +149,22 @@ def is_end(tilt: float, steepness: float) -> bool:
     cosine = tilt + steepness * along
     around = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     normals = np.concatenate(
-        [np.sqrt(1 - cosine**2)[..., np.newaxis] * around, cosine[..., np.newaxis]], axis=-1
+        [np.sqrt(1 - cosine**2)[..., np.newaxis] * around, cosine[..., np.newaxis]],
+        axis=-1,
     )
     points = np.concatenate([around, along[..., np.newaxis]], axis=-1).reshape(-1, 3)
     rim = points[np.isclose(points[:, 2], 0)]
-    return ends_a_part(*slope_of(rim, np.array([0.0, 0.0, 1.0]), points, normals.reshape(-1, 3)))
+    return ends_a_part(
+        *slope_of(rim, np.array([0.0, 0.0, 1.0]), points, normals.reshape(-1, 3))
+    )
 
 
 def test_normals_that_the_flood_fill_turned_count_as_the_others() -> None:
     angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, 60), np.linspace(-0.9, 0.0, 30))
     width = np.sqrt(1 - height**2)
-    points = np.stack([width * np.cos(angle), width * np.sin(angle), height], axis=-1).reshape(
-        -1, 3
-    )
+    points = np.stack(
+        [width * np.cos(angle), width * np.sin(angle), height], axis=-1
+    ).reshape(-1, 3)
     rim, up = points[points[:, 2] == 0], np.array([0.0, 0.0, 1.0])
     turned = np.where(points[:, 2:] > -0.3, -points, points)
     assert slope_of(rim, up, points, turned) == slope_of(rim, up, points, points)

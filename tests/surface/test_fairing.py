@@ -13,7 +13,9 @@ from pcretrieve.values import TriangleMesh
 BALL = shapes.ellipsoid((1, 1, 1), subdivisions=4)
 
 
-def flattened(mesh: TriangleMesh, angle: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def flattened(
+    mesh: TriangleMesh, angle: float
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """The vertices of a ball with a flat cap round the north pole, and those of the cap."""
     height = np.cos(np.radians(angle))
     cap = mesh.vertices[:, 2] > height
@@ -22,7 +24,9 @@ def flattened(mesh: TriangleMesh, angle: float) -> tuple[NDArray[np.float64], ND
     return vertices, cap
 
 
-@pytest.mark.parametrize(("angle", "error"), [(30, 0.002), (45, 0.002), (60, 0.01), (75, 0.06)])
+@pytest.mark.parametrize(
+    ("angle", "error"), [(30, 0.002), (45, 0.002), (60, 0.01), (75, 0.06)]
+)
 def test_the_flat_cap_of_a_sphere_becomes_the_sphere(angle: float, error: float) -> None:
     vertices, cap = flattened(BALL, angle)
     closed = faired(vertices, BALL.faces, cap)
@@ -44,7 +48,9 @@ def test_a_deep_hole_of_a_sphere_becomes_the_sphere(angle: float, error: float) 
 def test_a_fair_patch_does_not_depend_on_the_unit() -> None:
     vertices, cap = flattened(BALL, 45)
     closed = faired(vertices, BALL.faces, cap)
-    np.testing.assert_allclose(faired(1000 * vertices, BALL.faces, cap), 1000 * closed, atol=1e-4)
+    np.testing.assert_allclose(
+        faired(1000 * vertices, BALL.faces, cap), 1000 * closed, atol=1e-4
+    )
 
 
 def test_noise_of_the_rim_does_not_raise_a_patch() -> None:

@@ -53,7 +53,9 @@ def test_the_fit_is_that_of_the_equations(n: int) -> None:
 
 def test_voxels_far_from_the_points_have_no_distance() -> None:
     points = np.array([[2.0, 2.0, 2.0]])
-    away = np.linalg.norm(np.moveaxis(np.indices(SHAPE), 0, -1) - 2, axis=-1).astype(np.float32)
+    away = np.linalg.norm(np.moveaxis(np.indices(SHAPE), 0, -1) - 2, axis=-1).astype(
+        np.float32
+    )
     found = _fitted(points, np.array([[0.0, 0.0, 1.0]]), away)
     assert found[2, 2, 4] == pytest.approx(2, abs=1e-6)
     assert np.isnan(found[away > REACH]).all()

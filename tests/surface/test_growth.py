@@ -14,7 +14,14 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, label
 from pcretrieve.points.grid import distances
 from pcretrieve.surface import defects
 from pcretrieve.surface.growth import grown
-from pcretrieve.surface.marching import SHRINK, SWELL, Crossings, crossed, marched, smoothed
+from pcretrieve.surface.marching import (
+    SHRINK,
+    SWELL,
+    Crossings,
+    crossed,
+    marched,
+    smoothed,
+)
 from pcretrieve.surface.parts import (
     DETOUR,
     LEAST_LEAN,
@@ -92,7 +99,9 @@ def test_a_link_crosses_a_surfel_where_a_line_meets_a_disk() -> None:
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     shape, radius = (8, 9, 10), 1.7
     expected = np.zeros((3, *shape), dtype=bool)
-    for axis, start in ((axis, start) for axis in range(3) for start in np.ndindex(shape)):
+    for axis, start in (
+        (axis, start) for axis in range(3) for start in np.ndindex(shape)
+    ):
         steep = np.abs(normals[:, axis]) >= LEAST_LEAN
         share = np.einsum("ij,ij->i", at - start, normals) / normals[:, axis]
         place = np.array(start) + share[:, np.newaxis] * np.eye(3)[axis]
@@ -137,7 +146,10 @@ def surface(body: Mask, crossings: FloatArray) -> TriangleMesh:
     return TriangleMesh(
         *marched(
             body,
-            [Crossings(at, crossings[axis][tuple(at.T)]) for axis, at in enumerate(crossed(body))],
+            [
+                Crossings(at, crossings[axis][tuple(at.T)])
+                for axis, at in enumerate(crossed(body))
+            ],
         )
     )
 
@@ -216,7 +228,9 @@ def test_a_round_of_smoothing_moves_to_the_mean_of_the_neighbours_and_back() -> 
 
 def test_noise_goes_the_volume_stays_and_only_what_may_move_moves() -> None:
     moved = smoothed(ROUGH, BALL.faces, np.arange(len(ROUGH)), 8)
-    assert np.linalg.norm(moved, axis=1).std() < 0.45 * np.linalg.norm(ROUGH, axis=1).std()
+    assert (
+        np.linalg.norm(moved, axis=1).std() < 0.45 * np.linalg.norm(ROUGH, axis=1).std()
+    )
     assert TriangleMesh(moved, BALL.faces).volume == pytest.approx(BALL.volume, rel=0.002)
     above = np.flatnonzero(ROUGH[:, 2] > 0)
     changed = (smoothed(ROUGH, BALL.faces, above, 8) != ROUGH).any(axis=1)

@@ -28,9 +28,14 @@ def blob(seed: int, n: int = 24) -> TriangleMesh:
 def smallest_angles(mesh: TriangleMesh) -> FloatArray:
     """(m,) degrees."""
     corners = mesh.vertices[mesh.faces]  # (m, 3, 3)
-    ahead, behind = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    ahead, behind = (
+        np.roll(corners, -1, axis=1) - corners,
+        np.roll(corners, 1, axis=1) - corners,
+    )
     sine = np.linalg.norm(np.cross(ahead, behind), axis=2)
-    smallest: FloatArray = np.degrees(np.arctan2(sine, (ahead * behind).sum(axis=2))).min(axis=1)
+    smallest: FloatArray = np.degrees(np.arctan2(sine, (ahead * behind).sum(axis=2))).min(
+        axis=1
+    )
     return smallest
 
 
@@ -82,16 +87,24 @@ BALL = shapes.icosphere(1)
             TriangleMesh(shapes.tetrahedron().vertices, shapes.TETRAHEDRON_FACES[1:]),
             "not at 3 half-edges",
         ),
-        (shapes.two_tetrahedra("edge"), "not at 4 half-edges or vertices; repair it first"),
+        (
+            shapes.two_tetrahedra("edge"),
+            "not at 4 half-edges or vertices; repair it first",
+        ),
         (
             shapes.two_tetrahedra("vertex"),
             "must be closed, manifold and oriented .* not at 1 half-edges or",
         ),
         (
-            TriangleMesh(BALL.vertices, np.concatenate([BALL.faces[:1, ::-1], BALL.faces[1:]])),
+            TriangleMesh(
+                BALL.vertices, np.concatenate([BALL.faces[:1, ::-1], BALL.faces[1:]])
+            ),
             r"not at \d+ half-edges",
         ),
-        (TriangleMesh(np.ones_like(BALL.vertices), BALL.faces), "no face of 80 has an area"),
+        (
+            TriangleMesh(np.ones_like(BALL.vertices), BALL.faces),
+            "no face of 80 has an area",
+        ),
     ],
 )
 def test_what_is_not_a_closed_oriented_manifold_of_some_size_is_refused(
@@ -123,7 +136,11 @@ def test_a_fine_mesh_has_the_signature_of_a_simplified_one(mode: str) -> None:
     shape = pr.process(FINE, kept(mode, FEW))
     assert FEW - 2 <= len(shape.mesh.faces) <= FEW
     step = step_of(shape.mesh)
-    assert step.sizes == {"faces_in": len(FINE.faces), "faces": len(shape.mesh.faces), "euler": 2}
+    assert step.sizes == {
+        "faces_in": len(FINE.faces),
+        "faces": len(shape.mesh.faces),
+        "euler": 2,
+    }
     assert step.notes == ("simplified, because it had more faces than surface.max_faces",)
     assert step in shape.provenance
     assert shape.area == pytest.approx(FINE.area, rel=1e-3)
@@ -132,12 +149,19 @@ def test_a_fine_mesh_has_the_signature_of_a_simplified_one(mode: str) -> None:
 
 
 def test_a_mesh_with_a_hole_stays_one() -> None:
-    half = compact(FINE.vertices, FINE.faces[FINE.vertices[FINE.faces][:, :, 2].mean(axis=1) > 0])
+    half = compact(
+        FINE.vertices, FINE.faces[FINE.vertices[FINE.faces][:, :, 2].mean(axis=1) > 0]
+    )
     mesh = pr.reconstruct(half, kept("keep", FEW))
     assert FEW - 100 < len(mesh.faces) <= FEW
     assert (
-        step_of(mesh).sizes["euler"] == mesh.euler_characteristic == half.euler_characteristic == 1
+        step_of(mesh).sizes["euler"]
+        == mesh.euler_characteristic
+        == half.euler_characteristic
+        == 1
     )
     assert mesh.area == pytest.approx(half.area, rel=2e-3)
-    full, coarse = (pr.signature(half, kept("keep", n)).values for n in (len(half.faces), FEW))
+    full, coarse = (
+        pr.signature(half, kept("keep", n)).values for n in (len(half.faces), FEW)
+    )
     assert np.abs(np.log(coarse / full)).max() < 0.08

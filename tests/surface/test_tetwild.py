@@ -64,7 +64,9 @@ def volume(nodes: FloatArray, tetrahedra: IntArray) -> float:
 def runs(process: int) -> bool:
     """Whether a process is there, with any thread that is more than a zombie."""
     try:
-        threads = [task.read_text() for task in Path(f"/proc/{process}/task").glob("*/stat")]
+        threads = [
+            task.read_text() for task in Path(f"/proc/{process}/task").glob("*/stat")
+        ]
     except OSError:  # it ended while we looked
         return runs(process)
     return any(thread.rpartition(")")[2].split()[0] not in "ZX" for thread in threads)
@@ -144,7 +146,9 @@ def test_its_death_over_a_surface_is_an_error() -> None:
     slow = shapes.ellipsoid(subdivisions=5)
     killer = threading.Thread(target=lambda: os.kill(busy_child(), signal.SIGKILL))
     killer.start()
-    with pytest.raises(RemeshError, match=r"^\[remesh\] fTetWild died, with exit code -9$"):
+    with pytest.raises(
+        RemeshError, match=r"^\[remesh\] fTetWild died, with exit code -9$"
+    ):
         tetrahedralize(
             slow.vertices,
             slow.faces,
@@ -215,9 +219,17 @@ def test_a_closed_surface_keeps_topology_area_and_volume(mesh: TriangleMesh) -> 
 @pytest.mark.parametrize(
     ("mesh", "options", "why"),
     [
-        (BODY, {"timeout": 1e-3}, r"fTetWild did not finish within 0\.001 s and was stopped"),
+        (
+            BODY,
+            {"timeout": 1e-3},
+            r"fTetWild did not finish within 0\.001 s and was stopped",
+        ),
         # For a body that is oriented inwards the result is almost empty, or oriented outwards.
-        (TriangleMesh(BODY.vertices, BODY.faces[:, ::-1]), {}, r"fTetWild gave no|it changed the"),
+        (
+            TriangleMesh(BODY.vertices, BODY.faces[:, ::-1]),
+            {},
+            r"fTetWild gave no|it changed the",
+        ),
     ],
     ids=["no time", "inside out"],
 )
@@ -233,8 +245,6 @@ def test_an_answer_that_cannot_be_used_is_refused_and_said_so(
 
 def test_without_an_answer_a_surface_with_holes_is_an_error() -> None:
     pricked = TriangleMesh(BODY.vertices, BODY.faces[1:])
-    message = (
-        r"the surface has defects \(3 boundary edges\) and could not be remeshed: fTetWild did not"
-    )
+    message = r"the surface has defects \(3 boundary edges\) and could not be remeshed: fTetWild did not"
     with pytest.raises(RemeshError, match=message):
         remesh(pricked, RemeshOptions(method="tetwild", timeout=1e-3))

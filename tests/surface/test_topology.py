@@ -8,9 +8,21 @@ import shapes
 from numpy.typing import NDArray
 
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError
-from pcretrieve.surface.repair import denoised, largest_component, repaired, split_non_manifold
+from pcretrieve.surface.repair import (
+    denoised,
+    largest_component,
+    repaired,
+    split_non_manifold,
+)
 from pcretrieve.surface.tetwild import boundary_faces
-from pcretrieve.surface.topology import SOUND, Defects, compact, components, defects, orient_faces
+from pcretrieve.surface.topology import (
+    SOUND,
+    Defects,
+    compact,
+    components,
+    defects,
+    orient_faces,
+)
 from pcretrieve.values import IntArray, TriangleMesh
 
 BALL = shapes.icosphere(2)  # 162 vertices, 320 faces
@@ -23,7 +35,9 @@ def cut(mesh: TriangleMesh, *faces: int) -> TriangleMesh:
 
 def with_more(mesh: TriangleMesh, faces: object, vertices: object = ()) -> TriangleMesh:
     added: IntArray = np.reshape(np.asarray(faces, dtype=np.int32), (-1, 3))
-    points = np.concatenate([mesh.vertices, np.reshape(np.asarray(vertices, dtype=float), (-1, 3))])
+    points = np.concatenate(
+        [mesh.vertices, np.reshape(np.asarray(vertices, dtype=float), (-1, 3))]
+    )
     return TriangleMesh(points, np.concatenate([mesh.faces, added]))
 
 
@@ -41,7 +55,9 @@ def with_caps(mesh: TriangleMesh, n: int) -> TriangleMesh:
     halves = np.concatenate(
         [np.column_stack(f) for f in ((a, middle, c), (middle, b, c), (a, b, middle))]
     )
-    return with_more(cut(mesh, *bisected), halves, (mesh.vertices[a] + mesh.vertices[b]) / 2)
+    return with_more(
+        cut(mesh, *bisected), halves, (mesh.vertices[a] + mesh.vertices[b]) / 2
+    )
 
 
 # The six tetrahedra around the long diagonal of a cube whose corners are numbered x + 2 y + 4 z.
@@ -143,7 +159,9 @@ def test_boundaries_of_random_solids_become_manifolds(seed: int) -> None:
     mesh = boundary(np.random.default_rng(seed).random((4, 4, 4)) < 0.3, bend=0.1)
     before = defects(mesh)
     assert before.non_manifold_edges
-    assert before.boundary_edges == before.inconsistent_edges == before.degenerate_faces == 0
+    assert (
+        before.boundary_edges == before.inconsistent_edges == before.degenerate_faces == 0
+    )
     assert mesh.volume > 0
     split = split_non_manifold(mesh)
     assert defects(split) == Defects(0, 0, 0, 0, 0, defects(split).components)
@@ -175,11 +193,17 @@ TWO_FACES = np.array([[0, 1, 2], [1, 2, 3]], dtype=np.int32)
     [
         (with_more(BALL, [], np.ones((3, 3))), "dropped 3 vertices that are in no face"),
         (with_caps(BALL, 7), "collapsed 14 of 334 faces, flat ones and their neighbours"),
-        (with_more(BALL, [0, 0, 5]), "collapsed 1 of 321 faces, flat ones and their neighbours"),
+        (
+            with_more(BALL, [0, 0, 5]),
+            "collapsed 1 of 321 faces, flat ones and their neighbours",
+        ),
         (with_more(BALL, BALL.faces[:4]), f"dropped 4 of 324 {REPEATED}"),
         (with_more(BALL, [[0, 1, 2], [0, 2, 1]]), f"dropped 2 of 322 {REPEATED}"),
         (with_more(BALL, BALL.faces[:, ::-1]), f"dropped 320 of 640 {REPEATED}"),
-        (turned(BALL, *range(20)), "turned 20 faces of 320 to agree with their neighbours"),
+        (
+            turned(BALL, *range(20)),
+            "turned 20 faces of 320 to agree with their neighbours",
+        ),
         (turned(BALL, *range(320)), "turned the surface inside out"),
         (
             shapes.joined(BALL, shapes.icosphere(2, 0.1)),
@@ -187,7 +211,9 @@ TWO_FACES = np.array([[0, 1, 2], [1, 2, 3]], dtype=np.int32)
         ),
     ],
 )
-def test_a_ball_with_defects_is_repaired_to_the_ball(broken: TriangleMesh, note: str) -> None:
+def test_a_ball_with_defects_is_repaired_to_the_ball(
+    broken: TriangleMesh, note: str
+) -> None:
     mesh, notes = repaired(broken)
     assert notes == (note,)
     assert not defects(mesh)
@@ -240,7 +266,10 @@ def test_two_balls_that_touch_are_split_and_the_larger_stays() -> None:
             TriangleMesh(np.outer(np.arange(4.0), [1, 2, 3]), TWO_FACES),
             "no face of 2 bounds anything",
         ),
-        (TriangleMesh(np.eye(3), np.zeros((0, 3), dtype=np.int32)), "no face of 0 bounds anything"),
+        (
+            TriangleMesh(np.eye(3), np.zeros((0, 3), dtype=np.int32)),
+            "no face of 0 bounds anything",
+        ),
         (shapes.mobius_strip(), "the surface is one-sided, as a Möbius strip is"),
     ],
 )

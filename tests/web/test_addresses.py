@@ -23,7 +23,9 @@ from pcretrieve.pages.html import without_folders
 
 def ids(page: bytes) -> list[str]:
     """The names on the cards of a page."""
-    found = re.findall(r"<b>(?:<span class=\"soft\">\d+</span> )?(.*?)</b></a>", page.decode())
+    found = re.findall(
+        r"<b>(?:<span class=\"soft\">\d+</span> )?(.*?)</b></a>", page.decode()
+    )
     return [unescape(name) for name in found]
 
 
@@ -46,7 +48,9 @@ LISTINGS: list[tuple[str, list[str]]] = [
 def test_the_collection_is_searched_filtered_and_sorted(server: Server) -> None:
     for query, expected in LISTINGS:
         found = ids(server.ask(f"/?{query}").body)
-        assert found == [shape["id"] for shape in server.ask(f"/shapes?{query}").json["shapes"]]
+        assert found == [
+            shape["id"] for shape in server.ask(f"/shapes?{query}").json["shapes"]
+        ]
         assert found == expected
 
 
@@ -55,7 +59,11 @@ def test_a_day_of_the_collection_includes_its_last_hour(server: Server) -> None:
     days = sorted({shape["added"][:10] for shape in every})
     for first, last in ((days[0], days[-1]), (days[-1], days[-1])):
         found = server.ask(f"/shapes?since={first}&until={last}").json["shapes"]
-        assert found == [shape for shape in every if first <= shape["added"][:10] <= last] != []
+        assert (
+            found
+            == [shape for shape in every if first <= shape["added"][:10] <= last]
+            != []
+        )
 
 
 @pytest.mark.slow
@@ -81,7 +89,11 @@ ADDRESSES = {
             "/shape/broken",
             "/shapes/Egg00/similar",
         ),
-        *("/shapes/Egg00/similar.csv", "/shapes/Egg00/scene?than=Egg20", "/shapes/Egg00/mesh.glb"),
+        *(
+            "/shapes/Egg00/similar.csv",
+            "/shapes/Egg00/scene?than=Egg20",
+            "/shapes/Egg00/mesh.glb",
+        ),
         "/compare?a=Egg00&b=Egg01",
     ],
     400: [
@@ -109,7 +121,10 @@ ADDRESSES = {
 
 
 def test_sizes_of_compared_shapes_name_their_unit(server: Server) -> None:
-    for pair, said in (("a=Egg10&b=Egg11", "&nbsp;m²</td>"), ("a=Egg00&b=Egg10", "units differ")):
+    for pair, said in (
+        ("a=Egg10&b=Egg11", "&nbsp;m²</td>"),
+        ("a=Egg00&b=Egg10", "units differ"),
+    ):
         page = server.ask(f"/compare?{pair}").body.decode()
         assert said in page and ("does not name" in page) == ("Egg00" in pair)
 
@@ -144,7 +159,10 @@ def test_a_damaged_row_is_told(eggs: Path, tmp_path: Path) -> None:
 def test_messages_name_no_folder() -> None:
     for message, told in (
         ("cannot read:/own folder/of scans/a.ply", "cannot read:a.ply"),
-        ("open('/srv/x/a.ply', \"/srv/y\") or file:/srv/z/b", "open('a.ply', \"y\") or file:b"),
+        (
+            "open('/srv/x/a.ply', \"/srv/y\") or file:/srv/z/b",
+            "open('a.ply', \"y\") or file:b",
+        ),
         (
             "see https://example.org/a/b, 3/4 and and/or",
             "see https://example.org/a/b, 3/4 and and/or",
@@ -156,7 +174,9 @@ def test_messages_name_no_folder() -> None:
 def test_a_catalogue_of_failures_is_served(tmp_path: Path) -> None:
     """The page has the failures; whom a scan shows, nobody can say."""
     with Catalogue(tmp_path / "c.sqlite", create=True) as store:
-        failed = Record("bad", "/bad.off", "", status="failed", stage="read", error="ScanReadError")
+        failed = Record(
+            "bad", "/bad.off", "", status="failed", stage="read", error="ScanReadError"
+        )
         store.put(replace(failed, message="it is empty"))
     with running(tmp_path / "c.sqlite") as server:
         assert ids(server.ask("/").body) == ["bad"]

@@ -54,7 +54,9 @@ def names(page: Page) -> list[str]:
 def test_from_a_shape_to_its_nearest_and_on(page: Page, eggs: Path) -> None:
     page.locator("#results").get_by_text("Egg11", exact=True).click()
     page.get_by_role("heading", name="Egg11").wait_for()
-    expected = [name for name in search(eggs, "Egg11", k=12).neighbors.ids if name != "Egg11"]
+    expected = [
+        name for name in search(eggs, "Egg11", k=12).neighbors.ids if name != "Egg11"
+    ]
     assert names(page) == expected
     page.locator("canvas[data-drawn]").wait_for()
     page.get_by_text("Change the search").click()
@@ -94,7 +96,11 @@ def test_two_shapes_turn_together(page: Page) -> None:
 def test_a_chosen_scan_is_answered_and_kept_when_it_is_asked_for(
     browser: Browser, eggs: Path, tmp_path: Path
 ) -> None:
-    collection, scan, folder = tmp_path / "collection.sqlite", egg(tmp_path), tmp_path / "kept"
+    collection, scan, folder = (
+        tmp_path / "collection.sqlite",
+        egg(tmp_path),
+        tmp_path / "kept",
+    )
     folder.mkdir()
     shutil.copy(eggs, collection)
     with running(collection, "--keep", str(folder)) as keeper:
@@ -103,7 +109,9 @@ def test_a_chosen_scan_is_answered_and_kept_when_it_is_asked_for(
             page.wait_for_url("**/scan/*")
             page.get_by_role("heading", name="Nearest shapes").wait_for()
             assert page.locator("#stages").get_by_text("spectrum").is_visible()
-            assert names(page) == list(search(eggs, tmp_path / "egg.off", k=12).neighbors.ids)
+            assert names(page) == list(
+                search(eggs, tmp_path / "egg.off", k=12).neighbors.ids
+            )
             page.get_by_role("link", name="Inspection of the scan").wait_for()
             assert [*folder.iterdir()] == []
             page.keyboard.press("Tab")
@@ -139,11 +147,15 @@ def test_a_dropped_scan_is_processed_and_fails_in_words(page: Page) -> None:
     assert not page.get_by_role("heading", name="Nearest shapes").is_visible()
 
 
-def test_lying_shapes_are_turned_by_a_click(browser: Browser, eggs: Path, tmp_path: Path) -> None:
+def test_lying_shapes_are_turned_by_a_click(
+    browser: Browser, eggs: Path, tmp_path: Path
+) -> None:
     lying = tmp_path / "lying.sqlite"
     shutil.copy(eggs, lying)
     with running(lying) as server, opened(browser, server.address) as page:
-        seen = {"If-None-Match": server.ask("/shapes/Egg20/thumbnail.png").headers["etag"]}
+        seen = {
+            "If-None-Match": server.ask("/shapes/Egg20/thumbnail.png").headers["etag"]
+        }
         assert server.ask("/shapes/Egg20/thumbnail.png", headers=seen).status == 304
         page.get_by_text("Turn upright").click()
         page.get_by_role("button", name="-x").click()
@@ -165,7 +177,12 @@ def test_a_line_round_shapes_of_the_map_chooses_them(page: Page, server: Server)
     page.get_by_text("12 shapes are chosen.").wait_for()
     page.get_by_role("button", name="Nearer").click()
     page.get_by_role("button", name="<kind 1> 4").click()
-    assert page.locator(".chosen a").all_inner_texts() == ["Egg10", "Egg11", "Egg12", "Egg13"]
+    assert page.locator(".chosen a").all_inner_texts() == [
+        "Egg10",
+        "Egg11",
+        "Egg12",
+        "Egg13",
+    ]
     page.locator(".chosen a").first.click()
     page.get_by_role("heading", name="Egg10").wait_for()
 
@@ -197,14 +214,18 @@ def reached(page: Page, selector: str) -> None:
     """Press Tab until an element has the focus, and see that the focus is drawn."""
     for _ in range(40):
         page.keyboard.press("Tab")
-        if page.evaluate("selector => document.activeElement.matches(selector)", selector):
+        if page.evaluate(
+            "selector => document.activeElement.matches(selector)", selector
+        ):
             style = page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
             assert style != "none", f"{selector} does not show that it has the focus"
             return
     raise AssertionError(f"{selector} is not reached by the key Tab")
 
 
-def test_pages_are_accessible_and_fit(browser: Browser, server: Server, tmp_path: Path) -> None:
+def test_pages_are_accessible_and_fit(
+    browser: Browser, server: Server, tmp_path: Path
+) -> None:
     job, found = server.outcome("egg.off", egg(tmp_path))["job"], set[str]()
     assert wait_for(lambda: b'id="waiting"' not in server.ask("/map").body)
     for size, dark in product((DESKTOP, PHONE), (False, True)):
@@ -213,7 +234,9 @@ def test_pages_are_accessible_and_fit(browser: Browser, server: Server, tmp_path
                 page.goto(f"{origin(server.address)}{address}")
                 found |= {f"{address}: {violation}" for violation in violations(page)}
                 found |= {
-                    f"{address} is {wide} pixels too wide" for wide in [overflow(page)] if wide > 0
+                    f"{address} is {wide} pixels too wide"
+                    for wide in [overflow(page)]
+                    if wide > 0
                 }
             # Of the inspection:
             assert page.locator("canvas").is_visible(), "the viewer runs"

@@ -27,11 +27,17 @@ def test_nothing_is_answered_without_the_token(server: Server) -> None:
     sent = [{}, {"Authorization": "Bearer é"}, {"Authorization": f"Basic {right}"}]
     for token in near:
         sent += [{"Authorization": f"Bearer {token}"}, {"Cookie": f"{cookie}={token}"}]
-    answers = [server.ask(path, headers=one, bearer=False) for path in PRIVATE for one in sent]
-    answers += [
-        server.ask(f"{path}?token={token}", bearer=False) for path in PRIVATE for token in near
+    answers = [
+        server.ask(path, headers=one, bearer=False) for path in PRIVATE for one in sent
     ]
-    assert {(answer.status, answer.body) for answer in answers} == {(403, answers[0].body)}
+    answers += [
+        server.ask(f"{path}?token={token}", bearer=False)
+        for path in PRIVATE
+        for token in near
+    ]
+    assert {(answer.status, answer.body) for answer in answers} == {
+        (403, answers[0].body)
+    }
     assert {answer.headers["connection"] for answer in answers} == {"close"}
 
 
@@ -44,7 +50,9 @@ def test_the_address_gives_the_browser_a_cookie(server: Server) -> None:
     assert again.status == 200
     assert server.token.encode() not in again.body
     for path in ("//evil.example/", "/\\evil.example/", "///evil.example"):
-        location = server.ask(f"{path}?token={server.token}", bearer=False).headers["location"]
+        location = server.ask(f"{path}?token={server.token}", bearer=False).headers[
+            "location"
+        ]
         assert location.startswith("/") and location[1] not in "/\\"
 
 
@@ -58,7 +66,12 @@ def test_addresses_and_cookies_of_others_change_no_cookie_and_lock_nobody_out(
         assert (answer.status, answer.headers["location"]) == (303, "/")
         assert answer.headers["set-cookie"] == f"{own}; Path=/; HttpOnly; SameSite=Strict"
         assert "x-evil" not in answer.headers
-    for cookies in ('a={"b": [1, 2]}; OWN', "OWN; a=[;]", f"{name}=evil; OWN", ";;=;OWN; é"):
+    for cookies in (
+        'a={"b": [1, 2]}; OWN',
+        "OWN; a=[;]",
+        f"{name}=evil; OWN",
+        ";;=;OWN; é",
+    ):
         sent = {"Cookie": cookies.replace("OWN", own)}
         assert server.ask("/", headers=sent, bearer=False).status == 200
 
@@ -75,9 +88,16 @@ def test_hosts_and_origins_are_of_this_computer_alone(server: Server) -> None:
         ),
         *("2130706433", "0.0.0.0", "169.254.1.1:80"),
     ):
-        for claim in ({}, {"X-Forwarded-Host": "127.0.0.1"}, {"Origin": "http://127.0.0.1"}):
+        for claim in (
+            {},
+            {"X-Forwarded-Host": "127.0.0.1"},
+            {"Origin": "http://127.0.0.1"},
+        ):
             assert server.ask("/", headers={"Host": host, **claim}).status == 400
-    assert status(raw(server, "GET / HTTP/1.1\r\nHost: evil.example\r\nKNOWN\r\n\r\n")) == 400
+    assert (
+        status(raw(server, "GET / HTTP/1.1\r\nHost: evil.example\r\nKNOWN\r\n\r\n"))
+        == 400
+    )
     for host in ("localhost:8000", "127.0.0.1", "[::1]:9"):
         assert server.ask("/", headers={"Host": host}).status == 200
     for origin in ("http://evil.example", "null", "http://127.0.0.1:1", "file://"):
@@ -103,17 +123,27 @@ def test_other_methods_are_refused(server: Server) -> None:
         assert server.ask("/shapes/Egg00", method=method).status == 405
         assert server.ask("/", method=method, headers=own, bearer=False).status == 403
     for method in ("post", "Get", "CONNECT", "PATCH", "GETX"):
-        assert server.ask("/shapes", method=method, headers=own, bearer=False).status == 403
+        assert (
+            server.ask("/shapes", method=method, headers=own, bearer=False).status == 403
+        )
     for path in ("/scans?name=a.off", f"/scans?name=a.off&token={server.token}"):
         for origin in ({}, {"Origin": "http://evil.example"}, {"Origin": "null"}):
             sent = {**own, **origin}
             assert (
-                server.ask(path, method="POST", body=b"OFF", headers=sent, bearer=False).status
+                server.ask(
+                    path, method="POST", body=b"OFF", headers=sent, bearer=False
+                ).status
                 == 403
             )
-    upgrade = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
+    upgrade = {
+        "Connection": "Upgrade",
+        "Upgrade": "websocket",
+        "Sec-WebSocket-Version": "13",
+    }
     assert (
-        server.ask("/", headers={**upgrade, "Sec-WebSocket-Key": 16 * "x"}, bearer=False).status
+        server.ask(
+            "/", headers={**upgrade, "Sec-WebSocket-Key": 16 * "x"}, bearer=False
+        ).status
         == 403
     )
 

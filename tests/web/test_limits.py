@@ -137,7 +137,9 @@ def test_a_ninth_scan_is_refused_until_one_of_eight_is_gone(site: Site) -> None:
     assert {*jobs[0].folder.parent.glob("upload-*")} == folders
 
 
-def test_a_server_with_a_limit_refuses_a_scan_beyond_it(eggs: Path, tmp_path: Path) -> None:
+def test_a_server_with_a_limit_refuses_a_scan_beyond_it(
+    eggs: Path, tmp_path: Path
+) -> None:
     """`--max-upload` is in megabytes, of 1,000,000 bytes; the smallest is one."""
     first = "import pcretrieve.web.application as a; a.LINGER = 0.0"
     with running(eggs, "--max-upload", "1", first=first, temporary=tmp_path) as server:
@@ -151,7 +153,9 @@ def test_a_server_with_a_limit_refuses_a_scan_beyond_it(eggs: Path, tmp_path: Pa
         assert accepted.status == 202
 
 
-def test_what_cannot_be_kept_leaves_no_file_and_no_shape(eggs: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_kept_leaves_no_file_and_no_shape(
+    eggs: Path, tmp_path: Path
+) -> None:
     """A scan that fails, and one that the catalogue has already under another name."""
     folder = tmp_path / "kept"
     folder.mkdir()
@@ -205,7 +209,10 @@ def test_lists_are_those_of_this_moment(eggs: Path, tmp_path: Path) -> None:
 def test_a_page_names_classes_unless_they_are_too_many(
     eggs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for most, choice in ((3, b'<select name="label">'), (2, b'<input type="search" name="label"')):
+    for most, choice in (
+        (3, b'<select name="label">'),
+        (2, b'<input type="search" name="label"'),
+    ):
         monkeypatch.setattr(application_module, "MOST_CLASSES", most)
         with opened(eggs) as site:
             for address in ("/?label=none", "/shape/Egg00?label=%3Ckind+0%3E"):

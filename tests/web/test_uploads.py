@@ -91,7 +91,16 @@ WORDS = [
 ]
 
 UP = [
-    *("../", "..%2F", "%2e%2e%2f", "..%5c", "....//", "..%252f", "%c0%ae%c0%ae/", "..%00/"),
+    *(
+        "../",
+        "..%2F",
+        "%2e%2e%2f",
+        "..%5c",
+        "....//",
+        "..%252f",
+        "%c0%ae%c0%ae/",
+        "..%00/",
+    ),
     *("//", "file:%2F%2F%2F"),
 ]
 
@@ -117,7 +126,11 @@ def target(started: Server, temporary: Path) -> Iterator[Server]:
 
 
 def scans_in(place: Path) -> list[Path]:
-    return [path for path in place.rglob("*") if path.suffix.lower() in (".off", ".ply", ".obj")]
+    return [
+        path
+        for path in place.rglob("*")
+        if path.suffix.lower() in (".off", ".ply", ".obj")
+    ]
 
 
 # --- files ------------------------------------------------------------------------------------------------
@@ -130,7 +143,10 @@ def test_hostile_files_are_refused_in_words_and_inspected(target: Server) -> Non
             "Python objects",
             "not a valid NPY",
         )  # no scan, of which nothing can be shown
-        assert (job["state"], job["inspection"]) == ("failed", "failed" if is_other else "done")
+        assert (job["state"], job["inspection"]) == (
+            "failed",
+            "failed" if is_other else "done",
+        )
         assert job["error"] in ("ScanReadError", "ReconstructionError")
         assert words in job["message"]
         page = target.ask(f"/scan/{job['job']}/inspection").body.decode()
@@ -142,9 +158,17 @@ def test_hostile_files_are_refused_in_words_and_inspected(target: Server) -> Non
 def test_files_that_a_scan_refers_to_are_not_opened(target: Server) -> None:
     with socket.create_server(("127.0.0.1", 0)) as elsewhere:
         port = elsewhere.getsockname()[1]
-        assert target.outcome("a.obj", REFERENCES.format(port=port).encode())["state"] == "failed"
-        assert target.outcome(f"http://127.0.0.1:{port}/a.off", b"OFF")["state"] == "failed"
-        assert target.ask(f"/shapes/http:%2F%2F127.0.0.1:{port}%2Fa.off/similar").status == 404
+        assert (
+            target.outcome("a.obj", REFERENCES.format(port=port).encode())["state"]
+            == "failed"
+        )
+        assert (
+            target.outcome(f"http://127.0.0.1:{port}/a.off", b"OFF")["state"] == "failed"
+        )
+        assert (
+            target.ask(f"/shapes/http:%2F%2F127.0.0.1:{port}%2Fa.off/similar").status
+            == 404
+        )
         elsewhere.setblocking(False)
         with pytest.raises(BlockingIOError):
             elsewhere.accept()
@@ -173,7 +197,19 @@ def test_addresses_lead_to_no_file(target: Server) -> None:
 
 
 def test_fields_are_no_markup(target: Server) -> None:
-    fields = ["q", "label", "state", "since", "until", "sort", "page", "k", "min_score", "a", "b"]
+    fields = [
+        "q",
+        "label",
+        "state",
+        "since",
+        "until",
+        "sort",
+        "page",
+        "k",
+        "min_score",
+        "a",
+        "b",
+    ]
     paths = [
         "/?",
         "/map?",
@@ -199,7 +235,9 @@ UPLOAD = "POST /scans?name=a.off HTTP/1.1\r\nKNOWN\r\n"
 
 def test_lengths_are_known_and_limited_before_a_scan_is_read(target: Server) -> None:
     for length in ("-1", "1e3", "0x10", "", "3\r\nContent-Length: 4", "9" * 5000):
-        assert status(raw(target, f"{UPLOAD}Content-Length: {length}\r\n\r\n", b"OFF")) in (
+        assert status(
+            raw(target, f"{UPLOAD}Content-Length: {length}\r\n\r\n", b"OFF")
+        ) in (
             400,
             413,
         )
@@ -226,7 +264,9 @@ def test_slow_and_endless_bodies_are_given_up(eggs: Path, tmp_path: Path) -> Non
         "import pcretrieve.web.application as a; a.LINGER = 0.5"
     )
     with running(eggs, "--max-upload", "1", first=limits, temporary=tmp_path) as server:
-        slow = [raw(server, f"{UPLOAD}Content-Length: 1000\r\n\r\n", b"OFF") for _ in range(8)]
+        slow = [
+            raw(server, f"{UPLOAD}Content-Length: 1000\r\n\r\n", b"OFF") for _ in range(8)
+        ]
         assert [status(connection) for connection in slow] == [408] * 8
         assert server.send("a.off", b"OFF").status == 202
         assert wait_for(lambda: not scans_in(tmp_path))
@@ -249,7 +289,9 @@ def test_slow_and_endless_bodies_are_given_up(eggs: Path, tmp_path: Path) -> Non
 
 
 def test_connections_without_a_request_are_closed(eggs: Path) -> None:
-    limits = "import pcretrieve.web.server as s; s.FIRST_REQUEST = 0.5; s.MOST_CONNECTIONS = 4"
+    limits = (
+        "import pcretrieve.web.server as s; s.FIRST_REQUEST = 0.5; s.MOST_CONNECTIONS = 4"
+    )
     with running(eggs, first=limits) as server, ExitStack() as stack:
         for begun in ("", "G", "GET / HTTP/1.1\r\n", "GET / HTTP/1.1\r\nX: y\r\n") * 2:
             stack.enter_context(raw(server, begun))
@@ -264,7 +306,10 @@ def test_a_scan_is_answered_as_by_the_library_and_inspected(
 ) -> None:
     """It is what its bytes say, not its headers; and its name is no part of a header or of a page."""
     name = 'a\r\nSet-Cookie: x=y\r\n\r\n<b>,".OFF'
-    headers = {"Content-Type": "multipart/form-data; boundary=x", "Content-Encoding": "gzip"}
+    headers = {
+        "Content-Type": "multipart/form-data; boundary=x",
+        "Content-Encoding": "gzip",
+    }
     job = target.outcome(name, egg(tmp_path), headers=headers)
     assert (job["state"], job["inspection"], job["kept_as"], job["name"]) == (
         "done",
@@ -290,10 +335,14 @@ def test_a_scan_is_answered_as_by_the_library_and_inspected(
     assert (tuple(head), row[0], row[1]) == (Answer.columns, name, found["verdict"])
     events = target.ask(f"{data}/events")
     assert events.headers["content-type"].startswith("text/event-stream")
-    *_, last = (json.loads(event) for event in events.body.decode().split("data: ") if event)
+    *_, last = (
+        json.loads(event) for event in events.body.decode().split("data: ") if event
+    )
     assert last == job
     picture = target.ask(f"{data}/thumbnail.png")
-    assert picture.headers["content-type"] == "image/png" and picture.body.startswith(b"\x89PNG")
+    assert picture.headers["content-type"] == "image/png" and picture.body.startswith(
+        b"\x89PNG"
+    )
     said = target.ask(page).body.decode()
     assert (
         "&lt;b&gt;" in said
@@ -303,7 +352,10 @@ def test_a_scan_is_answered_as_by_the_library_and_inspected(
     assert "/keep" not in said, "this server keeps nothing"
     refused = target.ask(f"{data}/keep?id=mine", method="POST")
     assert refused.status == 404
-    assert "this server keeps no scans: start it with --keep FOLDER" in refused.json["message"]
+    assert (
+        "this server keeps no scans: start it with --keep FOLDER"
+        in refused.json["message"]
+    )
     answer = target.ask(f"{page}/inspection")
     inspection = answer.body.decode()
     assert "&lt;b&gt;" in inspection and "From four sides" in inspection
@@ -343,21 +395,33 @@ def test_nobody_else_and_under_no_other_name_may_have_a_scan_kept(
 ) -> None:
     job = keeper.outcome("egg.off", egg(tmp_path))
     for fields, said in NOT_KEPT:
-        refused = keeper.ask(f"/scans/{job['job']}/keep?{urlencode(fields)}", method="POST")
+        refused = keeper.ask(
+            f"/scans/{job['job']}/keep?{urlencode(fields)}", method="POST"
+        )
         assert refused.status == 400, (fields, refused.body)
         assert said in refused.json["message"]
         by_form = keeper.ask(
             f"/scan/{job['job']}/keep", method="POST", body=urlencode(fields).encode()
         )
         assert by_form.status == 400 and b"<main" in by_form.body, fields
-    cookie = keeper.ask(f"/?token={keeper.token}", bearer=False).headers["set-cookie"].split(";")[0]
-    for headers in ({}, {"Cookie": cookie}, {"Cookie": cookie, "Origin": "http://evil.example"}):
+    cookie = (
+        keeper.ask(f"/?token={keeper.token}", bearer=False)
+        .headers["set-cookie"]
+        .split(";")[0]
+    )
+    for headers in (
+        {},
+        {"Cookie": cookie},
+        {"Cookie": cookie, "Origin": "http://evil.example"},
+    ):
         for address in (f"/scans/{job['job']}/keep?id=evil", f"/scan/{job['job']}/keep"):
             answer = keeper.ask(
                 address, method="POST", body=b"id=evil", headers=headers, bearer=False
             )
             assert answer.status == 403
-    long = keeper.ask(f"/scan/{job['job']}/keep", method="POST", body=b"id=" + b"x" * 20_000)
+    long = keeper.ask(
+        f"/scan/{job['job']}/keep", method="POST", body=b"id=" + b"x" * 20_000
+    )
     assert long.status == 413
     assert [*(tmp_path / "kept").iterdir()] == []
     assert keeper.ask("/shapes").json["total"] == 13
@@ -377,7 +441,9 @@ def test_what_failed_is_not_kept_and_uploads_end_with_the_server(
     assert not scans_in(tmp_path / "temporary")
 
 
-def test_a_server_that_only_reads_takes_and_keeps_no_scan(eggs: Path, tmp_path: Path) -> None:
+def test_a_server_that_only_reads_takes_and_keeps_no_scan(
+    eggs: Path, tmp_path: Path
+) -> None:
     with running(eggs, "--read-only") as closed:
         assert closed.send("a.off", b"OFF").status == 404
         assert b'id="upload"' not in closed.ask("/").body
@@ -385,7 +451,9 @@ def test_a_server_that_only_reads_takes_and_keeps_no_scan(eggs: Path, tmp_path: 
     assert "choose one of --read-only and --keep" in words
 
 
-def test_what_a_killed_server_leaves_is_removed_by_the_next(keeper: Server, tmp_path: Path) -> None:
+def test_what_a_killed_server_leaves_is_removed_by_the_next(
+    keeper: Server, tmp_path: Path
+) -> None:
     temporary = tmp_path / "temporary"
     keeper.outcome("egg.off", egg(tmp_path))
     keeper.process.kill()

@@ -35,7 +35,11 @@ FREEDOMS = 6
 
 
 def _paired(
-    first: View, second: View, first_pose: FloatArray, second_pose: FloatArray, reach: float
+    first: View,
+    second: View,
+    first_pose: FloatArray,
+    second_pose: FloatArray,
+    reach: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Point-to-plane correspondences of two views: nearest neighbours with similar normals.
 
@@ -57,8 +61,14 @@ def _paired(
     points, normals, nearest = points[near], normals[near], nearest[near]
     planes = np.asarray(first.cloud.normals)[nearest]
     distance = np.einsum("ij,ij->i", points - first.feet[nearest], planes)
-    kept = (np.abs(distance) < reach) & (np.einsum("ij,ij->i", normals, planes) > LEAST_COSINE)
-    return moved(first_pose, points[kept]), turned(first_pose, planes[kept]), distance[kept]
+    kept = (np.abs(distance) < reach) & (
+        np.einsum("ij,ij->i", normals, planes) > LEAST_COSINE
+    )
+    return (
+        moved(first_pose, points[kept]),
+        turned(first_pose, planes[kept]),
+        distance[kept],
+    )
 
 
 def adjusted(
@@ -88,7 +98,9 @@ def adjusted(
     changed = dict(poses)
     free = [number for number in poses if number not in fixed]
     column = {number: slice(6 * k, 6 * k + 6) for k, number in enumerate(free)}
-    pairs = [(i, j) for i in poses for j in poses if i != j and (i in column or j in column)]
+    pairs = [
+        (i, j) for i in poses for j in poses if i != j and (i in column or j in column)
+    ]
     for step in steps:
         changed = _stepped(views, changed, pairs, column, step * reach)
     return changed
@@ -102,8 +114,13 @@ def _stepped(
     farthest: float,
 ) -> dict[int, FloatArray]:
     """The poses after one step, in which views with a place in the system of equations (`column`) move."""
-    matrix, right = np.zeros((6 * len(column), 6 * len(column))), np.zeros(6 * len(column))
-    centres = [moved(poses[number], views[number].points).mean(axis=0) for number in poses]
+    matrix, right = (
+        np.zeros((6 * len(column), 6 * len(column))),
+        np.zeros(6 * len(column)),
+    )
+    centres = [
+        moved(poses[number], views[number].points).mean(axis=0) for number in poses
+    ]
     middle = np.array(centres).mean(axis=0)
     for i, j in pairs:
         paired = _paired(views[i], views[j], poses[i], poses[j], farthest)
@@ -119,9 +136,12 @@ def _stepped(
             matrix[column[j], column[i]] -= block
     # The minimum-norm solution: undetermined motions, such as a slide along a plane, are zero.
     twist = np.linalg.lstsq(matrix, right, rcond=1e-9)[0].astype(np.float64)
-    moves = {number: _motion(twist[at], middle, farthest) for number, at in column.items()}
+    moves = {
+        number: _motion(twist[at], middle, farthest) for number, at in column.items()
+    }
     return {
-        number: moves[number] @ pose if number in moves else pose for number, pose in poses.items()
+        number: moves[number] @ pose if number in moves else pose
+        for number, pose in poses.items()
     }
 
 
@@ -161,10 +181,15 @@ class Verification(NamedTuple):
 
     def holds(self, options: MergeOptions) -> bool:
         """Whether the groups fit each other."""
-        return self.share >= options.min_overlap and self.contradiction <= options.max_contradiction
+        return (
+            self.share >= options.min_overlap
+            and self.contradiction <= options.max_contradiction
+        )
 
 
-def verification(views: Sequence[View], group: Poses, other: Poses, reach: float) -> Verification:
+def verification(
+    views: Sequence[View], group: Poses, other: Poses, reach: float
+) -> Verification:
     """Verify the poses of two groups of views, in one frame, by the range images of all of them."""
     said = _seen_by(views, group, other, reach) + _seen_by(views, other, group, reach)
     n_agreeing = sum(int(agrees.sum()) for agrees, _ in said)
@@ -221,7 +246,9 @@ class Overlap:
     noise: float
 
 
-def overlap(views: Sequence[View], poses: Poses, first: int, second: int, reach: float) -> Overlap:
+def overlap(
+    views: Sequence[View], poses: Poses, first: int, second: int, reach: float
+) -> Overlap:
     """The overlap of two views, with correspondences up to the distance `reach`."""
     shares, distances = [], []
     for here, there in ((first, second), (second, first)):

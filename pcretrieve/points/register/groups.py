@@ -53,7 +53,9 @@ SAME_COSINE = 0.906
 SAME_CELLS = 10
 
 
-def feature_histograms(points: FloatArray, normals: FloatArray, *, radius: float) -> FloatArray:
+def feature_histograms(
+    points: FloatArray, normals: FloatArray, *, radius: float
+) -> FloatArray:
     """(k, 33) fast point feature histograms (FPFH) [1]_ of oriented points, invariant to rigid motion.
 
     References
@@ -85,9 +87,14 @@ def _candidates(
     first, second = views
     here, there = _look_alikes(*features)
     one, two = rng.integers(len(here), size=(2, options.n_tries))
-    pairs, others = _pairs(first, here[one], here[two]), _pairs(second, there[one], there[two])
+    pairs, others = (
+        _pairs(first, here[one], here[two]),
+        _pairs(second, there[one], there[two]),
+    )
     unlike = _unlike(pairs, others, cell)  # (n_tries,)
-    chosen = np.argsort(unlike, kind="stable")[: min(MOST_MOTIONS, int((unlike < 1).sum()))]
+    chosen = np.argsort(unlike, kind="stable")[
+        : min(MOST_MOTIONS, int((unlike < 1).sum()))
+    ]
 
     motions: FloatArray = np.tile(np.eye(4), (len(chosen), 1, 1))
     motions[:, :3, :3] = pairs.frame[chosen] @ others.frame[chosen].transpose(0, 2, 1)
@@ -95,7 +102,9 @@ def _candidates(
         "mij,mj->mi", motions[:, :3, :3], others.middle[chosen]
     )
     score = _scores(first, second, motions, ROUGH * reach)
-    score += _scores(second, first, np.linalg.inv(motions).astype(np.float64), ROUGH * reach)
+    score += _scores(
+        second, first, np.linalg.inv(motions).astype(np.float64), ROUGH * reach
+    )
     order = np.argsort(-score, kind="stable")
     best = motions[order[score[order] > 0]]
     return best[_distinct(best, second, cell, most=options.n_candidates)]
@@ -123,12 +132,16 @@ def _look_alikes(
     alike = []
     for features, others in ((first, second), (second, first)):
         # Features near the mean, such as those of a plane, are not distinctive.
-        keys = np.argsort(-np.linalg.norm(features - usual, axis=1), kind="stable")[:KEY_POINTS]
+        keys = np.argsort(-np.linalg.norm(features - usual, axis=1), kind="stable")[
+            :KEY_POINTS
+        ]
         distance = (others**2).sum(axis=1) - 2 * features[
             keys
         ] @ others.T  # squared, minus a constant
         n = min(LOOK_ALIKES, len(others))
-        alike.append((np.repeat(keys, n), np.argpartition(distance, n - 1, axis=1)[:, :n].ravel()))
+        alike.append(
+            (np.repeat(keys, n), np.argpartition(distance, n - 1, axis=1)[:, :n].ravel())
+        )
     (here, there), (back, forth) = alike
     return np.concatenate([here, forth]), np.concatenate([there, back])
 
@@ -161,16 +174,23 @@ def _pairs(view: View, one: NDArray[np.intp], two: NDArray[np.intp]) -> Pairs:
     line /= np.maximum(length, np.finfo(float).tiny)[:, None]
     start, end = (np.einsum("ij,ij->i", view.normals[ends], line) for ends in (one, two))
     between = np.einsum("ij,ij->i", view.normals[one], view.normals[two])
-    up = unit_vectors(view.normals[one] + view.normals[two] - (start + end)[:, None] * line)
+    up = unit_vectors(
+        view.normals[one] + view.normals[two] - (start + end)[:, None] * line
+    )
     frame = np.stack([line, up, np.cross(line, up)], axis=2)
     cosines = np.stack([start, end, between], axis=1)
     return Pairs(length, cosines, frame, (view.points[one] + view.points[two]) / 2)
 
 
-def _scores(first: View, second: View, motions: FloatArray, tolerance: float) -> FloatArray:
+def _scores(
+    first: View, second: View, motions: FloatArray, tolerance: float
+) -> FloatArray:
     """(m,) fraction of points of `second` that agree with the image of `first`, minus contradictions."""
     few = second.sample[:FEW_POINTS]
-    points, normals = moved(motions, second.points[few]), turned(motions, second.normals[few])
+    points, normals = (
+        moved(motions, second.points[few]),
+        turned(motions, second.normals[few]),
+    )
     said = first.image.compare(points, normals, tolerance=tolerance)
     return np.asarray(said.agrees.mean(axis=1) - said.contradicts.mean(axis=1))
 
@@ -204,7 +224,11 @@ class _Match(NamedTuple):
         Symmetries of a body cause false matches with a large overlap and without contradictions, but with a
         larger residual than true matches.
         """
-        return -self.overlap.share / self.overlap.rms, self.overlap.first, self.overlap.second
+        return (
+            -self.overlap.share / self.overlap.rms,
+            self.overlap.first,
+            self.overlap.second,
+        )
 
 
 def largest_group(
@@ -272,12 +296,17 @@ def _matches(
     found = []
     here = {first: np.eye(4)}
     for motion in motions:
-        both = adjusted(views, here | {second: motion}, fixed=[first], steps=COARSE, reach=reach)
+        both = adjusted(
+            views, here | {second: motion}, fixed=[first], steps=COARSE, reach=reach
+        )
         if verification(views, here, {second: both[second]}, reach).holds(options):
             found.append(_Match(overlap(views, both, first, second, reach), both[second]))
     found.sort(key=lambda match: match.rank)
     refined = np.array([match.motion for match in found]).reshape(-1, 4, 4)
-    return [found[number] for number in _distinct(refined, views[second], cell, most=len(found))]
+    return [
+        found[number]
+        for number in _distinct(refined, views[second], cell, most=len(found))
+    ]
 
 
 def _grouped(
@@ -296,16 +325,21 @@ def _grouped(
     for match in ranked:
         first, second = match.overlap.first, match.overlap.second
         group, other = (
-            next(group for group in joined if number in group) for number in (first, second)
+            next(group for group in joined if number in group)
+            for number in (first, second)
         )
         if group is other or match.overlap.rms > loosest:
             continue
         motion = group[first] @ match.motion @ np.linalg.inv(other[second])
         both = group | {number: motion @ pose for number, pose in other.items()}
         both = adjusted(views, both, fixed=list(group), steps=JOINING, reach=reach)
-        if verification(views, group, {number: both[number] for number in other}, reach).holds(
-            options
-        ):
-            joined = [known for known in joined if known is not group and known is not other]
-            joined.append(adjusted(views, both, fixed=[min(both)], steps=FINE[:4], reach=reach))
+        if verification(
+            views, group, {number: both[number] for number in other}, reach
+        ).holds(options):
+            joined = [
+                known for known in joined if known is not group and known is not other
+            ]
+            joined.append(
+                adjusted(views, both, fixed=[min(both)], steps=FINE[:4], reach=reach)
+            )
     return joined

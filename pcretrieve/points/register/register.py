@@ -58,11 +58,15 @@ class Merged:
 
     def rms(self, view: int | None = None) -> float:
         """The root mean square distance of overlaps, weighted by their shares."""
-        chosen = [pair for pair in self.overlaps if view in (None, pair.first, pair.second)]
+        chosen = [
+            pair for pair in self.overlaps if view in (None, pair.first, pair.second)
+        ]
         if not chosen:
             return np.nan
         squares = [pair.rms**2 for pair in chosen]
-        return float(np.sqrt(np.average(squares, weights=[pair.share for pair in chosen])))
+        return float(
+            np.sqrt(np.average(squares, weights=[pair.share for pair in chosen]))
+        )
 
 
 def merge_views(
@@ -94,7 +98,9 @@ def merge_views(
     else:
         keys, placed, key_of = _refined(ready, poses, reach, options)
     all_poses, shares = _of_all(ready, keys, placed, reach)
-    cloud = _joined([ready[number].cloud for number in sorted(placed)], all_poses[sorted(placed)])
+    cloud = _joined(
+        [ready[number].cloud for number in sorted(placed)], all_poses[sorted(placed)]
+    )
     if options.voxel:
         cloud = averaged(cloud, options.voxel * scale)[0]
     sizes = {
@@ -159,7 +165,9 @@ def _of_all(
     return poses, shares
 
 
-def _notes(keys: Poses, placed: Poses, shares: FloatArray, options: MergeOptions) -> Iterator[str]:
+def _notes(
+    keys: Poses, placed: Poses, shares: FloatArray, options: MergeOptions
+) -> Iterator[str]:
     """Say which views have key frames, or little in common with the others."""
     if len(keys) < len(placed):
         yield f"registered {len(placed)} views of a sequence by {len(keys)} key frames"
@@ -169,10 +177,17 @@ def _notes(keys: Poses, placed: Poses, shares: FloatArray, options: MergeOptions
 
 
 def _overlaps(
-    views: Sequence[View], keys: Poses, placed: Poses, key_of: Mapping[int, int], reach: float
+    views: Sequence[View],
+    keys: Poses,
+    placed: Poses,
+    key_of: Mapping[int, int],
+    reach: float,
 ) -> tuple[Overlap, ...]:
     """The overlaps of all key frames, and of each view and its key frame, that are worth a report."""
-    pairs = [*combinations(keys, 2), *((key, view) for view, key in key_of.items() if key != view)]
+    pairs = [
+        *combinations(keys, 2),
+        *((key, view) for view, key in key_of.items() if key != view),
+    ]
     ordered = sorted((min(pair), max(pair)) for pair in pairs)
     overlaps = [overlap(views, placed, first, second, reach) for first, second in ordered]
     return tuple(pair for pair in overlaps if pair.share >= LEAST_SHARE)
@@ -185,11 +200,15 @@ def _standing_off(overlaps: Sequence[Overlap]) -> list[str]:
     """
     notes = []
     pairs = np.array([(pair.first, pair.second) for pair in overlaps])  # (p, 2)
-    values = np.array([pair.share * np.array([1, pair.apart, pair.noise]) for pair in overlaps])
+    values = np.array(
+        [pair.share * np.array([1, pair.apart, pair.noise]) for pair in overlaps]
+    )
     left = np.ones(len(pairs), dtype=np.bool_)
     while left.any():
         views = pairs[left].ravel()
-        share, apart, noise = (np.bincount(views, column.repeat(2)) for column in values[left].T)
+        share, apart, noise = (
+            np.bincount(views, column.repeat(2)) for column in values[left].T
+        )
         times = apart / np.maximum(noise, np.finfo(np.float64).tiny)
         worst = times.argmax()
         if times[worst] <= MOST_APART:
@@ -209,7 +228,11 @@ def _check_poses(poses: FloatArray, n_views: int) -> None:
         )
     turns = poses[:, :3, :3]
     rigid = np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=1e-4)
-    if not (rigid and (np.linalg.det(turns) > 0).all() and np.allclose(poses[:, 3], [0, 0, 0, 1])):
+    if not (
+        rigid
+        and (np.linalg.det(turns) > 0).all()
+        and np.allclose(poses[:, 3], [0, 0, 0, 1])
+    ):
         raise InputError(
             "poses must be rigid motions: a rotation, a translation, and a last row 0 0 0 1"
         )
@@ -218,9 +241,15 @@ def _check_poses(poses: FloatArray, n_views: int) -> None:
 def _joined(clouds: Sequence[PointCloud], poses: FloatArray) -> PointCloud:
     """The concatenation of all clouds, in the common frame."""
     parts = [
-        (moved(pose, cloud.points), turned(pose, cloud.normals), moved(pose, cloud.viewpoints))
+        (
+            moved(pose, cloud.points),
+            turned(pose, cloud.normals),
+            moved(pose, cloud.viewpoints),
+        )
         for cloud, pose in zip(clouds, poses, strict=True)
         if cloud.normals is not None and cloud.viewpoints is not None
     ]
-    points, normals, viewpoints = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    points, normals, viewpoints = (
+        np.concatenate(arrays) for arrays in zip(*parts, strict=True)
+    )
     return PointCloud(points, normals, viewpoints)

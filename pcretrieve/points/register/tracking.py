@@ -12,7 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from pcretrieve.options import MergeOptions
-from pcretrieve.points.register.alignment import Poses, Verification, adjusted, verification
+from pcretrieve.points.register.alignment import (
+    Poses,
+    Verification,
+    adjusted,
+    verification,
+)
 from pcretrieve.points.register.views import View
 from pcretrieve.values import FloatArray
 
@@ -43,7 +48,11 @@ class Track(NamedTuple):
     @property
     def key_poses(self) -> dict[int, FloatArray]:
         """Poses of the key frames, by number."""
-        return {number: self.poses[number] for number, key in self.keys.items() if number == key}
+        return {
+            number: self.poses[number]
+            for number, key in self.keys.items()
+            if number == key
+        }
 
 
 def tracks(views: Sequence[View], reach: float, options: MergeOptions) -> list[Track]:
@@ -58,7 +67,9 @@ def tracks(views: Sequence[View], reach: float, options: MergeOptions) -> list[T
     for number in range(len(views)):
         last = [track for track in found[-1:] if len(track.poses) == 1]
         longer = [track for track in reversed(found) if len(track.poses) > 1][:1]
-        if not any(_continued(views, track, number, reach, options) for track in [*longer, *last]):
+        if not any(
+            _continued(views, track, number, reach, options) for track in [*longer, *last]
+        ):
             found.append(Track({number: np.eye(4)}, {number: number}))
     return found
 
@@ -70,12 +81,14 @@ def _continued(
     *_, last = track.poses
     before = list(track.poses)[-2:]
     velocity = np.linalg.inv(track.poses[before[0]]) @ track.poses[last]
-    guess = track.poses[last] @ (velocity if len(before) == 2 and number == last + 1 else np.eye(4))
+    guess = track.poses[last] @ (
+        velocity if len(before) == 2 and number == last + 1 else np.eye(4)
+    )
     for key in dict.fromkeys((track.keys[last], last)):
         here = {key: track.poses[key]}
-        pose = adjusted(views, here | {number: guess}, fixed=[key], steps=TRACKING, reach=reach)[
-            number
-        ]
+        pose = adjusted(
+            views, here | {number: guess}, fixed=[key], steps=TRACKING, reach=reach
+        )[number]
         found = verification(views, here, {number: pose}, reach)
         if _is_tracked(found, options):
             track.keys[key] = key
@@ -89,13 +102,17 @@ def _is_tracked(found: Verification, options: MergeOptions) -> bool:
     return found.share >= TRACKED and found.contradiction <= options.max_contradiction
 
 
-def posed_track(views: Sequence[View], poses: Poses, reach: float, options: MergeOptions) -> Track:
+def posed_track(
+    views: Sequence[View], poses: Poses, reach: float, options: MergeOptions
+) -> Track:
     """Choose the key frames of views with poses."""
     track = Track(dict(poses), {})
     key = min(poses)
     for number in poses:
         found = verification(views, {key: poses[key]}, {number: poses[number]}, reach)
-        key = key if _is_tracked(found, options) and found.share >= NEW_SURFACE else number
+        key = (
+            key if _is_tracked(found, options) and found.share >= NEW_SURFACE else number
+        )
         track.keys[number] = key
     return track
 
@@ -124,7 +141,9 @@ def followed(
             pose = adjusted(
                 views, near | {number: guess}, fixed=list(near), steps=NEAR, reach=reach
             )[number]
-            if options is None or verification(views, near, {number: pose}, reach).holds(options):
+            if options is None or verification(views, near, {number: pose}, reach).holds(
+                options
+            ):
                 poses[number], key_of[number] = pose, key
     return dict(sorted(poses.items())), key_of
 
@@ -141,5 +160,6 @@ def _nearest(
     here = sensor(number, pose)
     distance = {key: float(np.linalg.norm(sensor(key, keys[key]) - here)) for key in keys}
     return {
-        key: keys[key] for key in sorted(keys, key=lambda key: (distance[key], key))[:NEAREST_KEYS]
+        key: keys[key]
+        for key in sorted(keys, key=lambda key: (distance[key], key))[:NEAREST_KEYS]
     }

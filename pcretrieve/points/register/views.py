@@ -89,10 +89,15 @@ class View(NamedTuple):
 
 
 def prepared(
-    clouds: Sequence[PointCloud], options: MergeOptions, near: ScanOptions, rng: np.random.Generator
+    clouds: Sequence[PointCloud],
+    options: MergeOptions,
+    near: ScanOptions,
+    rng: np.random.Generator,
 ) -> tuple[list[View], float, list[str]]:
     """The views; the median of their diagonals, to which relative options refer; notes on the background."""
-    sensors = [_sensor(cloud, number, options, near) for number, cloud in enumerate(clouds)]
+    sensors = [
+        _sensor(cloud, number, options, near) for number, cloud in enumerate(clouds)
+    ]
     ranges, notes = [near.max_range] * len(clouds), []
     if options.background == "room" and near.max_range == "none":
         found = [depth_limit(cloud, options) for cloud in clouds]
@@ -105,7 +110,9 @@ def prepared(
             )
     fronts = [
         _foreground(cloud, sensor, number, options, ScanOptions(max_range=most))
-        for number, (cloud, sensor, most) in enumerate(zip(clouds, sensors, ranges, strict=True))
+        for number, (cloud, sensor, most) in enumerate(
+            zip(clouds, sensors, ranges, strict=True)
+        )
     ]
     scale = float(np.median([bounding_diagonal(points) for points in fronts]))
     views = [
@@ -155,10 +162,14 @@ def placed_by(cloud: PointCloud, options: MergeOptions, near: ScanOptions) -> st
     return "lower min_overlap in [merge], or add views between it and the others"
 
 
-def _sensor(view: PointCloud, number: int, options: MergeOptions, near: ScanOptions) -> FloatArray:
+def _sensor(
+    view: PointCloud, number: int, options: MergeOptions, near: ScanOptions
+) -> FloatArray:
     """(3,) position of the sensor; a conventional one, if the view has none."""
     if not len(view.points):
-        raise ReconstructionError(f"view {number} has no points: leave it out", stage=Stage.MERGE)
+        raise ReconstructionError(
+            f"view {number} has no points: leave it out", stage=Stage.MERGE
+        )
     if view.viewpoints is not None:
         if bounding_diagonal(view.viewpoints) > options.reach * view.diagonal:
             raise InputError(
@@ -178,10 +189,16 @@ def _sensor(view: PointCloud, number: int, options: MergeOptions, near: ScanOpti
 
 
 def _foreground(
-    cloud: PointCloud, sensor: FloatArray, number: int, options: MergeOptions, near: ScanOptions
+    cloud: PointCloud,
+    sensor: FloatArray,
+    number: int,
+    options: MergeOptions,
+    near: ScanOptions,
 ) -> FloatArray:
     """The (n, 3) points within `max_range`, in front of the background, and of the largest component."""
-    kept = kept_points(PointCloud(cloud.points, viewpoints=sensor), near, of_view=True).points
+    kept = kept_points(
+        PointCloud(cloud.points, viewpoints=sensor), near, of_view=True
+    ).points
     if cloud.viewpoints is None:
         kept &= cloud.points.any(
             axis=1
@@ -197,7 +214,9 @@ def _foreground(
     if options.keep_largest and len(points):
         largest = ScanOptions(keep_largest=True)
         points = points[
-            kept_points(PointCloud(points, viewpoints=sensor), largest, of_view=True).points
+            kept_points(
+                PointCloud(points, viewpoints=sensor), largest, of_view=True
+            ).points
         ]
     if len(points) <= NORMAL_NEIGHBORS or not bounding_diagonal(points):
         raise ReconstructionError(
@@ -217,21 +236,31 @@ def _background_plane(
     few = points[rng.permutation(len(points))[:COMPARED]]
     middle, diagonal = few.mean(axis=0), bounding_diagonal(few)
     normals, offsets, deviation = _fitted_planes(few - middle, rng)
-    thickness = np.clip(DEVIATIONS * deviation, THINNEST * diagonal, THICKEST * diagonal)  # (p,)
+    thickness = np.clip(
+        DEVIATIONS * deviation, THINNEST * diagonal, THICKEST * diagonal
+    )  # (p,)
     towards = np.where(normals @ (sensor - middle) > offsets, 1, -1)  # (p,)
-    heights = towards[:, None] * (normals @ (few - middle).T - offsets[:, None])  # (p, s): in front
+    heights = towards[:, None] * (
+        normals @ (few - middle).T - offsets[:, None]
+    )  # (p, s): in front
     on = (abs(heights) <= thickness[:, None]).mean(axis=1)
     front = (heights > thickness[:, None]).mean(axis=1)
-    possible = (1 - on - front <= MOST_BEHIND) & (on >= LEAST_SHARE) & (front >= LEAST_LEFT)
+    possible = (
+        (1 - on - front <= MOST_BEHIND) & (on >= LEAST_SHARE) & (front >= LEAST_LEFT)
+    )
     # Near the middle of the plane, too.
-    possible &= (abs(heights) <= thickness[:, None] / 2).mean(axis=1) >= LEAST_CENTRAL * on
+    possible &= (abs(heights) <= thickness[:, None] / 2).mean(
+        axis=1
+    ) >= LEAST_CENTRAL * on
     if not possible.any():
         return None
     best = int(np.where(possible, on, 0).argmax())
     inliers = few[abs(heights[best]) <= thickness[best]]
     if bounding_diagonal(inliers) < LEAST_EXTENT * diagonal:
         return None
-    _, height = fitted_plane(points, inliers, towards[best] * normals[best], thickness[best])
+    _, height = fitted_plane(
+        points, inliers, towards[best] * normals[best], thickness[best]
+    )
     on_plane = abs(height) <= thickness[best]
     return np.asarray(
         height <= min(thickness[best], REMOVED * float(np.median(abs(height[on_plane]))))
@@ -252,7 +281,11 @@ def _fitted_planes(
     off = near - centres[:, None]
     squares, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", off, off) / near.shape[1])
     normals = axes[:, :, 0]
-    return normals, np.einsum("pi,pi->p", normals, centres), np.sqrt(np.maximum(squares[:, 0], 0))
+    return (
+        normals,
+        np.einsum("pi,pi->p", normals, centres),
+        np.sqrt(np.maximum(squares[:, 0], 0)),
+    )
 
 
 def _view(
@@ -316,7 +349,9 @@ class RangeImage:
     sensor: (3,) float64, position of the sensor; unit of the points.
     """
 
-    def __init__(self, points: FloatArray, normals: FloatArray, sensor: FloatArray) -> None:
+    def __init__(
+        self, points: FloatArray, normals: FloatArray, sensor: FloatArray
+    ) -> None:
         from scipy import ndimage
         from scipy.spatial import cKDTree
 
@@ -332,11 +367,15 @@ class RangeImage:
         spacing = np.asarray(cKDTree(seen).query(some, k=2)[0])[:, 1]
         self._low = seen.min(axis=0)
         extent = np.ptp(seen, axis=0)
-        self._pixel = max(PIXEL * float(np.median(spacing)), float(extent.max()) / LARGEST_SIDE)
+        self._pixel = max(
+            PIXEL * float(np.median(spacing)), float(extent.max()) / LARGEST_SIDE
+        )
         # A border of empty pixels, to which all points outside the image are mapped.
         self._shape = np.floor(extent / self._pixel).astype(np.int64) + 3
         nearest = np.full(self._shape, -1)
-        order = np.argsort(-depth, kind="stable")  # the nearest point in a pixel is written last
+        order = np.argsort(
+            -depth, kind="stable"
+        )  # the nearest point in a pixel is written last
         nearest.ravel()[self._pixels(rays, depth)[order]] = order
         nearest[[0, -1], :] = nearest[:, [0, -1]] = -1
         self._nearest = nearest.ravel()
@@ -357,10 +396,14 @@ class RangeImage:
     def _pixels(self, rays: FloatArray, depth: FloatArray) -> NDArray[np.int64]:
         """(...) number of the pixel of each ray; 0, an empty pixel, outside the image."""
         index = np.nan_to_num((rays - self._low) / self._pixel, nan=-1.0)
-        index = np.clip(np.floor(index), -1, self._shape - 2).astype(np.int64) + 1  # (..., 2)
+        index = (
+            np.clip(np.floor(index), -1, self._shape - 2).astype(np.int64) + 1
+        )  # (..., 2)
         return np.where(depth > 0, index[..., 0] * self._shape[1] + index[..., 1], 0)
 
-    def compare(self, points: FloatArray, normals: FloatArray, *, tolerance: float) -> Comparison:
+    def compare(
+        self, points: FloatArray, normals: FloatArray, *, tolerance: float
+    ) -> Comparison:
         """Compare (..., n, 3) points and unit normals, in the frame of the view, with the image.
 
         tolerance: largest distance of a point that agrees from the tangent plane of the measured point, and

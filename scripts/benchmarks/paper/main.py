@@ -62,7 +62,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--only", choices=PARTS, action="append", help="only this part; may be repeated"
     )
-    parser.add_argument("--output", type=Path, help="folder for pictures, CSV files and a page")
+    parser.add_argument(
+        "--output", type=Path, help="folder for pictures, CSV files and a page"
+    )
     parser.add_argument(
         "--full", action="store_true", help="whole sets, cubic elements, and fTetWild"
     )
@@ -82,7 +84,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 sections.append(_section(part, lines, given.output))
         if given.output is not None:
             write_file(
-                given.output / "paper.html", PAGE.format(sections="\n".join(sections)).encode()
+                given.output / "paper.html",
+                PAGE.format(sections="\n".join(sections)).encode(),
             )
             print_lines([f"wrote {given.output / 'paper.html'}"])
     except (PcretrieveError, OSError) as error:
@@ -91,7 +94,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _section(part: str, lines: Sequence[str], output: Path | None) -> str:
     """A part of the page: its lines, and the pictures that it has written."""
-    pictures = [] if output is None else sorted(path.name for path in output.glob("*.png"))
+    pictures = (
+        [] if output is None else sorted(path.name for path in output.glob("*.png"))
+    )
     shown = [
         f'<p><img src="{name}" alt="{name}">'
         for name in pictures
@@ -109,10 +114,18 @@ def _meshes(given: argparse.Namespace) -> dict[str, TriangleMesh]:
 
 
 # What prints each part, and the sets that it needs.
-PARTS: Mapping[str, tuple[Callable[[argparse.Namespace], Iterator[str]], tuple[str, ...]]] = {
-    "figure1": (lambda o: figure_1(o.data / "shrec11", _output(o, "figure1.png")), ("shrec11",)),
+PARTS: Mapping[
+    str, tuple[Callable[[argparse.Namespace], Iterator[str]], tuple[str, ...]]
+] = {
+    "figure1": (
+        lambda o: figure_1(o.data / "shrec11", _output(o, "figure1.png")),
+        ("shrec11",),
+    ),
     "table2": (lambda o: table_2(full=o.full), ()),
-    "table3": (lambda o: retrieval_tables("table3", o.data, o.output, full=o.full), ("shrec11",)),
+    "table3": (
+        lambda o: retrieval_tables("table3", o.data, o.output, full=o.full),
+        ("shrec11",),
+    ),
     "table4": (
         lambda o: retrieval_tables("table4", o.data, o.output, full=o.full),
         ("shrec11", "tosca"),
@@ -130,7 +143,10 @@ PARTS: Mapping[str, tuple[Callable[[argparse.Namespace], Iterator[str]], tuple[s
     ),
     "figure6": (lambda o: figure_6(), ()),
     "figure7": (lambda o: figure_7(_meshes(o), _output(o, "figure7.png")), ("tosca",)),
-    "drift": (lambda o: section_4_4(_first_poses(o.data / "tosca"), remeshed=o.full), ("tosca",)),
+    "drift": (
+        lambda o: section_4_4(_first_poses(o.data / "tosca"), remeshed=o.full),
+        ("tosca",),
+    ),
     "discrepancy": (lambda o: appendix_a(_meshes(o)), ("tosca",)),
 }
 
@@ -146,4 +162,6 @@ def _first_poses(folder: Path) -> dict[str, tuple[TriangleMesh, TriangleMesh]]:
     files: dict[str, list[Path]] = {}
     for path in sorted(folder.glob("*.off")):
         files.setdefault(path.stem.rstrip("0123456789"), []).append(path)
-    return {name: (read_mesh(paths[0]), read_mesh(paths[1])) for name, paths in files.items()}
+    return {
+        name: (read_mesh(paths[0]), read_mesh(paths[1])) for name, paths in files.items()
+    }

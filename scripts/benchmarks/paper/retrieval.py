@@ -30,7 +30,11 @@ from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
 from pcretrieve.errors import PcretrieveError, ShapeError
 from pcretrieve.evaluation import rank_table
-from pcretrieve.evaluation.measures import PrecisionRecall, evaluate_rankings, precision_recall
+from pcretrieve.evaluation.measures import (
+    PrecisionRecall,
+    evaluate_rankings,
+    precision_recall,
+)
 from pcretrieve.evaluation.rankings import Rankings, Subset, rank_subsets
 from pcretrieve.formats import write_mesh
 from pcretrieve.gallery.fitted import signatures
@@ -134,7 +138,14 @@ def _systems(*, full: bool) -> list[System]:
     ]
     ours = [
         System("R-BiHDM-L23 by area", "r-bihdm", scale="area"),
-        System("default, without whitening", "hapt+r-bihdm", 23, "log", "area", in_figure=True),
+        System(
+            "default, without whitening",
+            "hapt+r-bihdm",
+            23,
+            "log",
+            "area",
+            in_figure=True,
+        ),
     ]
     if not full:
         return published + ours
@@ -152,7 +163,9 @@ def _systems(*, full: bool) -> list[System]:
     ]
 
 
-def retrieval_tables(part: str, data: Path, output: Path | None, *, full: bool) -> Iterator[str]:
+def retrieval_tables(
+    part: str, data: Path, output: Path | None, *, full: bool
+) -> Iterator[str]:
     """Table 3 or table 4, and its precision–recall curves (figure 3).
 
     The queries of table 4 are the meshes of TOSCA, simplified to as many faces as those of SHREC'11, which
@@ -160,14 +173,15 @@ def retrieval_tables(part: str, data: Path, output: Path | None, *, full: bool) 
     """
     with TemporaryDirectory() as temporary:
         folder, labels, published = data / "shrec11", None, TABLE_3
-        title, elements = f"Table 3: SHREC'11, {N_FACES} faces", ELEMENTS if full else ELEMENTS[:1]
+        title, elements = (
+            f"Table 3: SHREC'11, {N_FACES} faces",
+            ELEMENTS if full else ELEMENTS[:1],
+        )
         if part == "table4":
             folder, published = Path(temporary) / "mixed", TABLE_4
             labels = _mixed(data, folder, None if full else N_BACKGROUND)
             n_others = len(list(folder.iterdir())) - len(labels)
-            title = (
-                f"Table 4: TOSCA among {n_others} unlabelled meshes of SHREC'11, {N_FACES} faces"
-            )
+            title = f"Table 4: TOSCA among {n_others} unlabelled meshes of SHREC'11, {N_FACES} faces"
         yield f"{title}; in parentheses the measures of the paper, of other meshes"
         curves: dict[str, PrecisionRecall] = {}
         yield f"{'system':<28}{'FEM':<8}{'D':<6}" + "".join(
@@ -177,11 +191,15 @@ def retrieval_tables(part: str, data: Path, output: Path | None, *, full: bool) 
             options = PipelineOptions().changed(
                 surface={"mode": "keep"}, spectral={"element": element}
             )
-            with ingested(folder, Path(temporary) / f"{element}.sqlite", options, labels) as (
+            with ingested(
+                folder, Path(temporary) / f"{element}.sqlite", options, labels
+            ) as (
                 catalogue,
                 _,
             ):
-                systems = [system for system in _systems(full=full) if system.element == element]
+                systems = [
+                    system for system in _systems(full=full) if system.element == element
+                ]
                 for system in progress(systems, f"{part}, {element}"):
                     ranked = (_matched if system.distance == "pairs" else _ranked)(
                         catalogue, system
@@ -190,7 +208,9 @@ def retrieval_tables(part: str, data: Path, output: Path | None, *, full: bool) 
                     if system.in_figure:
                         curves[system.title] = precision_recall(ranked, n_points=N_LEVELS)
         if output is not None:
-            yield from _figure(curves, output / ("figure3a" if part == "table3" else "figure3b"))
+            yield from _figure(
+                curves, output / ("figure3a" if part == "table3" else "figure3b")
+            )
 
 
 def _mixed(data: Path, folder: Path, limit: int | None) -> dict[str, str]:
@@ -208,7 +228,9 @@ def _mixed(data: Path, folder: Path, limit: int | None) -> dict[str, str]:
 
 
 def _ranked(catalogue: Catalogue, system: System) -> Rankings:
-    options = SignatureOptions(method=system.method, n_values=system.n_values, scale=system.scale)
+    options = SignatureOptions(
+        method=system.method, n_values=system.n_values, scale=system.scale
+    )
     table, failed = described(catalogue, options)
     retrieval = RetrievalOptions(distance=system.distance, whitening="none")
     return rank_table(table, retrieval, failed=failed)[0]
@@ -218,7 +240,9 @@ def _matched(catalogue: Catalogue, system: System) -> Rankings:
     """Rank all pairs; shapes without features count as misses."""
     matcher = MATCHERS[system.method]
     ids = signatures(catalogue).ids
-    matrix = match_all(matcher, ids, lambda shape_id: catalogue.shape(shape_id, matcher.needs))
+    matrix = match_all(
+        matcher, ids, lambda shape_id: catalogue.shape(shape_id, matcher.needs)
+    )
     classes = {record.id: record.label for record in catalogue.records()}
     labels = [classes.pop(shape_id) for shape_id in matrix.ids]
     block = DistanceBlock(np.arange(len(matrix)), matrix.values)
@@ -231,7 +255,9 @@ def _row(system: System, ranked: Rankings, published: Sequence[float] | None) ->
     values = (found.nn, found.ft, found.st, found.e, found.dcg)
     cells = [f"{value:.3f}" for value in values]
     if published is not None:
-        cells = [f"{cell} ({other:.3f})" for cell, other in zip(cells, published, strict=True)]
+        cells = [
+            f"{cell} ({other:.3f})" for cell, other in zip(cells, published, strict=True)
+        ]
     measures = "".join(f"{cell:<14}" for cell in cells)
     return f"{system.title:<28}{system.element:<8}{system.distance:<6}{measures}{found.map:.3f}"
 
@@ -304,7 +330,9 @@ def table_2(*, full: bool) -> Iterator[str]:
     methods += [("descriptor", name) for name in METHODS]
     methods += [("matcher", name) for name in MATCHERS]
     tasks = [Task(*method, size) for method in methods for size in sizes]
-    costs = in_workers(_cost, tasks, "table2", workers=1, timeout=TIMEOUTS[full], memory=MEMORY)
+    costs = in_workers(
+        _cost, tasks, "table2", workers=1, timeout=TIMEOUTS[full], memory=MEMORY
+    )
     yield table.head
     failures = []
     for kind, method in methods:
@@ -321,7 +349,11 @@ def table_2(*, full: bool) -> Iterator[str]:
         seconds = {size: cost.shape for size, cost in found.items()}
         cells = [seconds.get(size) for size in sizes]
         yield table.row(
-            method, _needs(kind, method), *cells, _growth(seconds), max(pairs, default=None)
+            method,
+            _needs(kind, method),
+            *cells,
+            _growth(seconds),
+            max(pairs, default=None),
         )
     yield from failures
 
@@ -426,7 +458,8 @@ def table_5(data: Path, *, full: bool) -> Iterator[str]:
     ``shrec14-synthetic`` or ``shrec14-real``; else on ten simulated people, as clean meshes or as scans.
     """
     published = {
-        name: {method: both[k] for method, both in TABLE_5.items()} for k, name in enumerate(TRACKS)
+        name: {method: both[k] for method, both in TABLE_5.items()}
+        for k, name in enumerate(TRACKS)
     }
     yield "Table 5: mAP of people without whitening; in parentheses that of the paper, of SHREC'14"
     measured: dict[str, dict[System, float]] = {}
@@ -450,7 +483,8 @@ def table_5(data: Path, *, full: bool) -> Iterator[str]:
     )
     for system in SYSTEMS:
         cells = [
-            _cell(measured[name].get(system), published[name].get(system.title)) for name in TRACKS
+            _cell(measured[name].get(system), published[name].get(system.title))
+            for name in TRACKS
         ]
         facts = f"{system.method:<16}{system.n_values:<4}{system.scale:<10}{system.distance:<5}"
         yield facts + "".join(f"{cell:<16}" for cell in cells).rstrip()
@@ -462,18 +496,26 @@ def _vector_rows(folder: Path) -> Iterator[str]:
     """A row for each whitening of the published vectors."""
     yield ""
     yield "SHREC'14 itself, by the descriptors of Chiotellis et al. (ECCV 2016), mAP"
-    yield f"{'compared':<16}{'whitening':<19}" + "".join(f"{name:<16}" for name in TRACKS).rstrip()
+    yield (
+        f"{'compared':<16}{'whitening':<19}"
+        + "".join(f"{name:<16}" for name in TRACKS).rstrip()
+    )
     for metric in METRICS:
         tables = [pooled_vectors(folder / f"{name}.mat", metric) for name in TRACKS]
         for kind in WHITENINGS:
             retrieval = RetrievalOptions(whitening=kind)
             cells = []
             for table in tables:
-                fitted = None if kind == "within-class" else table_whitening(table, retrieval)
+                fitted = (
+                    None if kind == "within-class" else table_whitening(table, retrieval)
+                )
                 cells.append(
                     f"{evaluate_rankings(rank_table(table, retrieval, whitening=fitted)[0]).map:.3f}"
                 )
-            yield f"{metric:<16}{kind:<19}" + "".join(f"{cell:<16}" for cell in cells).rstrip()
+            yield (
+                f"{metric:<16}{kind:<19}"
+                + "".join(f"{cell:<16}" for cell in cells).rstrip()
+            )
 
 
 def _cell(measured: float | None, published: float | None) -> str:
@@ -492,8 +534,13 @@ def track(name: str, data: Path, temporary: Path, n_bodies: int | None) -> Track
     items, folder = SETS["humans"](data, n_bodies), temporary / name
     if name == "synthetic":
         labels = written_set(items, folder, None)
-        return Track(f"{len(items)} clean meshes of simulated people", folder, keep, labels)
+        return Track(
+            f"{len(items)} clean meshes of simulated people", folder, keep, labels
+        )
     labels = written_set(items, folder, CONDITION)
     return Track(
-        f"{len(items)} scans of simulated people, reconstructed", folder, PipelineOptions(), labels
+        f"{len(items)} scans of simulated people, reconstructed",
+        folder,
+        PipelineOptions(),
+        labels,
     )

@@ -80,7 +80,9 @@ def planar_mesh(silhouette: FloatArray, n_vertices: int = 6000) -> TriangleMesh:
     # The area for each vertex of a lattice of equilateral triangles is √3/2 of the square of an edge.
     edge = (area / (n_vertices * 3**0.5 / 2)) ** 0.5
     contours = contour_generator(z=smooth.T).lines(0.5)  # of rows and columns
-    outlines = (_resampled(np.asarray(contour, dtype=np.float64), edge) for contour in contours)
+    outlines = (
+        _resampled(np.asarray(contour, dtype=np.float64), edge) for contour in contours
+    )
     outline = np.concatenate([np.empty((0, 2)), *outlines])
     lattice = _lattice(smooth.shape, edge)
     distance = KDTree(outline).query(lattice)[0] / edge
@@ -96,8 +98,12 @@ def planar_mesh(silhouette: FloatArray, n_vertices: int = 6000) -> TriangleMesh:
     kept = map_coordinates(smooth, corners.mean(axis=1).T, order=1) > 0.5
     kept &= np.abs(areas) > LEAST_AREA * edge**2
     kept = _largest_component(triangles.neighbors, kept, np.abs(areas))
-    faces = np.where(areas[:, None] < 0, triangles.simplices[:, ::-1], triangles.simplices)[kept]
-    return compact(np.column_stack([points[:, 1], -points[:, 0], np.zeros(len(points))]), faces)
+    faces = np.where(
+        areas[:, None] < 0, triangles.simplices[:, ::-1], triangles.simplices
+    )[kept]
+    return compact(
+        np.column_stack([points[:, 1], -points[:, 0], np.zeros(len(points))]), faces
+    )
 
 
 def _largest_component(neighbors: IntArray, kept: Mask, areas: FloatArray) -> Mask:
@@ -106,7 +112,9 @@ def _largest_component(neighbors: IntArray, kept: Mask, areas: FloatArray) -> Ma
     from scipy.sparse.csgraph import connected_components
 
     here, side = np.nonzero(kept[:, None] & (neighbors >= 0) & kept[neighbors])
-    links = coo_array((np.ones(len(here)), (here, neighbors[here, side])), shape=2 * (len(kept),))
+    links = coo_array(
+        (np.ones(len(here)), (here, neighbors[here, side])), shape=2 * (len(kept),)
+    )
     _, component = connected_components(links, directed=False)
     largest = np.bincount(component[kept], weights=areas[kept]).argmax()
     return np.asarray(kept & (component == largest))
@@ -114,7 +122,9 @@ def _largest_component(neighbors: IntArray, kept: Mask, areas: FloatArray) -> Ma
 
 def _resampled(contour: FloatArray, step: float) -> FloatArray:
     """Points of a closed polygon at equal steps along it; none if it is shorter than three steps."""
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(contour, axis=0), axis=1))])
+    along = np.concatenate(
+        [[0.0], np.cumsum(np.linalg.norm(np.diff(contour, axis=0), axis=1))]
+    )
     n = round(along[-1] / step)
     if n < 3:
         return np.empty((0, 2))
@@ -154,7 +164,9 @@ TIMEOUT = 60.0
 Spectra = Mapping[Path, ModalSpectrum]
 
 
-def figure_4(folder: Path, strips: Path | None, limit: int | None = None) -> Iterator[str]:
+def figure_4(
+    folder: Path, strips: Path | None, limit: int | None = None
+) -> Iterator[str]:
     """Retrieval measures of the silhouettes by each descriptor and length; and a picture of ranked lists."""
     paths = sorted(path for path in folder.iterdir() if path.suffix in {".gif", ".png"})
     if not paths:
@@ -177,7 +189,8 @@ def silhouette_rows(spectra: Spectra) -> Iterator[str]:
         values = _values(spectra, method, scale, n_values)
         names, labels = zip(*((path.stem, _class(path)) for path in spectra), strict=True)
         found = evaluate_table(
-            SignatureTable(names, values, method, labels=labels), RetrievalOptions(whitening="none")
+            SignatureTable(names, values, method, labels=labels),
+            RetrievalOptions(whitening="none"),
         )
         yield f"{method:<12}{scale:<10}{n_values:<4}{found.nn:<7.3f}{found.ft:<7.3f}{found.map:.3f}"
 
@@ -195,9 +208,17 @@ def ranked_strips(spectra: Spectra) -> bytes:
     for query, path in queries:
         for table in tables:
             distances = pairwise("log", table[query : query + 1], table)[0]
-            for column, position in enumerate(np.argsort(distances, kind="stable")[:N_SHOWN]):
-                ink = (20, 24, 30) if _class(paths[position]) == _class(path) else (170, 175, 182)
-                sheet.paste(_thumbnail(paths[position], ink), (2 * MARGIN + column * step, y))
+            for column, position in enumerate(
+                np.argsort(distances, kind="stable")[:N_SHOWN]
+            ):
+                ink = (
+                    (20, 24, 30)
+                    if _class(paths[position]) == _class(path)
+                    else (170, 175, 182)
+                )
+                sheet.paste(
+                    _thumbnail(paths[position], ink), (2 * MARGIN + column * step, y)
+                )
             y += step
         pen.line((MARGIN, y, sheet.width - MARGIN, y), (210, 214, 220))
         y += MARGIN
@@ -208,9 +229,13 @@ def _spectra(paths: Sequence[Path]) -> tuple[Spectra, Mapping[Path, PcretrieveEr
     """The spectra of silhouettes, and the errors of others, in the order of the files."""
     outcomes = in_workers(_spectrum, paths, "silhouettes", timeout=TIMEOUT)
     failed = {
-        path: answer for path, answer in outcomes.items() if isinstance(answer, PcretrieveError)
+        path: answer
+        for path, answer in outcomes.items()
+        if isinstance(answer, PcretrieveError)
     }
-    return {path: one for path, one in outcomes.items() if isinstance(one, ModalSpectrum)}, failed
+    return {
+        path: one for path, one in outcomes.items() if isinstance(one, ModalSpectrum)
+    }, failed
 
 
 def _spectrum(path: Path) -> ModalSpectrum:
@@ -219,7 +244,9 @@ def _spectrum(path: Path) -> ModalSpectrum:
 
 def _values(spectra: Spectra, method: str, scale: Scale, n_values: int) -> FloatArray:
     """(N, n_values) signatures."""
-    options = SignatureOptions(method=method, n_values=n_values, n_modes=N_MODES, scale=scale)
+    options = SignatureOptions(
+        method=method, n_values=n_values, n_modes=N_MODES, scale=scale
+    )
     shapes = (Shape((Surface(1.0, spectrum),)) for spectrum in spectra.values())
     return np.array([describe(shape, options).values for shape in shapes])
 
@@ -276,7 +303,10 @@ N_VALUES = 23
 # Standard deviations of the noise in mean edge lengths, and shares of faces that are removed.
 NOISE = (0.1, 0.3, 0.5)
 REMOVED = (0.01, 0.02, 0.03)
-PERTURBATIONS = (*(f"noise {size}" for size in NOISE), *(f"holes {share:.0%}" for share in REMOVED))
+PERTURBATIONS = (
+    *(f"noise {size}" for size in NOISE),
+    *(f"holes {share:.0%}" for share in REMOVED),
+)
 
 # With optimisation of the tetrahedra: without it, the surface has three times as many faces as the input, and
 # many handles.
@@ -314,7 +344,9 @@ def drifts(
     stacked = [
         np.array(column) for column in zip(*clean, strict=True)
     ]  # (shapes, L) for each method
-    apart = np.array([np.sort(pairwise("log", table, table), axis=1)[:, 1] for table in stacked])
+    apart = np.array(
+        [np.sort(pairwise("log", table, table), axis=1)[:, 1] for table in stacked]
+    )
     moved: dict[str, list[FloatArray]] = {}
     for number, (mesh, other_pose) in enumerate(poses.values()):
         changed = [
@@ -323,7 +355,9 @@ def drifts(
         ]
         for name, variant in changed:
             after = _signatures(variant, methods)
-            distance = [np.linalg.norm(b - a) for a, b in zip(clean[number], after, strict=True)]
+            distance = [
+                np.linalg.norm(b - a) for a, b in zip(clean[number], after, strict=True)
+            ]
             moved.setdefault(name, []).append(np.array(distance) / apart[:, number])
     return {name: np.array(rows) for name, rows in moved.items()}
 
@@ -344,7 +378,9 @@ def perturbed(
     yield "fTetWild", surface
 
 
-def noisy_and_incomplete(mesh: TriangleMesh, rng: np.random.Generator) -> list[TriangleMesh]:
+def noisy_and_incomplete(
+    mesh: TriangleMesh, rng: np.random.Generator
+) -> list[TriangleMesh]:
     """A mesh with each of `PERTURBATIONS`."""
     made = [noisy(mesh, size, rng) for size in NOISE]
     return made + [without_faces(mesh, share, rng) for share in REMOVED]
@@ -355,10 +391,14 @@ def noisy(mesh: TriangleMesh, size: float, rng: np.random.Generator) -> Triangle
     corners = mesh.vertices[mesh.faces]  # (m, 3, 3)
     edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean()
     offsets = size * edge * rng.standard_normal(len(mesh.vertices))
-    return TriangleMesh(mesh.vertices + offsets[:, None] * vertex_normals(mesh), mesh.faces)
+    return TriangleMesh(
+        mesh.vertices + offsets[:, None] * vertex_normals(mesh), mesh.faces
+    )
 
 
-def without_faces(mesh: TriangleMesh, share: float, rng: np.random.Generator) -> TriangleMesh:
+def without_faces(
+    mesh: TriangleMesh, share: float, rng: np.random.Generator
+) -> TriangleMesh:
     """A mesh of which random faces were removed."""
     kept = np.sort(rng.permutation(len(mesh.faces))[round(share * len(mesh.faces)) :])
     return largest_component(compact(mesh.vertices, mesh.faces[kept]))[0]
@@ -368,7 +408,9 @@ def _signatures(mesh: TriangleMesh, methods: tuple[str, ...]) -> list[FloatArray
     """Log-signatures of a mesh, one by each method."""
     shape = Shape((Surface(mesh.area, unit_area_spectrum(mesh, N_MODES), mesh),))
     lengths = {"n_values": N_VALUES, "n_modes": N_MODES}
-    options = (SignatureOptions(method=method, scale="relative", **lengths) for method in methods)
+    options = (
+        SignatureOptions(method=method, scale="relative", **lengths) for method in methods
+    )
     return [coordinates(describe(shape, each).values) for each in options]
 
 
@@ -402,19 +444,25 @@ def figure_5(folder: Path, limit: int | None) -> Iterator[str]:
     )
     yield f"NN and mAP, distance log, L = {N_VALUES}; noise in mean edge lengths, holes in shares of faces"
     names = ("clean", *PERTURBATIONS)
-    yield f"{'method':<12}{'scale':<10}" + "".join(f"{name:<12}" for name in names).rstrip()
+    yield (
+        f"{'method':<12}{'scale':<10}" + "".join(f"{name:<12}" for name in names).rstrip()
+    )
     for row, (method, scale) in enumerate(PERTURBED_VARIANTS):
         tables = np.stack([one[row] for one in found], axis=1)  # (1 + P, N, L)
         cells = []
         for table in tables:
             # A ranking leaves out the query, here its own clean mesh.
             rows = np.arange(len(paths))
-            subset = Subset(rows, [DistanceBlock(rows, pairwise("log", table, tables[0]))])
+            subset = Subset(
+                rows, [DistanceBlock(rows, pairwise("log", table, tables[0]))]
+            )
             measured = evaluate_rankings(
                 rank_subsets([subset], [path.stem for path in paths], labels)[0]
             )
             cells.append(f"{measured.nn:.2f} {measured.map:.2f}")
-        yield f"{method:<12}{scale:<10}" + "".join(f"{cell:<12}" for cell in cells).rstrip()
+        yield (
+            f"{method:<12}{scale:<10}" + "".join(f"{cell:<12}" for cell in cells).rstrip()
+        )
 
 
 def _perturbed(task: tuple[int, Path]) -> list[FloatArray]:
@@ -423,7 +471,8 @@ def _perturbed(task: tuple[int, Path]) -> list[FloatArray]:
     mesh, rng = read_mesh(path), np.random.default_rng(seed)
     meshes = [mesh, *noisy_and_incomplete(mesh, rng)]
     shapes = [
-        Shape((Surface(each.area, unit_area_spectrum(each, N_MODES), each),)) for each in meshes
+        Shape((Surface(each.area, unit_area_spectrum(each, N_MODES), each),))
+        for each in meshes
     ]
     return [
         coordinates(np.array([describe(shape, options).values for shape in shapes]))

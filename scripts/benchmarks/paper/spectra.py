@@ -35,7 +35,9 @@ DRUM_CUTS = 16
 # triangle, as rows (f, v) over the field of two elements. Of all triples of transvections this is the only
 # one, up to names, whose two unfoldings of a half-square neither overlap, nor close up on themselves, nor are
 # congruent.
-TRANSVECTIONS = np.array([[[0, 0, 1], [0, 1, 0]], [[0, 1, 0], [0, 0, 1]], [[1, 0, 1], [1, 1, 1]]])
+TRANSVECTIONS = np.array(
+    [[[0, 0, 1], [0, 1, 0]], [[0, 1, 0], [0, 0, 1]], [[1, 0, 1], [1, 1, 1]]]
+)
 
 
 def drums(n_cuts: int = DRUM_CUTS) -> tuple[TriangleMesh, TriangleMesh]:
@@ -134,11 +136,17 @@ def drum_spectra(element: Element, n_cuts: int = DRUM_CUTS) -> FloatArray:
     """The columns (10, 4) of figure 6, by one kind of finite elements."""
     columns = []
     for mesh in drums(n_cuts):
-        pairs = eigenpairs(laplace_beltrami(mesh, element, boundary="neumann"), N_MODES + 1)
+        pairs = eigenpairs(
+            laplace_beltrami(mesh, element, boundary="neumann"), N_MODES + 1
+        )
         mu = reduced_eigenvalues(ModalSpectrum.of(pairs), N_MODES)
         columns.append((pairs.eigenvalues[1:], mu))
     return np.column_stack(
-        [column[: len(FIGURE_6)] for both in zip(*columns, strict=True) for column in both]
+        [
+            column[: len(FIGURE_6)]
+            for both in zip(*columns, strict=True)
+            for column in both
+        ]
     )
 
 
@@ -156,13 +164,18 @@ def figure_6() -> Iterator[str]:
         yield f"{element} elements, pcretrieve's two drums differ by: {_differing(columns)}"
         yield (
             "   "
-            + "".join(f"{head:<38}" for head in ("λ I", "λ II", "R-BiHDM I", "R-BiHDM II")).rstrip()
+            + "".join(
+                f"{head:<38}" for head in ("λ I", "λ II", "R-BiHDM I", "R-BiHDM II")
+            ).rstrip()
         )
         yield "   " + (4 * f"{'pcretrieve':<15}{'paper':<15}{'error':<8}").rstrip()
         for number, row in enumerate(np.stack([columns, FIGURE_6, off], axis=2)):
             cells = (f"{ours:<15.8g}{paper:<15.8g}{by:<8.0e}" for ours, paper, by in row)
             yield f"{number:<3}" + "".join(cells).rstrip()
-        yield "   " + "".join(f"{'largest':<30}{by:<8.0e}" for by in off.max(axis=0)).rstrip()
+        yield (
+            "   "
+            + "".join(f"{'largest':<30}{by:<8.0e}" for by in off.max(axis=0)).rstrip()
+        )
 
 
 def _differing(columns: FloatArray) -> str:
@@ -184,14 +197,20 @@ def figure_7(meshes: Mapping[str, TriangleMesh], plot: Path | None) -> Iterator[
         name: truncation_errors(unit_area_spectrum(mesh, N_REFERENCE), MODES)
         for name, mesh in meshes.items()
     }
-    rates = {name: convergence_rate(MODES, row, N_REFERENCE) for name, row in errors.items()}
+    rates = {
+        name: convergence_rate(MODES, row, N_REFERENCE) for name, row in errors.items()
+    }
     yield (
         f"Figure 7: largest (μ_m − μ)² / (μ_m μ) of the first {N_CONVERGING} eigenvalues μ_m of m modes, "
         f"μ of {N_REFERENCE}"
     )
     yield f"{'m':<10}" + "".join(f"{m:<9}" for m in MODES) + "rate"
     for name, row in errors.items():
-        yield f"{name:<10}" + "".join(f"{error:<9.1e}" for error in row) + f"m^-{rates[name]:.2f}"
+        yield (
+            f"{name:<10}"
+            + "".join(f"{error:<9.1e}" for error in row)
+            + f"m^-{rates[name]:.2f}"
+        )
     if plot is not None:
         draw_curves(
             plot,
@@ -218,7 +237,9 @@ def truncation_errors(
     return errors
 
 
-def convergence_rate(modes: tuple[int, ...], errors: FloatArray, n_reference: int) -> float:
+def convergence_rate(
+    modes: tuple[int, ...], errors: FloatArray, n_reference: int
+) -> float:
     """The exponent p of the law C m⁻ᵖ against infinitely many modes, fitted to errors against finitely many.
 
     An eigenvalue of m modes differs from that of M modes by a multiple of m^(−p/2) − M^(−p/2), of which the
@@ -229,7 +250,9 @@ def convergence_rate(modes: tuple[int, ...], errors: FloatArray, n_reference: in
         logs: FloatArray = log_size + 2 * np.log(m ** (-p / 2) - n_reference ** (-p / 2))
         return logs
 
-    (_, p), _ = curve_fit(law, np.array(modes, dtype=float), np.log(errors), p0=(0.0, 2.0))
+    (_, p), _ = curve_fit(
+        law, np.array(modes, dtype=float), np.log(errors), p0=(0.0, 2.0)
+    )
     return float(p)
 
 
@@ -260,10 +283,15 @@ def appendix_a(meshes: Mapping[str, TriangleMesh]) -> Iterator[str]:
             unit_area_spectrum(each, N_MODES_APPENDIX)
             for each in (mesh, deformed(mesh, DEFORMATION))
         ]
-        mu, mu_after = (reduced_eigenvalues(spectrum, N_MODES_APPENDIX) for spectrum in spectra)
+        mu, mu_after = (
+            reduced_eigenvalues(spectrum, N_MODES_APPENDIX) for spectrum in spectra
+        )
         lam, lam_after = (spectrum.eigenvalues[1:] for spectrum in spectra)
         kinds = [("r-bihdm", mu, mu_after, *each) for each in EXPONENTS]
-        for kind, before, after, alpha, p in [*kinds, ("laplace", lam, lam_after, 0.0, 1.0)]:
+        for kind, before, after, alpha, p in [
+            *kinds,
+            ("laplace", lam, lam_after, 0.0, 1.0),
+        ]:
             sums = discrepancies(before, after, alpha, p)
             bounded = kind == "r-bihdm" and 1.5 * p > 2 * alpha + 1
             ratios = (sums[n - 1] / sums[COUNTS[0] - 1] for n in COUNTS)
@@ -274,11 +302,14 @@ def deformed(mesh: TriangleMesh, amount: float) -> TriangleMesh:
     """Deform a mesh by a smooth map of space that is not an isometry."""
     phase = 2 * np.pi / mesh.diagonal * mesh.vertices
     return TriangleMesh(
-        mesh.vertices + amount * mesh.diagonal / (2 * np.pi) * np.sin(np.roll(phase, 1, axis=1)),
+        mesh.vertices
+        + amount * mesh.diagonal / (2 * np.pi) * np.sin(np.roll(phase, 1, axis=1)),
         mesh.faces,
     )
 
 
-def discrepancies(mu: FloatArray, after: FloatArray, alpha: float, p: float) -> FloatArray:
+def discrepancies(
+    mu: FloatArray, after: FloatArray, alpha: float, p: float
+) -> FloatArray:
     """(n,) discrepancies of two spectra, by Theorem 6.2: d_n = Σ |μ_i|^−α |μ_i − μ'_i|^p over i ≤ n."""
     return np.asarray(np.cumsum(np.abs(mu) ** -alpha * np.abs(mu - after) ** p))

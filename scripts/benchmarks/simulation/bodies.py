@@ -38,7 +38,9 @@ LARGEST_DEVIATION = 2.0
 # Modules with the distributions of measures, the function that builds a skeleton, the cell, and poses.
 FAMILIES: dict[str, ModuleType] = {"person": people}
 
-POSES: Mapping[str, dict[str, Pose]] = {name: family.POSES for name, family in FAMILIES.items()}
+POSES: Mapping[str, dict[str, Pose]] = {
+    name: family.POSES for name, family in FAMILIES.items()
+}
 """Poses by family and name. In poses with contacts (`Pose.contacts`) parts of the body touch each other."""
 
 
@@ -60,7 +62,11 @@ def make_subject(family: str, rng: np.random.Generator) -> Subject:
 
 
 def body(
-    subject: Subject, pose: Pose, rng: np.random.Generator | None = None, *, jitter: float = 2.0
+    subject: Subject,
+    pose: Pose,
+    rng: np.random.Generator | None = None,
+    *,
+    jitter: float = 2.0,
 ) -> TriangleMesh:
     """The surface of a subject in a pose.
 
@@ -128,14 +134,18 @@ def _rest_surface(subject: Subject) -> TriangleMesh:
     cones = [cone for bone in subject.bones for cone in bone.flesh]
     ends = np.array([end for cone in cones for end in (cone.start, cone.end)])
     # The grid contains the fillets, which extend by at most a quarter of their width.
-    reach = 1.5 * max(radius * max(cone.depth, 1) for cone in cones for radius in cone.radii)
+    reach = 1.5 * max(
+        radius * max(cone.depth, 1) for cone in cones for radius in cone.radii
+    )
     axes = [
         np.arange(low - reach, high + reach + subject.cell, subject.cell)
         for low, high in zip(ends.min(axis=0), ends.max(axis=0), strict=True)
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)  # (x, y, z, 3)
     vertices, faces = level_set(-_flesh(subject, grid), 0.0)
-    mesh = _smoothed(subject, TriangleMesh(vertices * subject.cell + grid[0, 0, 0], faces))
+    mesh = _smoothed(
+        subject, TriangleMesh(vertices * subject.cell + grid[0, 0, 0], faces)
+    )
     if mesh.euler_characteristic != 2:
         raise InputError(
             f"the flesh at rest must form one ball, of Euler characteristic 2, got "
@@ -148,7 +158,10 @@ def _smoothed(subject: Subject, mesh: TriangleMesh) -> TriangleMesh:
     """Tangential smoothing: vertices move half way to the mean of their neighbours, then to the surface."""
     n = len(mesh.vertices)
     links = csc_array(
-        (np.ones(mesh.faces.size), (mesh.faces.ravel(), np.roll(mesh.faces, 1, axis=1).ravel())),
+        (
+            np.ones(mesh.faces.size),
+            (mesh.faces.ravel(), np.roll(mesh.faces, 1, axis=1).ravel()),
+        ),
         (n, n),
     )
     links = links + links.T
@@ -162,7 +175,9 @@ def _smoothed(subject: Subject, mesh: TriangleMesh) -> TriangleMesh:
 def _on_surface(subject: Subject, points: FloatArray) -> FloatArray:
     """(n, 3) points after one Newton step, p − f ∇f / |∇f|², towards the zero level set."""
     step = GRADIENT_STEP * subject.cell
-    shifted = points + step * np.concatenate([np.zeros((1, 3)), np.eye(3)])[:, None]  # (4, n, 3)
+    shifted = (
+        points + step * np.concatenate([np.zeros((1, 3)), np.eye(3)])[:, None]
+    )  # (4, n, 3)
     here, *ahead = _flesh(subject, shifted)
     gradient = (np.stack(ahead, axis=-1) - here[:, None]) / step  # (n, 3)
     return np.asarray(points - (here / (gradient**2).sum(axis=1))[:, None] * gradient)
@@ -174,7 +189,9 @@ def _flesh(subject: Subject, points: FloatArray) -> FloatArray:
     for bone in subject.bones:
         for cone in bone.flesh:
             width = cone.fillet * min(cone.radii) * min(cone.depth, 1)
-            field = _smooth_union(field, cone_distance(cone, bone.front, points), width=width)
+            field = _smooth_union(
+                field, cone_distance(cone, bone.front, points), width=width
+            )
     return field
 
 
@@ -250,11 +267,15 @@ def close_contacts(skin: Skin, pose: Pose) -> Pose:
     if not joints:
         return pose
     size = skin.subject.size
-    given = np.radians([pose.angles.get(joint, (0, 0, 0)) for joint in joints]).ravel()  # (3j,)
+    given = np.radians(
+        [pose.angles.get(joint, (0, 0, 0)) for joint in joints]
+    ).ravel()  # (3j,)
 
     def turned(angles: FloatArray) -> Pose:
         triples = np.degrees(angles).reshape(-1, 3).tolist()
-        changed = {joint: tuple(triple) for joint, triple in zip(joints, triples, strict=True)}
+        changed = {
+            joint: tuple(triple) for joint, triple in zip(joints, triples, strict=True)
+        }
         return replace(pose, angles={**pose.angles, **changed})
 
     def residuals(angles: FloatArray) -> FloatArray:
@@ -262,7 +283,9 @@ def close_contacts(skin: Skin, pose: Pose) -> Pose:
         gaps = [_gap(skin, moved, contact) / size for contact in pose.contacts]
         return np.concatenate([gaps, STIFFNESS * (angles - given)])
 
-    return turned(least_squares(residuals, given, diff_step=np.full(len(given), DIFFERENCE)).x)
+    return turned(
+        least_squares(residuals, given, diff_step=np.full(len(given), DIFFERENCE)).x
+    )
 
 
 def _gap(skin: Skin, moved: FloatArray, contact: Contact) -> float:
@@ -273,5 +296,9 @@ def _gap(skin: Skin, moved: FloatArray, contact: Contact) -> float:
     gaps = []
     for number in map(skin.subject.number, contact.onto):
         to_rest = np.linalg.inv(moved[number])
-        gaps.append(bone_distance(bones[number], points @ to_rest[:3, :3].T + to_rest[:3, 3]).min())
+        gaps.append(
+            bone_distance(
+                bones[number], points @ to_rest[:3, :3].T + to_rest[:3, 3]
+            ).min()
+        )
     return float(min(gaps))

@@ -70,7 +70,10 @@ UP: Vector = (0.0, 1.0, 0.0)
 def skeleton(measures: Mapping[str, float]) -> tuple[Bone, ...]:
     """Bones and flesh of a person."""
     build = measures["build"]
-    m = {name: value * build if name in GIRTHS else value for name, value in measures.items()}
+    m = {
+        name: value * build if name in GIRTHS else value
+        for name, value in measures.items()
+    }
     m["hip_height"] = m["thigh"] + m["calf"] + ANKLE
     left = _arm(m) + _leg(m)
     return _trunk(m) + left + tuple(mirrored(bone) for bone in left)
@@ -99,33 +102,45 @@ def _trunk(m: Mapping[str, float]) -> tuple[Bone, ...]:
     def on_face(
         y: tuple[float, float], z: tuple[float, float], radii: tuple[float, float]
     ) -> RoundCone:
-        start, end = ((0, chin + up * skull, ahead * skull) for up, ahead in zip(y, z, strict=True))
+        start, end = (
+            (0, chin + up * skull, ahead * skull) for up, ahead in zip(y, z, strict=True)
+        )
         return RoundCone(start, end, radii)
 
     hips, waist, chest = m["hip_girth"], m["waist_girth"], m["chest_girth"]
     pelvis = (
         RoundCone((0, y[0] + 0.03, 0), (0, y[1], 0), (hips, 0.5 * (hips + waist)), 0.66),
         RoundCone(
-            (0.07, y[0] - 0.01, -0.045), (0.06, y[0] + 0.05, -0.04), (0.52 * hips, 0.5 * hips)
+            (0.07, y[0] - 0.01, -0.045),
+            (0.06, y[0] + 0.05, -0.04),
+            (0.52 * hips, 0.5 * hips),
         ),
         RoundCone(
-            (-0.07, y[0] - 0.01, -0.045), (-0.06, y[0] + 0.05, -0.04), (0.52 * hips, 0.5 * hips)
+            (-0.07, y[0] - 0.01, -0.045),
+            (-0.06, y[0] + 0.05, -0.04),
+            (0.52 * hips, 0.5 * hips),
         ),
     )
     belly = m["belly"]
     loins = (
-        RoundCone((0, y[1], 0), (0, y[2], 0), (0.5 * (hips + waist), waist), 0.70, COLLINEAR),
+        RoundCone(
+            (0, y[1], 0), (0, y[2], 0), (0.5 * (hips + waist), waist), 0.70, COLLINEAR
+        ),
         RoundCone((0, y[1] - 0.03, 0.035), (0, y[2], 0.03), (belly, belly)),
     )
     ribs = (RoundCone((0, y[2], 0), (0, y[3], 0), (waist, chest), 0.70, COLLINEAR),)
     breast = (
-        RoundCone((0, y[3], 0), (0, y[4] - 0.06, 0), (chest, 0.85 * chest), 0.68, COLLINEAR),
+        RoundCone(
+            (0, y[3], 0), (0, y[4] - 0.06, 0), (chest, 0.85 * chest), 0.68, COLLINEAR
+        ),
         RoundCone((0, y[4] - 0.04, -0.015), (0, y[4] + 0.04, -0.01), (0.085, 0.06), 0.8),
     )
     neck = RoundCone((0, y[4] - 0.02, -0.005), (0, chin + 0.02, 0.005), (0.062, 0.056))
     face = (
         RoundCone(
-            (0, chin + 0.95 * skull, -0.01), (0, chin + 1.25 * skull, -0.012), (skull, 0.97 * skull)
+            (0, chin + 0.95 * skull, -0.01),
+            (0, chin + 1.25 * skull, -0.012),
+            (skull, 0.97 * skull),
         ),
         on_face((0.55, 0.9), (0.2, 0.2), (0.6 * skull, 0.7 * skull)),
         on_face((0.85, 1.1), (0.95, 0.85), (0.017, 0.014)),
@@ -146,7 +161,14 @@ def _trunk(m: Mapping[str, float]) -> tuple[Bone, ...]:
             share=0.5,
         ),
         Bone(
-            "head", "neck", (0, chin, 0), (0, chin + 2 * skull, 0), FRONT, face, "neck", share=0.5
+            "head",
+            "neck",
+            (0, chin, 0),
+            (0, chin + 2 * skull, 0),
+            FRONT,
+            face,
+            "neck",
+            share=0.5,
         ),
     )
 
@@ -156,9 +178,17 @@ def _arm(m: Mapping[str, float]) -> tuple[Bone, ...]:
     girth = m["arm_girth"]
     x = m["shoulders"]
     shoulder: Vector = (x, top, 0)
-    yoke = RoundCone((0.05, top + 0.005, -0.01), (x - 0.02, top - 0.005, 0), (0.065, 1.2 * girth))
+    yoke = RoundCone(
+        (0.05, top + 0.005, -0.01), (x - 0.02, top - 0.005, 0), (0.065, 1.2 * girth)
+    )
     clavicle = Bone(
-        "left_clavicle", "breast", (0.03, top, 0), shoulder, FRONT, (yoke,), "left_clavicle"
+        "left_clavicle",
+        "breast",
+        (0.03, top, 0),
+        shoulder,
+        FRONT,
+        (yoke,),
+        "left_clavicle",
     )
     pieces = (
         ("left_shoulder", "left_upper_arm", m["upper_arm"], (1.15 * girth, 0.88 * girth)),
@@ -188,9 +218,17 @@ def _hand(m: Mapping[str, float], forearm: Bone) -> tuple[Bone, ...]:
     tip = base + 0.30 * length * (0.80 * along + 0.60 * thumbwards)
     thumb = lens(base, tip, (0.34 * width, 0.30 * width), 1.0)
 
-    def bone(name: str, parent: str, start: FloatArray, end: FloatArray, flesh: RoundCone) -> Bone:
+    def bone(
+        name: str, parent: str, start: FloatArray, end: FloatArray, flesh: RoundCone
+    ) -> Bone:
         return Bone(
-            f"left_{name}", parent, vector(start), vector(end), FRONT, (flesh,), f"left_{name}"
+            f"left_{name}",
+            parent,
+            vector(start),
+            vector(end),
+            FRONT,
+            (flesh,),
+            f"left_{name}",
         )
 
     return (
@@ -206,7 +244,9 @@ def _leg(m: Mapping[str, float]) -> tuple[Bone, ...]:
         ("left_hip", "left_thigh", m["thigh"], (girth, 0.66 * girth)),
         ("left_knee", "left_calf", m["calf"], (0.64 * girth, 0.44 * girth)),
     )
-    *upper, calf = limb("pelvis", np.array([m["hips"], m["hip_height"], 0.0]), LEG, FRONT, pieces)
+    *upper, calf = limb(
+        "pelvis", np.array([m["hips"], m["hip_height"], 0.0]), LEG, FRONT, pieces
+    )
     start, end = np.array(calf.head), np.array(calf.tail)
     belly = RoundCone(
         vector(start + 0.15 * (end - start) - [0, 0, 0.015]),
@@ -217,7 +257,9 @@ def _leg(m: Mapping[str, float]) -> tuple[Bone, ...]:
     x, y, z = calf.tail
     heel, toe = (x, y - 0.025, z - 0.02), (x + 0.02, y - 0.045, z + 0.72 * m["foot"])
     sole = RoundCone(heel, toe, (0.042, 0.038), 0.75)
-    instep = RoundCone(calf.tail, (x + 0.01, y - 0.03, z + 0.4 * m["foot"]), (0.45 * girth, 0.036))
+    instep = RoundCone(
+        calf.tail, (x + 0.01, y - 0.03, z + 0.4 * m["foot"]), (0.45 * girth, 0.036)
+    )
     foot = Bone("left_foot", calf.name, calf.tail, toe, UP, (sole, instep), "left_foot")
     return (*upper, calf, foot)
 
@@ -236,16 +278,26 @@ POSES: dict[str, Pose] = {
         | right(shoulder=(-38, -28, 0), hip=(62, -5, 0), knee=-70)
         | turn(spine=(14, 0, 8), neck=-8)
     ),
-    "sit": Pose(both(hip=(88, 4, 0), knee=-86, shoulder=(38, -36, 0), elbow=42) | turn(spine=8)),
+    "sit": Pose(
+        both(hip=(88, 4, 0), knee=-86, shoulder=(38, -36, 0), elbow=42) | turn(spine=8)
+    ),
     "wave": Pose(
         _ARMS_DOWN | right(shoulder=(5, 30, 0), elbow=(8, 88, 0)) | turn(neck=(0, -10, 0))
     ),
-    "point": Pose(_ARMS_DOWN | right(clavicle=15, shoulder=(78, 5, 0)) | turn(neck=(0, 0, -20))),
-    "lunge": Pose(both(shoulder=(5, 20, 0)) | left(hip=75, knee=-80) | right(hip=-32, knee=-28)),
+    "point": Pose(
+        _ARMS_DOWN | right(clavicle=15, shoulder=(78, 5, 0)) | turn(neck=(0, 0, -20))
+    ),
+    "lunge": Pose(
+        both(shoulder=(5, 20, 0)) | left(hip=75, knee=-80) | right(hip=-32, knee=-28)
+    ),
     "hands_on_hips": Pose(
         both(shoulder=(-12, -8, 25), elbow=(82, -25, 0), hand=20),
         contacts=tuple(
-            Contact((f"{side}_hand",), ("pelvis", "loins"), (f"{side}_shoulder", f"{side}_elbow"))
+            Contact(
+                (f"{side}_hand",),
+                ("pelvis", "loins"),
+                (f"{side}_shoulder", f"{side}_elbow"),
+            )
             for side in ("left", "right")
         ),
     ),

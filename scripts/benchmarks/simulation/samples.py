@@ -50,7 +50,9 @@ def write_samples(
     poses: Mapping[str, Mapping[str, Pose]] = POSES,
     seed: int = SEED,
     on_scan: Callable[[Path], object] = lambda path: None,
-    write: Callable[[Path, TriangleMesh, FloatArray, np.random.Generator], Path] = write_whole,
+    write: Callable[
+        [Path, TriangleMesh, FloatArray, np.random.Generator], Path
+    ] = write_whole,
 ) -> dict[str, str]:
     """Simulate sample scans, and write the scans, and ``labels.csv`` with their classes.
 

@@ -57,10 +57,14 @@ def scan_views(
         kept = np.zeros(n_seen, dtype=bool)
         kept[rng.choice(n_seen, options.n_points, replace=False)] = True
         ends = np.cumsum([len(points) for points in seen])[:-1]
-        seen = [points[part] for points, part in zip(seen, np.split(kept, ends), strict=True)]
+        seen = [
+            points[part] for points, part in zip(seen, np.split(kept, ends), strict=True)
+        ]
     return [
         PointCloud(
-            np.concatenate([points, strays(mesh, round(options.outlier_share * len(points)), rng)]),
+            np.concatenate(
+                [points, strays(mesh, round(options.outlier_share * len(points)), rng)]
+            ),
             viewpoints=pose[:3, 3],
         )
         for pose, points in zip(poses, seen, strict=True)
@@ -129,7 +133,9 @@ def _rays(options: RigOptions) -> FloatArray:
     """Unit directions through the pixels, (p², 3), in the axes of the camera."""
     # The field of view is the smallest one that contains the bounding sphere.
     half = 0.5 / np.sqrt(options.distance**2 - 0.25)  # tangent of half the field of view
-    ticks = half * (2 * np.arange(options.pixels) + 1 - options.pixels) / options.pixels  # (p,)
+    ticks = (
+        half * (2 * np.arange(options.pixels) + 1 - options.pixels) / options.pixels
+    )  # (p,)
     across, down = np.meshgrid(ticks, ticks)
     rays = np.stack([across.ravel(), down.ravel(), np.ones(options.pixels**2)], axis=1)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
@@ -147,7 +153,9 @@ def _step_behind(depth: FloatArray) -> FloatArray:
 OUTLIER_BOX = 1.2
 
 
-def outside_holes(points: FloatArray, centres: FloatArray, radius: float) -> NDArray[np.bool_]:
+def outside_holes(
+    points: FloatArray, centres: FloatArray, radius: float
+) -> NDArray[np.bool_]:
     """(n,) whether points are outside all holes of a scan, which are balls."""
     outside = np.ones(len(points), dtype=bool)
     for centre in centres:
@@ -158,7 +166,9 @@ def outside_holes(points: FloatArray, centres: FloatArray, radius: float) -> NDA
 def strays(mesh: TriangleMesh, n: int, rng: np.random.Generator) -> FloatArray:
     """(n, 3) random points in the bounding box of a surface, enlarged."""
     extent = np.ptp(mesh.vertices, axis=0)
-    return np.asarray(box_centre(mesh) + OUTLIER_BOX * extent * rng.uniform(-0.5, 0.5, (n, 3)))
+    return np.asarray(
+        box_centre(mesh) + OUTLIER_BOX * extent * rng.uniform(-0.5, 0.5, (n, 3))
+    )
 
 
 def box_centre(mesh: TriangleMesh) -> FloatArray:

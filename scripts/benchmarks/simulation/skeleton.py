@@ -96,13 +96,19 @@ class Pose:
         """Names of the joints that the pose rotates."""
         return frozenset(self.angles).union(*(contact.by for contact in self.contacts))
 
-    def jittered(self, joints: frozenset[str], spread: float, rng: np.random.Generator) -> Pose:
+    def jittered(
+        self, joints: frozenset[str], spread: float, rng: np.random.Generator
+    ) -> Pose:
         """The pose with normal random changes of its angles, of the standard deviation `spread`; degrees."""
         angles = {
-            joint: np.add(self.angles.get(joint, (0.0, 0.0, 0.0)), rng.normal(0, spread, 3))
+            joint: np.add(
+                self.angles.get(joint, (0.0, 0.0, 0.0)), rng.normal(0, spread, 3)
+            )
             for joint in sorted(joints)
         }
-        return replace(self, angles={joint: tuple(turn.tolist()) for joint, turn in angles.items()})
+        return replace(
+            self, angles={joint: tuple(turn.tolist()) for joint, turn in angles.items()}
+        )
 
 
 def vector(array: FloatArray) -> Vector:
@@ -133,7 +139,10 @@ def _turns(subject: Subject, pose: Pose) -> FloatArray:
     """(b, 3, 3) rotation of each bone relative to its parent, in the axes of the rest pose."""
     bones = subject.bones
     angles = np.array(
-        [np.multiply(bone.share, pose.angles.get(bone.joint, (0, 0, 0))) for bone in bones]
+        [
+            np.multiply(bone.share, pose.angles.get(bone.joint, (0, 0, 0)))
+            for bone in bones
+        ]
     )
     along = np.array([np.subtract(bone.tail, bone.head) for bone in bones])  # (b, 3)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -141,7 +150,9 @@ def _turns(subject: Subject, pose: Pose) -> FloatArray:
     front -= np.einsum("bi,bi->b", front, along)[:, None] * along
     front /= np.linalg.norm(front, axis=1, keepdims=True)
     side = np.array([bone.side for bone in bones])[:, None]
-    bend, spread, twist = (np.radians(angles[:, k, None]) for k in range(3))  # (b, 1) each
+    bend, spread, twist = (
+        np.radians(angles[:, k, None]) for k in range(3)
+    )  # (b, 1) each
     turn = (
         Rotation.from_rotvec(spread * side * front)
         * Rotation.from_rotvec(bend * np.cross(along, front))
@@ -172,9 +183,15 @@ def cone_distance(cone: RoundCone, front: Vector, points: FloatArray) -> FloatAr
         stretch = np.eye(3) + (1 / cone.depth - 1) * np.outer(normal, normal)
         offset, axis = offset @ stretch, axis @ stretch
     length2 = axis @ axis
-    along = np.clip(offset @ axis / length2, 0, 1) if length2 > 0 else np.zeros(points.shape[:-1])
+    along = (
+        np.clip(offset @ axis / length2, 0, 1)
+        if length2 > 0
+        else np.zeros(points.shape[:-1])
+    )
     radius = cone.radii[0] + along * (cone.radii[1] - cone.radii[0])
-    distance: FloatArray = np.linalg.norm(offset - along[..., None] * axis, axis=-1) - radius
+    distance: FloatArray = (
+        np.linalg.norm(offset - along[..., None] * axis, axis=-1) - radius
+    )
     distance *= min(cone.depth, 1.0)
     return distance
 
@@ -212,9 +229,19 @@ def limb(
         if k:
             flesh = replace(flesh, fillet=COLLINEAR)
         link = Bone(
-            f"{joint}_link", parent, at(ends[k] - before), head, front, (), joint, share=0.5
+            f"{joint}_link",
+            parent,
+            at(ends[k] - before),
+            head,
+            front,
+            (),
+            joint,
+            share=0.5,
         )
-        bones += [link, Bone(name, link.name, head, tail, front, (flesh,), joint, share=0.5)]
+        bones += [
+            link,
+            Bone(name, link.name, head, tail, front, (flesh,), joint, share=0.5),
+        ]
         parent = name
     return tuple(bones)
 
@@ -233,7 +260,8 @@ def mirrored(bone: Bone) -> Bone:
         tail=across(bone.tail),
         front=across(bone.front),
         flesh=tuple(
-            replace(cone, start=across(cone.start), end=across(cone.end)) for cone in bone.flesh
+            replace(cone, start=across(cone.start), end=across(cone.end))
+            for cone in bone.flesh
         ),
         joint=_right(bone.joint),
         side=-bone.side,
