@@ -269,9 +269,9 @@ class SignatureNeighbors(BaseEstimator):  # type: ignore[misc]
                 yield own[kept], kept
 
 
-class SignatureTransformer(
+class SignatureTransformer(  # type: ignore[misc]
     ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator
-):  # type: ignore[misc]
+):
     """Scans → the logarithms of their signatures, one row a scan.
 
     Of descriptors that are not compared by logarithms, the rows are the values themselves, or the square

@@ -72,9 +72,8 @@ class Arrays(Value):
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """The fields as arrays by name."""
-        return {
-            field.name: np.asarray(getattr(self, field.name)) for field in fields(self)
-        }  # type: ignore[arg-type]
+        own = fields(self)  # type: ignore[arg-type]
+        return {field.name: np.asarray(getattr(self, field.name)) for field in own}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
