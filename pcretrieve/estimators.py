@@ -269,8 +269,10 @@ class SignatureNeighbors(BaseEstimator):  # type: ignore[misc]
                 yield own[kept], kept
 
 
-class SignatureTransformer(  # type: ignore[misc]
-    ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator
+class SignatureTransformer(
+    ClassNamePrefixFeaturesOutMixin,  # type: ignore[misc]
+    TransformerMixin,  # type: ignore[misc]
+    BaseEstimator,  # type: ignore[misc]
 ):
     """Scans → the logarithms of their signatures, one row a scan.
 
