@@ -67,7 +67,7 @@ def _read(path: Path, given: str = "none") -> PointCloud | TriangleMesh:
             raw = read_raw(file)
             is_free = given != "none" and (raw.unit is None or raw.is_assumed)
             if is_free and raw.unit not in (None, given):
-                note = f"scan.unit {given} {UNIT_TAKEN} {raw.unit}"
+                note = f"--unit {given} {UNIT_TAKEN} {raw.unit}"
                 raw = raw._replace(notes=(*raw.notes, note))
             return _in_metres(
                 _scan(raw, started=started), given if is_free else raw.unit, given
@@ -101,7 +101,7 @@ def _in_metres(
     metres = METRES[unit]
     notes = (f"converted the coordinates from {unit} to m",) if metres != 1 else ()
     if given not in ("none", unit):
-        notes = (*notes, f"scan.unit {given} {UNIT_KEPT}, {unit}")
+        notes = (*notes, f"--unit {given} {UNIT_KEPT}, {unit}")
     first, *others = value.provenance or (Step("read", 0.0),)
     read = replace(first, sizes=first.sizes | {UNIT: 1.0}, notes=(*first.notes, *notes))
     provenance = (read, *others)

@@ -78,14 +78,14 @@ def test_a_unit_that_is_given_is_used_or_a_note_says_why_not(tmp_path: Path) -> 
     assert isinstance(usual, PointCloud) and isinstance(given, PointCloud)
     np.testing.assert_allclose(given.points * 1000, usual.points)
     assert given.provenance[0].notes == (
-        "scan.unit mm is applied, though such files usually have m",
+        "--unit mm is applied, though such files usually have m",
         "converted the coordinates from mm to m",
     )
     ball = shapes.icosphere(1)
     write_mesh(ball, tmp_path / "a.glb")
     found = as_scan(tmp_path / "a.glb", "mm")
     assert found.provenance[0].notes == (
-        "scan.unit mm is not applied, because the file names its unit, m",
+        "--unit mm is not applied, because the file names its unit, m",
     )
     assert as_scan(tmp_path / "a.glb", "m").provenance[0].notes == ()
     assert found.diagonal == pytest.approx(ball.diagonal)
