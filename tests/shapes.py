@@ -124,6 +124,21 @@ def torus(
     )
 
 
+def cube() -> TriangleMesh:
+    """The unit cube, two faces a side."""
+    corners = np.indices((2, 2, 2)).reshape(3, -1).T.astype(float)
+    sides = [
+        [0, 1, 3, 2],
+        [4, 6, 7, 5],
+        [0, 4, 5, 1],
+        [2, 3, 7, 6],
+        [0, 2, 6, 4],
+        [1, 5, 7, 3],
+    ]
+    faces = [[a, *two] for a, b, c, d in sides for two in ((b, c), (c, d))]
+    return TriangleMesh(corners, np.array(faces))
+
+
 def square(n: int) -> TriangleMesh:
     """The unit square, n cells a side, each cut in two; facing up."""
     x, y = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1), indexing="ij")

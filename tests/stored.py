@@ -32,6 +32,20 @@ def everything(location: str) -> Everything:
     return found
 
 
+def failure(name: str, **changes: Any) -> Record:
+    """The record of a scan that could not be read."""
+    record = Record(
+        name,
+        f"/{name}.ply",
+        "",
+        status="failed",
+        stage="read",
+        error="Bad",
+        message="why",
+    )
+    return replace(record, **changes)
+
+
 def records(rows: Rows, status: Status | None = None) -> list[Record]:
     """The records of all shapes, or of those of one status."""
     return [record for page in rows.pages(status=status) for record in page]

@@ -38,6 +38,7 @@ from benchmarks.judging import FAILED, examined, metric_of_people
 from benchmarks.measuring import (
     Column,
     Table,
+    add_anny,
     add_data,
     all_in_workers,
     argument_parser,
@@ -72,13 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Make scans, or examine them and print the tables."""
     parser = argument_parser(__doc__)
     add_data(parser)
+    add_anny(parser)
     add = parser.add_argument
-    add(
-        "--anny",
-        type=Path,
-        metavar="FOLDER",
-        help="bodies of Anny (default: anny in --data)",
-    )
     add("--scans", type=Path, required=True, metavar="FOLDER", help="where the scans are")
     add(
         "--run",

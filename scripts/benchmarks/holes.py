@@ -30,6 +30,7 @@ from benchmarks.judging import FAILED, Examined, examined, metric_of_people
 from benchmarks.measuring import (
     Column,
     Table,
+    add_anny,
     add_data,
     all_in_workers,
     argument_parser,
@@ -90,6 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables."""
     parser = argument_parser(__doc__)
     add_data(parser)
+    add_anny(parser)
     add = parser.add_argument
     add(
         "--people",
@@ -97,12 +99,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         choices=OF_PEOPLE,
         default=["simulated"],
         help="kinds of people",
-    )
-    add(
-        "--anny",
-        type=Path,
-        metavar="FOLDER",
-        help="bodies of Anny (default: anny in --data)",
     )
     add(
         "--limit",

@@ -270,6 +270,12 @@ def add_data(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_anny(parser: argparse.ArgumentParser) -> None:
+    """Add ``--anny``, the folder of bodies that `make_people` writes."""
+    shown = "bodies of Anny (default: anny in --data)"
+    parser.add_argument("--anny", type=Path, metavar="FOLDER", help=shown)
+
+
 def positive(text: str) -> int:
     """An integer of at least 1, as the type of an argument."""
     number = int(text)

@@ -18,11 +18,10 @@ import pytest
 import shapes
 from commands import result, run
 from processes import in_this_process, wait_for
-from stored import content
+from stored import content, failure
 
 import pcretrieve as pr
 from pcretrieve import Catalogue
-from pcretrieve.catalogue import Record
 from pcretrieve.catalogue.records import RECORDS, SCHEMA_VERSION, checksum
 from pcretrieve.errors import CatalogueError
 from pcretrieve.formats import read_scan, write_mesh
@@ -66,18 +65,6 @@ def execute(path: Path, *statements: str) -> None:
     with closing(sqlite3.connect(path)) as connection, connection:
         for statement in statements:
             connection.execute(statement)
-
-
-def failure(name: str) -> Record:
-    return Record(
-        name,
-        f"/{name}.ply",
-        "",
-        status="failed",
-        stage="read",
-        error="Bad",
-        message="why",
-    )
 
 
 # --- what is no catalogue, or not the one that was meant --------------------------------------------------

@@ -15,29 +15,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from stored import failure
 
 import pcretrieve as pr
 from pcretrieve import Catalogue
-from pcretrieve.catalogue import Record
 from pcretrieve.catalogue.log import log_fault
 
 N_COMMITS = 20
 
+# A message, so that records take several pages.
+LONG = "why" * 500
+
 # Bytes of a frame with a page.
 FRAME = 24 + 4096
-
-
-def failure(number: int) -> Record:
-    name = f"n{number}"
-    return Record(
-        name,
-        f"/{name}.ply",
-        "",
-        status="failed",
-        stage="read",
-        error="Bad",
-        message="why" * 500,
-    )
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +36,7 @@ def logged(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("log") / "c.sqlite"
     with Catalogue(path, create=True) as store:
         for number in range(N_COMMITS):
-            store.put(failure(number))
+            store.put(failure(f"n{number}", message=LONG))
         for suffix in ("", "-wal"):
             shutil.copy(f"{path}{suffix}", path.with_name(f"copy{suffix}"))
     return path.with_name("copy")
@@ -133,11 +123,11 @@ def test_old_frames_after_a_restart_are_no_fault(tmp_path: Path) -> None:
     path = tmp_path / "c.sqlite"
     with Catalogue(path, create=True) as store:
         for number in range(N_COMMITS):
-            store.put(failure(number))
+            store.put(failure(f"n{number}", message=LONG))
         log = log_of(path)
         size = log.stat().st_size
         store.rows.database.execute("PRAGMA wal_checkpoint(RESTART)")
-        store.put(failure(N_COMMITS))
+        store.put(failure(f"n{N_COMMITS}", message=LONG))
         assert log.stat().st_size == size  # most of it is old
         assert log_fault(log) is None
         flip(log, 32 + 24 + 100)

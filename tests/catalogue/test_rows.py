@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from commands import run
-from stored import content, records
+from stored import content, failure, records
 
 from pcretrieve import Catalogue, PipelineOptions, merge_catalogues
 from pcretrieve.catalogue import Record, postgresql as postgresql_module
@@ -44,16 +44,7 @@ def done(name: str, **changes: Any) -> Entry:
 
 
 def failed(name: str, **changes: Any) -> Entry:
-    record = Record(
-        name,
-        f"/{name}.ply",
-        "",
-        status="failed",
-        stage="clean",
-        error="Bad",
-        message="why",
-    )
-    return Entry(replace(record, **changes), {}, {})
+    return Entry(failure(name, **({"stage": "clean"} | changes)), {}, {})
 
 
 @pytest.fixture

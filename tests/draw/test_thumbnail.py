@@ -10,7 +10,7 @@ from benchmarks.simulation import body, make_subject
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 from scipy.spatial.transform import Rotation
-from shapes import icosphere, joined
+from shapes import cube, icosphere, joined
 
 from pcretrieve.draw import axes as draw_axes, thumbnail as drawing
 from pcretrieve.draw.pictures import MARGIN
@@ -22,17 +22,6 @@ def thumbnail(mesh: TriangleMesh, **more: float) -> bytes:
     return b"" if drawn is None else drawn.png
 
 
-CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float) / 2
-CUBE_SIDES = [
-    [0, 1, 3, 2],
-    [4, 6, 7, 5],
-    [0, 4, 5, 1],
-    [2, 3, 7, 6],
-    [0, 2, 6, 4],
-    [1, 5, 7, 3],
-]
-
-
 def surface(vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh:
     points, corners = np.reshape(vertices, (-1, 3)), np.reshape(faces, (-1, 3))
     return TriangleMesh(points.astype(np.float64), corners.astype(np.int32))
@@ -41,10 +30,8 @@ def surface(vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh:
 def box(
     centre: tuple[float, float, float], sides: tuple[float, float, float]
 ) -> TriangleMesh:
-    return surface(
-        CUBE * sides + centre,
-        [side[:k] + side[k + 1 :] for side in CUBE_SIDES for k in (1, 3)],
-    )
+    unit = cube()
+    return surface((unit.vertices - 0.5) * sides + centre, unit.faces)
 
 
 def pear() -> TriangleMesh:

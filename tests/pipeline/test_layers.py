@@ -36,21 +36,6 @@ def share(cloud: PointCloud) -> float:
     return float((double_layers(cloud).apart > 0).mean())
 
 
-def cube() -> TriangleMesh:
-    corners = np.indices((2, 2, 2)).reshape(3, -1).T.astype(float)
-    faces = [
-        [0, 1, 3, 2],
-        [4, 6, 7, 5],
-        [0, 4, 5, 1],
-        [2, 3, 7, 6],
-        [0, 2, 6, 4],
-        [1, 5, 7, 3],
-    ]
-    return TriangleMesh(
-        corners, np.array([[a, *two] for a, b, c, d in faces for two in ((b, c), (c, d))])
-    )
-
-
 @pytest.mark.parametrize("n", [6_000, 60_000])
 @pytest.mark.parametrize("noise", [0.0002, 0.001, 0.003])
 def test_one_layer_of_a_ball(n: int, noise: float) -> None:
@@ -88,7 +73,7 @@ def test_a_ball_that_was_scanned_twice(noises: float, is_found: bool) -> None:
 @pytest.mark.parametrize("noise", [0.0002, 0.001])
 @pytest.mark.parametrize(
     "mesh",
-    [cube(), shapes.ellipsoid((1, 0.8, 0.015)), shapes.body(5)],
+    [shapes.cube(), shapes.ellipsoid((1, 0.8, 0.015)), shapes.body(5)],
     ids=["sharp folds", "a thin sheet", "limbs"],
 )
 def test_folds_and_the_two_walls_of_a_thin_sheet_are_no_layers(
