@@ -401,8 +401,8 @@ class Fit:
     def _median_apart(self, faces: Mask) -> float:
         """How far points are apart on some faces, in the median of their area."""
         order = self._by_apart[faces[self._by_apart]]
-        summed = np.cumsum(self.areas[order])
-        return float(self.apart[order[np.searchsorted(summed, summed[-1] / 2)]])
+        (median,) = _quantiles(self.apart, self.areas, (0.5,), order)
+        return float(median)
 
     @cached_property
     def _blind_axis(self) -> FloatArray | None:
@@ -492,10 +492,16 @@ def between(around: Neighborhoods) -> float:
 
 
 def _quantiles(
-    values: FloatArray, weights: FloatArray, shares: Sequence[float]
+    values: FloatArray,
+    weights: FloatArray,
+    shares: Sequence[float],
+    order: Faces | None = None,
 ) -> FloatArray:
-    """(q,) values that these shares of the weights do not exceed."""
-    order = np.argsort(values)
+    """(q,) values that these shares of the weights do not exceed.
+
+    order: the numbers of the values that count, in ascending order of these; by default, all.
+    """
+    order = np.argsort(values) if order is None else order
     summed = np.cumsum(weights[order])
     at = np.searchsorted(summed, np.multiply(shares, summed[-1]))
     return np.asarray(values[order[at.clip(max=len(order) - 1)]])

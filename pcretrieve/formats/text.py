@@ -12,6 +12,7 @@ import re
 import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator
+from functools import partial
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -86,9 +87,14 @@ def read_text(path: Path, *, normals: bool | None = None) -> RawScan:
     columns = layout.points + (layout.normals or ())
     if not layout.named and (normals or (normals is None and layout.n_columns >= 6)):
         columns = (0, 1, 2, 3, 4, 5)
+    has_signs = _has_signs(path)
     with path.open(encoding=layout.encoding, errors="replace") as file:
-        rows = islice(file, layout.n_header_lines, None)
-        table = _number_rows(rows, columns, layout.separator, layout.decimal)
+        deque(islice(file, layout.n_header_lines), maxlen=0)
+        # NumPy parses the lines as the file gives them, which is faster than line by line.
+        rows: Iterable[str] = file
+        if has_signs or layout.decimal != ".":
+            rows = (_plain(line.replace(layout.decimal, ".")) for line in file)
+        table = _number_rows(rows, columns, layout.separator)
     if layout.promised is not None and layout.promised != len(table):
         raise Damaged(f"it declares {layout.promised:.0f} points and holds {len(table)}")
     keep = len(columns) == 6 and (layout.named or normals or are_normals(table[:, 3:]))
@@ -99,18 +105,15 @@ def _number_rows(
     lines: Iterable[str],
     columns: tuple[int, ...],
     separator: str | None = None,
-    decimal: str = ".",
 ) -> NDArray[np.float64]:
-    """(n, c) columns of a table of numbers."""
-    # NumPy parses the lines as the file gives them, so that its text is never in memory as a whole.
-    plain = (_plain(line.replace(decimal, ".")) for line in lines)
+    """(n, c) columns of a table of numbers, whose text is never in memory as a whole."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter(
                 "ignore", UserWarning
             )  # an empty table is reported by `read_scan`
             table = np.loadtxt(
-                plain,
+                lines,
                 np.float64,
                 usecols=columns,
                 delimiter=separator,
@@ -229,6 +232,13 @@ def _check_first_columns(lines: list[str], layout: Layout) -> None:
             f"its first columns count points, or the rows and columns of readings, which are no coordinates: "
             f"give the columns a header, such as {names} x y z"
         )
+
+
+def _has_signs(path: Path) -> bool:
+    """Whether a file has a sign of `_plain` anywhere."""
+    with path.open("rb") as file:
+        blocks = iter(partial(file.read, HEAD_BYTES), b"")
+        return any(b"#" in block or b"(" in block for block in blocks)
 
 
 def _plain(line: str) -> str:
@@ -357,7 +367,7 @@ def _header(lines: list[str], size: int) -> Grid:
 
 def _scan(rows: Iterator[str], header: Grid) -> RawScan:
     n = header.n_columns * header.n_rows
-    table = _number_rows(rows, (0, 1, 2))
+    table = _number_rows(map(_plain, rows), (0, 1, 2))
     if len(table) != n:
         raise Cut(f"its header declares {n} points, it holds {len(table)}")
     measured = np.isfinite(table).all(axis=1) & table.any(axis=1)  # (n,)

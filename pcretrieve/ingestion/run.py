@@ -337,6 +337,7 @@ def process_scans(
 def _compare_sizes(done: Sequence[Record], catalogue: Catalogue) -> None:
     """Warn of scans whose unit is probably not that of the catalogue."""
     areas = catalogue.rows.areas() if done else []
+    usual = statistics.median_low(areas) if areas else 0.0
     found: dict[str, list[Record]] = {}
     notes = {
         note: record for record in done for step in record.steps for note in step.notes
@@ -344,8 +345,8 @@ def _compare_sizes(done: Sequence[Record], catalogue: Catalogue) -> None:
     for note, record in notes.items():
         if UNIT_KEPT in note or UNIT_TAKEN in note:
             logger.warning("%s: %s; perhaps further scans too", record.path, note)
-    for record in done if areas else ():
-        ratio = math.sqrt((record.area or 0) / statistics.median_low(areas))
+    for record in done if usual else ():
+        ratio = math.sqrt((record.area or 0) / usual)
         if said := ratio and unit_note(ratio, catalogue.options.scan.unit):
             found.setdefault(said, []).append(record)
     for said, records in found.items():

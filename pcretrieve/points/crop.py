@@ -188,7 +188,7 @@ def kept_points(
 def _measured(readings: tuple[FloatArray, ...]) -> NDArray[np.bool_]:
     """(n,) mask of the points whose range, and depth along the axis z, is a measurement."""
     result = np.ones(len(readings[0]), dtype=np.bool_)
-    at_sensor = readings[0] <= AT_SENSOR * np.quantile(readings[0], USUAL_RANGE)
+    at_sensor = are_at_sensor(readings[0])
     if FEWEST_READINGS <= at_sensor.sum() < len(result):
         result &= ~at_sensor
     for values in readings:
@@ -199,6 +199,11 @@ def _measured(readings: tuple[FloatArray, ...]) -> NDArray[np.bool_]:
         if is_alone and (result & highest).sum() >= FEWEST_READINGS:
             result &= ~highest
     return result
+
+
+def are_at_sensor(ranges: FloatArray) -> NDArray[np.bool_]:
+    """(n,) mask of the ranges, of which there is one at least, that are 0 but for rounding."""
+    return np.asarray(ranges <= AT_SENSOR * np.quantile(ranges, USUAL_RANGE))
 
 
 def _near(points: FloatArray) -> NDArray[np.bool_]:

@@ -13,10 +13,10 @@ from pcretrieve.formats.conf import SENSOR_DISTANCE
 from pcretrieve.options import MergeOptions, ScanOptions
 from pcretrieve.points.clean import FEWEST_POINTS
 from pcretrieve.points.crop import (
-    AT_SENSOR,
     COMPARED,
     N_NEAR,
     N_PLANES,
+    are_at_sensor,
     fitted_plane,
     kept_points,
 )
@@ -133,7 +133,8 @@ def depth_limit(cloud: PointCloud, options: MergeOptions) -> float | None:
         return None
     seen = cloud.points if cloud.viewpoints is None else cloud.points - cloud.viewpoints
     ranges = np.linalg.norm(seen, axis=1)
-    ranges = ranges[ranges > AT_SENSOR * ranges.max(initial=0)]
+    if len(ranges) >= FEWEST_POINTS:
+        ranges = ranges[~are_at_sensor(ranges)]
     if len(ranges) < FEWEST_POINTS:
         return None
     edges = np.geomspace(np.quantile(ranges, LEAST_QUANTILE), ranges.max(), N_BINS + 1)
