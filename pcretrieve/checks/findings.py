@@ -24,8 +24,8 @@ N_NEIGHBORS = 8
 PLACE = 0.02
 
 # Parts of a person by the ways over the surface to the nearest foot and hand, relative to the way from a hand
-# to a foot. What lies between two parts has no name, so that a name is right: for 96 % or more of the
-# vertices that have it, on 113 people of Anny in five poses.
+# to a foot. What lies between two parts has no name, so that a name is right: for 97 % or more of the
+# vertices that have it, on 113 people of Anny; of an arm for 92 %, with a zone that ended at .27.
 FOOT = 0.08
 LEG = 0.42
 HAND = 0.07
