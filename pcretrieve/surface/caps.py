@@ -234,8 +234,10 @@ def base_of(
         facing = numbers[flat & (normals @ down >= PARALLEL)]
         faces = np.asarray(np.isin(cap, facing))
         own = surface.vertices[surface.faces[faces]].reshape(-1, 3)
+        if not len(own):
+            continue
         is_wide = len(facing) > 1 or areas.max() > LARGEST_DOME * cloud.diagonal**2
-        if len(own) and (up is not None or (is_wide and _stands(own, down, cloud))):
+        if up is not None or (is_wide and _stands(own, down, cloud)):
             return faces
     return np.zeros(len(cap), dtype=np.bool_)
 

@@ -134,6 +134,11 @@ def test_a_body_stands_if_three_tenths_of_its_points_are_beneath() -> None:
     assert seat(beneath=0.31, up=-DOWN) == [0, 1]
 
 
+def test_a_body_without_ends_has_no_base_though_its_ground_is_known() -> None:
+    surface, none = TriangleMesh(np.eye(3), np.array([[0, 1, 2]])), np.array([NO_CAP])
+    assert not base_of(surface, none, none != NO_CAP, body(up=-DOWN)).any()
+
+
 def test_points_within_a_fiftieth_of_the_diagonal_touch_the_ground() -> None:
     for depth, stands in ((0.0195, True), (0.0205, False)):
         assert seat(beneath=0.5, depth=depth) == ([0, 1] if stands else [])
