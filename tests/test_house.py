@@ -151,8 +151,6 @@ LARGE = {
     "pages.retrieval_page.report",
     "surface.body._body_surface",
     "surface.body._surface",
-    "surface.caps.capped",
-    "surface.fairing.faired",
     "web.server.opened_site",
 }
 

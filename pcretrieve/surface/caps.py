@@ -117,25 +117,35 @@ def capped(surface: TriangleMesh, cloud: PointCloud, *, spacing: float) -> Cappe
     vertices = flat.vertices
     for number in np.unique(hole[free]):
         own, here = hole == number, cap == number
-        axis = flat.area_vectors[here].sum(axis=0)
-        area = float(np.linalg.norm(axis))
-        axis /= area
-        if faces_ground(axis, cloud):
-            is_end |= here
-            continue
-        rim = flat.vertices[with_ring(own, surface.faces) & ~own]
-        tilt, steepness = slope_of(rim, axis, cloud.points, normals_of(cloud))
-        if tilt < DEEP and area < LARGEST_DOME * cloud.diagonal**2:
-            angle = min(float(np.arccos(tilt)), DEEPEST)
-            vertices = domed(vertices, surface.faces, own, axis, angle)
-        else:
-            vertices = faired(vertices, surface.faces, own)
-        if ends_a_part(tilt, steepness):
-            is_end |= here
+        vertices, is_end[here] = _raised(vertices, flat, own, here, cloud)
     base = base_of(flat, cap, is_end, cloud)
     is_flat = np.isin(hole, cap[base])
     closed = np.where(is_flat[:, np.newaxis], flat.vertices, vertices)
     return Capped(TriangleMesh(closed, surface.faces), cap, base)
+
+
+def _raised(
+    vertices: FloatArray, flat: TriangleMesh, own: Mask, here: Mask, cloud: PointCloud
+) -> tuple[FloatArray, bool]:
+    """The vertices after the flat cap of one hole became round, and whether the hole is the end of a part.
+
+    A cap on the ground stays flat.
+
+    own, here: (n,) and (m,) bool, the vertices and the faces of the cap.
+    """
+    axis = flat.area_vectors[here].sum(axis=0)
+    area = float(np.linalg.norm(axis))
+    axis /= area
+    if faces_ground(axis, cloud):
+        return vertices, True
+    rim = flat.vertices[with_ring(own, flat.faces) & ~own]
+    tilt, steepness = slope_of(rim, axis, cloud.points, normals_of(cloud))
+    if tilt < DEEP and area < LARGEST_DOME * cloud.diagonal**2:
+        angle = min(float(np.arccos(tilt)), DEEPEST)
+        vertices = domed(vertices, flat.faces, own, axis, angle)
+    else:
+        vertices = faired(vertices, flat.faces, own)
+    return vertices, ends_a_part(tilt, steepness)
 
 
 def _large_holes(

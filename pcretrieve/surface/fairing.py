@@ -7,6 +7,8 @@ round the body is. The mean curvature of the rim does: if it is that of a sphere
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
@@ -61,28 +63,54 @@ def faired(vertices: FloatArray, faces: IntArray, free: Mask) -> FloatArray:
     numbers, places = np.unique(patch, return_inverse=True)
     patch = places.reshape(-1, 3).astype(np.int32)
     at = vertices[numbers]
-    moving, is_bent, is_rim = free[numbers], bent[numbers], (around & ~bent)[numbers]
-    stiffness, areas, normals = _operators(at, patch)
-    # Integrated over the rim, S x = −∫ Δx = ∫ 2 H n.
-    along_normals = np.einsum("ij,ij->i", stiffness @ at, normals)
-    twice_h = (
-        max(0.0, along_normals[is_rim].sum() / areas[is_rim].sum())
-        if is_rim.any()
-        else 0.0
-    )
+    operators = _operators(at, patch)
+    curvature = _curvature(at, operators, (around & ~bent)[numbers])
     for _ in range(ROUNDS):
-        root = np.sqrt(areas[is_bent])
-        rows = diags_array(1 / root) @ stiffness.tocsr()[is_bent]  # (b, k)
-        own, others = csc_array(rows[:, moving]), rows[:, ~moving]
-        wanted = twice_h * root[:, np.newaxis] * normals[is_bent] - others @ at[~moving]
-        next_at = at.copy()
-        next_at[moving] = splu(csc_array(own.T @ own)).solve(own.T @ wanted)
+        next_at = _least_bent(at, operators, curvature, free[numbers], bent[numbers])
         if _has_collapsed(next_at, patch):
             break
         at = next_at
-        stiffness, areas, normals = _operators(at, patch)
+        operators = _operators(at, patch)
     moved: FloatArray = vertices.copy()
     moved[numbers] = at
+    return moved
+
+
+class Operators(NamedTuple):
+    """Of a patch with k vertices.
+
+    stiffness: the cotangent matrix S (k, k). S x is −Δx, integrated over the area of each vertex.
+    areas, normals: (k,), and (k, 3) unit vectors, of the vertices.
+    """
+
+    stiffness: csc_array
+    areas: FloatArray
+    normals: FloatArray
+
+
+def _curvature(at: FloatArray, operators: Operators, is_rim: Mask) -> float:
+    """Twice the mean curvature of the rim, as a mean over its area; 0 if it is concave, or there is none."""
+    if not is_rim.any():
+        return 0.0
+    # Integrated over the rim, S x = −∫ Δx = ∫ 2 H n.
+    along_normals = np.einsum("ij,ij->i", operators.stiffness @ at, operators.normals)
+    return max(0.0, float(along_normals[is_rim].sum() / operators.areas[is_rim].sum()))
+
+
+def _least_bent(
+    at: FloatArray, operators: Operators, curvature: float, moving: Mask, is_bent: Mask
+) -> FloatArray:
+    """(k, 3) vertices, of which the moving ones minimise Σ |Δx + 2 h n|² A over the bent ones.
+
+    curvature: 2 h.
+    """
+    root = np.sqrt(operators.areas[is_bent])
+    rows = diags_array(1 / root) @ operators.stiffness.tocsr()[is_bent]  # (b, k)
+    own, others = csc_array(rows[:, moving]), rows[:, ~moving]
+    bending = curvature * root[:, np.newaxis] * operators.normals[is_bent]
+    wanted = bending - others @ at[~moving]
+    moved: FloatArray = at.copy()
+    moved[moving] = splu(csc_array(own.T @ own)).solve(own.T @ wanted)
     return moved
 
 
@@ -144,10 +172,7 @@ def faces_at(chosen: Mask, faces: IntArray) -> IntArray:
     return np.asarray(faces[a | b | c])
 
 
-def _operators(
-    at: FloatArray, faces: IntArray
-) -> tuple[csc_array, FloatArray, FloatArray]:
-    """The cotangent stiffness matrix S (k, k), the areas (k,) and the unit normals (k, 3) of vertices."""
+def _operators(at: FloatArray, faces: IntArray) -> Operators:
     n = len(at)
     rows, columns, weights = [], [], []
     areas = np.zeros(n)
@@ -167,11 +192,8 @@ def _operators(
     half = coo_array(entries, (n, n))
     links = csc_array(half + half.T)
     stiffness = csc_array(diags_array(links.sum(axis=1)) - links)
-    return (
-        stiffness,
-        np.maximum(areas, LEAST_AREA * areas.mean()),
-        vertex_normals(at, faces),
-    )
+    areas = np.maximum(areas, LEAST_AREA * areas.mean())
+    return Operators(stiffness, areas, vertex_normals(at, faces))
 
 
 def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
