@@ -149,8 +149,6 @@ LARGE = {
     "pages.inspection_pictures.overview",
     "pages.queries_page.query_page",
     "pages.retrieval_page.report",
-    "surface.body._body_surface",
-    "surface.body._surface",
     "web.server.opened_site",
 }
 

@@ -16,8 +16,10 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
@@ -155,60 +157,9 @@ def _body_surface(
     options: SurfaceOptions,
 ) -> tuple[TriangleMesh, SurfaceMarks, Step]:
     notes: list[str] = []
-    deepest = hidden_below(cloud.diagonal, cell) + 1  # interpolated between voxels
-    # A cap stops the flood fill as points do.
-    caps = points_on(coarse.surface, coarse.cap != NO_CAP, cell)
-    walled = np.concatenate([cloud.points, caps])
-    further = coarse.surface.vertices
-    for gap in (options.gap, *(options.gap * wider for wider in WIDER)):
-        outside = flood(
-            walled,
-            further,
-            cell=cell,
-            gap=gap * cloud.diagonal,
-            shift=shift,
-            deepest=deepest,
-        )
-        coarse_inside = filled(coarse.surface, outside.grid)
-        cloud = _turned(cloud, caps, outside)
-        distance = distance_field(cloud, outside)
-        # Far from the points only: near them the coarse surface can be inaccurate by a voxel.
-        core = coarse_inside & np.isnan(distance)
-        if (outside.reached & core).sum() <= MOST_LEAKED * core.sum():
-            break
-    else:
-        outside = replace(
-            outside,
-            reached=np.zeros_like(outside.reached),
-            depth=np.zeros_like(outside.depth),
-        )
-        distance = distance_field(cloud, outside)
-        notes.append(
-            "the flood fill of the outside leaked into the body and was not used"
-        )
-    grid = outside.grid
-    inside = (coarse_inside & np.isnan(distance) | (distance < 0)) & ~outside.reached
-    to_points, parted = outside.distance, np.zeros_like(inside)
-    folds = None if options.genus == "free" else folded(cloud, outside, inside)
-    del outside, coarse_inside, core  # most memory is needed next
-    crossed_links = np.zeros((3, 0, 0, 0), dtype=bool)
-    if folds is not None:
-        crossed_links = _walls(cloud.select(~folds), grid)
-        continued = _continued(cloud, grid, to_points)
-        parted = contact_layer(inside, crossed_links, continued, to_points)
-        inside &= ~parted
-        if continued.any():
-            crossed_links |= continued
-        if folds.any():
-            crossed_links |= _walls(cloud.select(folds), grid)
-        del continued
-    inside, bridges = joined(inside, cloud.points, grid, options, notes)
-    if not inside.any():
-        raise ReconstructionError(f"{len(cloud.points)} points enclose nothing")
-    body, cuts = with_topology(inside, crossed_links, to_points, options, notes)
-    del to_points, crossed_links
-    mesh, is_invented, in_hole = _surface(body, inside, parted, distance, coarse, grid)
-    invented = _invented(mesh, is_invented)
+    body = _body(cloud, coarse, cell, shift, options, notes)
+    mesh, unsupported, in_hole = _surface(body, coarse)
+    invented = _invented(mesh, unsupported)
     mesh = _fair(mesh, in_hole, cloud)
     final = simplified(mesh, options.target_faces)
     step = Step(
@@ -216,9 +167,9 @@ def _body_surface(
         0.0,
         {
             "points": len(cloud.points),
-            "cells": int(body.sum()),
-            "cut_cells": len(cuts),
-            "bridge_cells": len(bridges),
+            "cells": int(body.voxels.sum()),
+            "cut_cells": len(body.cuts),
+            "bridge_cells": len(body.bridges),
             "invented": invented,
             "faces_grid": len(mesh.faces),
             "faces": len(final.faces),
@@ -227,7 +178,132 @@ def _body_surface(
         tuple(notes),
     )
     base = points_on(coarse.surface, coarse.base, cell)
-    return final, SurfaceMarks(grid.centres(cuts), grid.centres(bridges), base), step
+    cuts, bridges = body.grid.centres(body.cuts), body.grid.centres(body.bridges)
+    return final, SurfaceMarks(cuts, bridges, base), step
+
+
+class Sides(NamedTuple):
+    """Which voxels are outside a body, and which inside.
+
+    cloud: the points, whose normals the flood fill may have turned.
+    outside: what the flood fill reached.
+    distance: signed distance to the points; in voxels, NaN far from them.
+    core: the voxels far from the points that are inside the coarse surface, which near them can be inaccurate
+        by a voxel.
+    """
+
+    cloud: PointCloud
+    outside: Outside
+    distance: Voxels
+    core: Mask
+
+    @property
+    def inside(self) -> Mask:
+        """The voxels that may belong to the body."""
+        return (self.core | (self.distance < 0)) & ~self.outside.reached
+
+    @property
+    def leaks(self) -> bool:
+        """Whether the flood fill came in by a hole."""
+        n_reached = (self.outside.reached & self.core).sum()
+        return bool(n_reached > MOST_LEAKED * self.core.sum())
+
+
+def _sides_of(cloud: PointCloud, outside: Outside, coarse: Capped) -> Sides:
+    distance = distance_field(cloud, outside)
+    core = filled(coarse.surface, outside.grid) & np.isnan(distance)
+    return Sides(cloud, outside, distance, core)
+
+
+def _sides(
+    cloud: PointCloud,
+    coarse: Capped,
+    cell: float,
+    shift: FloatArray,
+    options: SurfaceOptions,
+    notes: list[str],
+) -> Sides:
+    """Tell both sides of a body apart, by a flood fill that closes larger holes until it does not leak."""
+    # A cap stops the flood fill as points do.
+    caps = points_on(coarse.surface, coarse.cap != NO_CAP, cell)
+    walled = np.concatenate([cloud.points, caps])
+    for wider in (1.0, *WIDER):
+        outside = flood(
+            walled,
+            coarse.surface.vertices,
+            cell=cell,
+            gap=options.gap * wider * cloud.diagonal,
+            shift=shift,
+            deepest=hidden_below(cloud.diagonal, cell) + 1,  # interpolated between voxels
+        )
+        cloud = _turned(cloud, caps, outside)
+        sides = _sides_of(cloud, outside, coarse)
+        if not sides.leaks:
+            return sides
+    notes.append("the flood fill of the outside leaked into the body and was not used")
+    nothing, nowhere = np.zeros_like(outside.reached), np.zeros_like(outside.depth)
+    return _sides_of(cloud, replace(outside, reached=nothing, depth=nowhere), coarse)
+
+
+class Body(NamedTuple):
+    """The voxels of a body, and those from which it was made.
+
+    voxels: (a, b, c) bool, the body after region growing.
+    inside: (a, b, c) bool, the body before it.
+    parted: (a, b, c) bool, the voxels removed by `contact_layer`.
+    distance: signed distance to the points; in voxels, NaN far from them.
+    cuts, bridges: (k, 3) and (j, 3), the voxels that were removed and added, as in `SurfaceMarks`.
+    """
+
+    grid: Grid
+    voxels: Mask
+    inside: Mask
+    parted: Mask
+    distance: Voxels
+    cuts: NDArray[np.intp]
+    bridges: NDArray[np.intp]
+
+
+def _body(
+    cloud: PointCloud,
+    coarse: Capped,
+    cell: float,
+    shift: FloatArray,
+    options: SurfaceOptions,
+    notes: list[str],
+) -> Body:
+    """The voxels inside, without contacts of parts and with the requested genus."""
+    sides = _sides(cloud, coarse, cell, shift, options, notes)
+    cloud, grid, distance = sides.cloud, sides.outside.grid, sides.distance
+    inside, to_points = sides.inside, sides.outside.distance
+    parted, links = np.zeros_like(inside), np.zeros((3, 0, 0, 0), dtype=bool)
+    if options.genus != "free":
+        folds = folded(cloud, sides.outside, inside)
+        del sides  # most memory is needed next
+        parted, links = _contacts(cloud, folds, inside, to_points, grid)
+        inside &= ~parted
+    inside, bridges = joined(inside, cloud.points, grid, options, notes)
+    if not inside.any():
+        raise ReconstructionError(f"{len(cloud.points)} points enclose nothing")
+    body, cuts = with_topology(inside, links, to_points, options, notes)
+    return Body(grid, body, inside, parted, distance, cuts, bridges)
+
+
+def _contacts(
+    cloud: PointCloud, folds: Mask, inside: Mask, to_points: Voxels, grid: Grid
+) -> tuple[Mask, Mask]:
+    """The voxels of contacts, as by `contact_layer`, and the (3, a, b, c) links that cross a surfel.
+
+    Folds are no contacts: a closed mouth does not part the head.
+    """
+    links = _walls(cloud.select(~folds), grid)
+    continued = _continued(cloud, grid, to_points)
+    parted = contact_layer(inside, links, continued, to_points)
+    if continued.any():
+        links |= continued
+    if folds.any():
+        links |= _walls(cloud.select(folds), grid)
+    return parted, links
 
 
 def _turned(cloud: PointCloud, caps: FloatArray, outside: Outside) -> PointCloud:
@@ -272,50 +348,61 @@ def _continued(cloud: PointCloud, grid: Grid, to_points: Voxels) -> Mask:
     return walls(middles, directions, grid.shape, CONTINUED)
 
 
-def _surface(
-    body: Mask, inside: Mask, parted: Mask, distance: Voxels, coarse: Capped, grid: Grid
-) -> tuple[TriangleMesh, Mask, Mask]:
-    """The boundary surface of the voxels of the body, with vertices at the zeros of the signed distance.
+class Links(NamedTuple):
+    """The vertices of a surface on the links of voxels along one axis: where, and of which kind.
 
-    A vertex lies on a grid line between a voxel of the body and one outside. Where the signed distance
-    changes its sign as the body does, the vertex is at the linearly interpolated zero. Elsewhere it is at the
-    crossing of the coarse surface, if there is one, else in the middle, and is smoothed afterwards.
-
-    body, inside: the body after and before region growing.
-    parted: the voxels removed by `contact_layer`.
-    distance: signed distance to the points; in voxels, NaN far from the points.
-    Returns mesh, invented, in_hole: the surface, and two masks (n,): of the vertices that no points support,
-        and of those of them that close a hole of the scan, not a cut or a bridge. Vertices beside removed
-        contact voxels do not count, because there are points near them.
+    invented: (k,) bool, those that no signed distance places.
+    unseen: (k,) bool, those of them that no points support: not those beside voxels of contacts, because
+        there are points near them.
+    in_hole: (k,) bool, those of these that close a hole of the scan, not a cut or a bridge.
     """
-    placed, invented, unseen, in_hole = [], [], [], []
-    inside, parted, distance = inside.ravel(), parted.ravel(), distance.ravel()
-    for axis, here in enumerate(crossed(body)):
-        low = np.ravel_multi_index(tuple(here.T), body.shape)
-        high = low + int(np.prod(body.shape[axis + 1 :]))
-        at_low, at_high = distance[low], distance[high]
-        changes = inside[low] != inside[high]
-        believed = (
-            changes & ((at_low < 0) == inside[low]) & ((at_high < 0) == inside[high])
-        )
-        believed &= np.isfinite(at_low) & np.isfinite(at_high)
-        share = np.divide(
-            at_low, at_low - at_high, out=np.full(len(here), 0.5), where=believed
-        )
-        crossing = crossings(coarse.surface, grid, axis).ravel()[low]
-        share = np.where(
-            believed, share, np.where(changes & np.isfinite(crossing), crossing, 0.5)
-        )
-        placed.append(Crossings(here, np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE)))
-        invented.append(~believed)
-        unseen.append(~believed & ~parted[low] & ~parted[high])
-        in_hole.append(unseen[axis] & changes)
-    vertices, faces = marched(body, placed)
-    moved = smoothed(vertices, faces, np.flatnonzero(np.concatenate(invented)), SMOOTHING)
-    # The vertices after those on grid lines, inside cubes of the grid, are few.
-    rest = (0, len(vertices) - sum(map(len, unseen)))
-    counted, holes = (np.pad(np.concatenate(each), rest) for each in (unseen, in_hole))
-    return TriangleMesh(grid.centres(moved), faces), counted, holes
+
+    crossings: Crossings
+    invented: Mask
+    unseen: Mask
+    in_hole: Mask
+
+
+def _links(body: Body, coarse: Capped, axis: int, here: NDArray[np.intp]) -> Links:
+    """The vertices on the links from (k, 3) voxels to the next along an axis.
+
+    Where the signed distance changes its sign as the body does, the vertex is at the linearly interpolated
+    zero. Elsewhere it is at the crossing of the coarse surface, if there is one, else in the middle.
+    """
+    low = np.ravel_multi_index(tuple(here.T), body.voxels.shape)
+    high = low + int(np.prod(body.voxels.shape[axis + 1 :]))
+    inside, parted = body.inside.ravel(), body.parted.ravel()
+    at_low, at_high = (body.distance.ravel()[end] for end in (low, high))
+    changes = inside[low] != inside[high]
+    believed = changes & ((at_low < 0) == inside[low]) & ((at_high < 0) == inside[high])
+    believed &= np.isfinite(at_low) & np.isfinite(at_high)
+    zero = np.divide(
+        at_low, at_low - at_high, out=np.full(len(here), 0.5), where=believed
+    )
+    crossing = crossings(coarse.surface, body.grid, axis).ravel()[low]
+    guess = np.where(changes & np.isfinite(crossing), crossing, 0.5)
+    share = np.clip(np.where(believed, zero, guess), LEAST_SHARE, 1 - LEAST_SHARE)
+    unseen = ~believed & ~parted[low] & ~parted[high]
+    return Links(Crossings(here, share), ~believed, unseen, unseen & changes)
+
+
+def _surface(body: Body, coarse: Capped) -> tuple[TriangleMesh, Mask, Mask]:
+    """The boundary surface of a body, smoothed where no signed distance places it.
+
+    Returns mesh, unseen, in_hole: the surface, and two masks (n,) of its vertices, as in `Links`.
+    """
+    links = [
+        _links(body, coarse, axis, here) for axis, here in enumerate(crossed(body.voxels))
+    ]
+    vertices, faces = marched(body.voxels, [each.crossings for each in links])
+    invented, unseen, in_hole = (
+        np.concatenate(parts) for parts in zip(*(each[1:] for each in links), strict=True)
+    )
+    moved = smoothed(vertices, faces, np.flatnonzero(invented), SMOOTHING)
+    # The vertices after those on links, inside cubes of the grid, are few.
+    rest = (0, len(vertices) - len(unseen))
+    mesh = TriangleMesh(body.grid.centres(moved), faces)
+    return mesh, np.pad(unseen, rest), np.pad(in_hole, rest)
 
 
 def _fair(mesh: TriangleMesh, in_hole: Mask, cloud: PointCloud) -> TriangleMesh:
