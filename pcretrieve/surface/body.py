@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -97,7 +97,7 @@ class SurfaceMarks:
 
     cuts: FloatArray
     bridges: FloatArray
-    base: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    base: FloatArray
 
     def moved(self, by: FloatArray) -> SurfaceMarks:
         """All places, translated."""
@@ -133,18 +133,20 @@ def body_surfaces(
     coarse, cloud = coarse_surface(cloud, options, neighbors, spacing=least)
     n_continued = len(cloud.points) - n_measured - n_between
     del neighbors
+    notes = []
+    if n_between:
+        notes.append(
+            f"interpolated {n_between} points where the {n_measured} points are sparse"
+        )
+    if n_continued:
+        notes.append(f"continued a limb across a gap by {n_continued} points")
     for number in range(options.reconstructions):
         cell = max(CELLS[number % len(CELLS)] * size, least)
         mesh, marks, step = _body_surface(
             cloud, coarse, cell, number * SHIFT % 1, options
         )
-        step = replace(step, seconds=time.perf_counter() - started)
-        if n_continued:
-            note = f"continued a limb across a gap by {n_continued} points"
-            step = replace(step, notes=(note, *step.notes))
-        if n_between:
-            note = f"interpolated {n_between} points where the {n_measured} points are sparse"
-            step = replace(step, notes=(note, *step.notes))
+        seconds = time.perf_counter() - started
+        step = replace(step, seconds=seconds, notes=(*notes, *step.notes))
         yield TriangleMesh(mesh.vertices, mesh.faces, (*cloud.provenance, step)), marks
         started = time.perf_counter()
 
@@ -445,5 +447,4 @@ def _one_sidedness(mesh: TriangleMesh, invented: Mask) -> float:
     # The area vectors of the whole surface sum up to zero. The ratio is 0 if the normals of the unsupported
     # part balance, and 1/2 if this part is one side of a sheet and the points are the other.
     share = invented[mesh.faces] @ np.full(3, 1 / 3)  # (m,)
-    vectors = mesh.area_vectors
-    return float(np.linalg.norm(share @ vectors) / np.sqrt(vectors**2 @ np.ones(3)).sum())
+    return float(np.linalg.norm(share @ mesh.area_vectors) / mesh.area)
