@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.arrays import tangent_axes
 from pcretrieve.points.neighbors import (
+    SAME_SIDE,
     SPACING_NEIGHBORS,
     Neighborhoods,
     nearest,
@@ -52,9 +53,6 @@ FEWEST = 5
 # Number of neighbours to which a sphere is fitted, and number of times that a point is moved to its sphere.
 FITTED = 16
 ROUNDS = 2
-
-# Smallest cosine of the angle between normals, or guide directions, of points on one side of a thin part.
-SAME_SIDE = 0.2
 
 # Smallest distance of an interpolated point from a measured one, in voxels.
 APART = 0.7

@@ -245,6 +245,12 @@ def _square(points: FloatArray, i: int, place: Place) -> float:
     return float(x * x + y * y + z * z)
 
 
+# Smallest cosine of the angle between normals, or guide directions, of points on one side of a thin part.
+SAME_SIDE = 0.2
+
+# Width of the Gaussian weight of neighbours, relative to the distance of the farthest one.
+NEIGHBOR_SPREAD = 0.7
+
 # Smallest length of the cross product of two rows of A − λI, relative to the squared size of A, by which the
 # eigenvector of λ is determined. Below it λ is a multiple eigenvalue up to rounding errors.
 LEAST_RANK = 1e-12
@@ -275,8 +281,6 @@ def guided_planes(
     guide: FloatArray,
     near: NDArray[np.intp],
     distance: FloatArray,
-    same_side: float,
-    spread: float,
 ) -> FloatArray:
     """(n, 3) unit normals of weighted least-squares planes, with the orientation of a guide.
 
@@ -289,7 +293,7 @@ def guided_planes(
     weight = np.empty(near.shape[1])
     normals = np.empty((len(near), 3))
     for i in range(len(near)):
-        _weigh(weight, guide, i, near[i], distance[i], same_side, spread)
+        _weigh(weight, guide, i, near[i], distance[i])
         x, y, z = _smallest_eigenvector(_covariance(points, near[i], weight))
         sign = -1.0 if x * guide[i, 0] + y * guide[i, 1] + z * guide[i, 2] < 0 else 1.0
         normals[i, 0], normals[i, 1], normals[i, 2] = sign * x, sign * y, sign * z
@@ -303,17 +307,15 @@ def _weigh(
     i: int,
     near: NDArray[np.intp],
     distance: FloatArray,
-    same_side: float,
-    spread: float,
 ) -> None:
     """Set the weights (k,) of the neighbours of point i, as for `guided_planes`."""
     x, y, z = guide[i, 0], guide[i, 1], guide[i, 2]
     is_known = x != 0 or y != 0 or z != 0
-    width = spread * distance[-1] + np.finfo(np.float64).tiny
+    width = NEIGHBOR_SPREAD * distance[-1] + np.finfo(np.float64).tiny
     for j in range(len(near)):
         other = near[j]
         cosine = x * guide[other, 0] + y * guide[other, 1] + z * guide[other, 2]
-        excess = (cosine - same_side) / (1 - same_side)
+        excess = (cosine - SAME_SIDE) / (1 - SAME_SIDE)
         weight[j] = min(max(excess, 0.0), 1.0) if is_known else 1.0
         weight[j] *= np.exp(-((distance[j] / width) ** 2))
 

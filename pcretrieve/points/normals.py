@@ -13,7 +13,7 @@ from pcretrieve.arrays import DOUBLE_OFFSET, Frame, unit_vectors
 from pcretrieve.draw.open3d import library, open3d_cloud
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
-from pcretrieve.points.density import SAME_SIDE, disks, local_spacings, sparse_points
+from pcretrieve.points.density import disks, local_spacings, sparse_points
 from pcretrieve.points.grid import joined_by
 from pcretrieve.points.neighbors import (
     Neighborhoods,
@@ -24,9 +24,6 @@ from pcretrieve.points.neighbors import (
 from pcretrieve.points.outside import Outside, flood
 from pcretrieve.values import FloatArray, PointCloud, Step
 from pcretrieve.values.compiled import compiled
-
-# Width of the Gaussian weight of neighbours, relative to the distance of the farthest one.
-NEIGHBOR_SPREAD = 0.7
 
 # Largest depth below the outside of the points by which a leak is detected; in voxels.
 SHALLOW = 4.0
@@ -269,7 +266,7 @@ def _guided_normals(
     k = options.normal_neighbors
     near = np.ascontiguousarray(neighbors.near[:, :k])
     distance = np.ascontiguousarray(neighbors.distance[:, :k])
-    return guided_planes(points, guide, near, distance, SAME_SIDE, NEIGHBOR_SPREAD)
+    return guided_planes(points, guide, near, distance)
 
 
 def _has_leaked(

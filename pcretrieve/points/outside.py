@@ -76,7 +76,7 @@ def flood(
     labels, _ = components(distance > wall, corners=False)
     reached = labels == labels[0, 0, 0]
     del labels  # before further large arrays are made
-    reached = _regrown(reached, distance, wall, CLEARANCE)
+    reached = _regrown(reached, distance, wall)
     # Around the points there is only outside, which later steps need not visit. All voxels `MARGIN` beyond
     # the points have been reached, so that none farther away is nearer to a voxel of the rest.
     held = points if further is None else np.concatenate([points, further])
@@ -102,7 +102,7 @@ def _around(points: FloatArray, grid: Grid) -> tuple[Grid, tuple[slice, ...]]:
 
 
 @compiled()
-def _regrown(outside: Mask, distance: Voxels, wall: float, clearance: float) -> Mask:
+def _regrown(outside: Mask, distance: Voxels, wall: float) -> Mask:
     """The voxels outside the walls, and those reached from them by as many steps as the walls are thick."""
     result: Mask = outside.copy()
     reached, to_points = result.ravel(), distance.ravel()
@@ -121,7 +121,7 @@ def _regrown(outside: Mask, distance: Voxels, wall: float, clearance: float) -> 
         for i in range(begin, end):
             for axis in range(3):
                 for other in (front[i] - step[axis], front[i] + step[axis]):
-                    if not reached[other] and to_points[other] > clearance:
+                    if not reached[other] and to_points[other] > CLEARANCE:
                         reached[other] = True
                         front[n] = other
                         n += 1

@@ -105,7 +105,7 @@ class SurfaceMarks:
 
 
 def body_surfaces(
-    cloud: PointCloud, options: SurfaceOptions, neighbors: Neighborhoods | None = None
+    cloud: PointCloud, options: SurfaceOptions, neighbors: Neighborhoods
 ) -> Iterator[tuple[TriangleMesh, SurfaceMarks]]:
     """Reconstruct the surface of the body that oriented points enclose, on several grids.
 
@@ -117,11 +117,9 @@ def body_surfaces(
     Each surface, closed, connected and manifold, is made on a grid of another voxel edge and another origin:
     see `CELLS`.
 
-    neighbors: the `PLANE_NEIGHBORS` nearest of all points, or more, if they are known.
+    neighbors: the `PLANE_NEIGHBORS` nearest of all points, or more.
     """
     started = time.perf_counter()
-    if neighbors is None:
-        neighbors = neighborhoods(cloud.points, PLANE_NEIGHBORS + 1)
     some = neighbors.some()
     least = spacing(some)
     size = _cell(cloud, some, options)

@@ -95,7 +95,7 @@ def test_normals_are_the_last_eigenvectors_with_the_orientation_of_the_guide(
         unit  # no weight depends on the distance, except that of the last neighbour
     )
     guide = np.tile([0.6, 0.0, 0.8], (len(points), 1))
-    normals = guided_planes(points, guide, near, distance, 0.2, 0.7)
+    normals = guided_planes(points, guide, near, distance)
     weight = np.append(np.ones(K - 1), np.exp(-(0.7**-2)))
     for group, normal in zip(GROUPS, normals[::K], strict=True):
         centred = group - weight @ group / weight.sum()
@@ -105,7 +105,7 @@ def test_normals_are_the_last_eigenvectors_with_the_orientation_of_the_guide(
 
 def test_a_neighbourhood_without_a_plane_has_a_unit_normal() -> None:
     near, distance = np.tile(np.arange(K), (K, 1)), np.ones((K, K))
-    normals = guided_planes(np.ones((K, 3)), np.zeros((K, 3)), near, distance, 0.2, 0.7)
+    normals = guided_planes(np.ones((K, 3)), np.zeros((K, 3)), near, distance)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
 
 

@@ -10,7 +10,7 @@ import shapes
 from scipy import ndimage
 
 from pcretrieve.points.grid import Grid, components, distances
-from pcretrieve.points.outside import _regrown, flood, sampled
+from pcretrieve.points.outside import CLEARANCE, _regrown, flood, sampled
 from pcretrieve.values import FloatArray
 
 
@@ -85,8 +85,8 @@ def test_the_second_pass_is_a_dilation_within_a_mask() -> None:
     points[6:-6, 6:-6, 6:-6] = np.random.default_rng(0).random((14, 16, 18)) < 0.01
     to_points = distances(points, 9.0)
     outside = to_points > 3
-    expected = ndimage.binary_dilation(outside, iterations=4, mask=to_points > 1.5)
-    found = _regrown(outside, to_points, 3.0, 1.5)
+    expected = ndimage.binary_dilation(outside, iterations=4, mask=to_points > CLEARANCE)
+    found = _regrown(outside, to_points, 3.0)
     assert outside.sum() < found.sum()
     np.testing.assert_array_equal(found, expected)
 

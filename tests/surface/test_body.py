@@ -16,7 +16,12 @@ from pcretrieve.options import ScanOptions, SurfaceOptions
 from pcretrieve.points import oriented_normals
 from pcretrieve.points.density import local_spacings
 from pcretrieve.points.grid import Grid
-from pcretrieve.points.neighbors import SPACING_NEIGHBORS, neighborhoods, spacing
+from pcretrieve.points.neighbors import (
+    PLANE_NEIGHBORS,
+    SPACING_NEIGHBORS,
+    neighborhoods,
+    spacing,
+)
 from pcretrieve.points.outside import sampled
 from pcretrieve.surface import SurfaceMarks, body_surfaces, defects
 from pcretrieve.surface.body import _invented
@@ -66,7 +71,9 @@ def limbed() -> PointCloud:
 
 
 def surface(cloud: PointCloud, **options: object) -> tuple[TriangleMesh, SurfaceMarks]:
-    mesh, marks = next(body_surfaces(cloud, SurfaceOptions.model_validate(options)))
+    near = neighborhoods(cloud.points, PLANE_NEIGHBORS + 1)
+    chosen = SurfaceOptions.model_validate(options)
+    mesh, marks = next(body_surfaces(cloud, chosen, near))
     assert not defects(mesh)
     assert mesh.volume > 0
     return mesh, marks
@@ -170,7 +177,7 @@ def test_a_scan_of_one_side_or_without_normals_is_refused(name: str) -> None:
     with pytest.raises(
         ReconstructionError, match="needs points with normals, these have none"
     ):
-        next(body_surfaces(PointCloud(cloud.points), SurfaceOptions()))
+        surface(PointCloud(cloud.points))
 
 
 def test_density_of_points_is_that_of_the_area() -> None:
