@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.draw.open3d import RayScene
+from pcretrieve.arrays.open3d import RayScene
 from pcretrieve.points.density import local_spacings
 from pcretrieve.points.grid import Mask
 from pcretrieve.points.neighbors import (

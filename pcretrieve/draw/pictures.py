@@ -9,8 +9,8 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from pcretrieve.arrays import FloatArray, IntArray, area_vectors, unit_vectors
+from pcretrieve.arrays.open3d import RayScene
 from pcretrieve.draw.axes import principal_axes
-from pcretrieve.draw.open3d import RayScene
 
 #: Red, green and blue in [0, 1].
 Colour = tuple[float, float, float]

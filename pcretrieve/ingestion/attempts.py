@@ -64,7 +64,7 @@ class Work:
 
     def prepare(self) -> None:
         """Import what scans need: a worker without the memory for that does not start, and blames no scan."""
-        from pcretrieve.draw.open3d import library
+        from pcretrieve.arrays.open3d import library
         from pcretrieve.pipeline.process import compile_stages
 
         library()

@@ -10,10 +10,9 @@ from scipy.spatial import cKDTree
 
 from pcretrieve import TriangleMesh, eigenpairs, laplace_beltrami
 from pcretrieve.draw.axes import body_axes, person_of
-from pcretrieve.draw.open3d import RayScene
 from pcretrieve.draw.pictures import CLAY, Colour
 from pcretrieve.pages.html import encoded
-from pcretrieve.values import FloatArray, unit_vectors
+from pcretrieve.values import FloatArray, RayScene, unit_vectors
 
 #: Half of the side of the cube that the viewer can show, with room for outliers near the body; farther
 #: outliers are left out. Relative to the radius of the bounding ball of the body.

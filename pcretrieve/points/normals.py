@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.arrays import DOUBLE_OFFSET, Frame, unit_vectors
-from pcretrieve.draw.open3d import library, open3d_cloud
+from pcretrieve.arrays.open3d import library, open3d_cloud
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
 from pcretrieve.points.density import disks, local_spacings, sparse_points

@@ -18,8 +18,8 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
+from pcretrieve.arrays.open3d import RayScene, library
 from pcretrieve.descriptors.hapt import in_principal_frame
-from pcretrieve.draw.open3d import RayScene, library
 from pcretrieve.errors import DegenerateMeshError, OptionError, Stage
 from pcretrieve.surface.simplify import decimated, simplified
 from pcretrieve.surface.topology import compact

@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from pcretrieve.arrays import Frame
-from pcretrieve.draw.open3d import library, open3d_cloud
+from pcretrieve.arrays.open3d import library, open3d_cloud
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.surface.field import normals_of

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.arrays import DOUBLE_OFFSET, Frame
-from pcretrieve.draw.open3d import open3d_mesh
+from pcretrieve.arrays.open3d import open3d_mesh
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.surface.repair import repaired

@@ -17,6 +17,7 @@ from pcretrieve.arrays import (
     tangent_axes,
     unit_vectors,
 )
+from pcretrieve.arrays.open3d import RayScene
 from pcretrieve.values.base import METRES, UNIT, SizeUnit, unit_of
 from pcretrieve.values.geometry import PointCloud, Step, TriangleMesh
 from pcretrieve.values.shapes import Failure, Grade, GradeName, Need, Shape, Surface
@@ -39,6 +40,7 @@ __all__ = [
     "Need",
     "Neighbors",
     "PointCloud",
+    "RayScene",
     "Shape",
     "Signature",
     "SignatureTable",

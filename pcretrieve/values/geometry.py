@@ -124,7 +124,7 @@ class PointCloud(_Processed):
 
     def to_open3d(self, *, tensor: bool = False) -> Any:
         """An ``open3d.geometry.PointCloud``, or ``open3d.t``'s, with points and normals only."""
-        from pcretrieve.draw.open3d import open3d_cloud
+        from pcretrieve.arrays.open3d import open3d_cloud
 
         return open3d_cloud(self.points, self.normals, tensor=tensor)
 
@@ -261,7 +261,7 @@ class TriangleMesh(_Processed):
 
     def to_open3d(self, *, tensor: bool = False) -> Any:
         """An ``open3d.geometry.TriangleMesh``, or ``open3d.t``'s, with the same vertices and faces."""
-        from pcretrieve.draw.open3d import open3d_mesh
+        from pcretrieve.arrays.open3d import open3d_mesh
 
         return open3d_mesh(self.vertices, self.faces, tensor=tensor)
 

@@ -15,7 +15,7 @@ from benchmarks.poses import POSES
 from benchmarks.sets import read_mesh
 from benchmarks.simulation import body, make_subject
 from benchmarks.simulation.samples import moved
-from pcretrieve.draw.open3d import RayScene
+from pcretrieve.arrays.open3d import RayScene
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.ingestion.labels import read_labels
 from pcretrieve.retrieval import Positions

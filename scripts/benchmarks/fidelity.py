@@ -51,8 +51,8 @@ from benchmarks.sets import CONDITIONS, DEFECTS, SETS, Item, spread, write_scan
 from benchmarks.spectral import lapy_eigenvalues
 from benchmarks.uniform import BODIES, feet, points_of
 from pcretrieve.arrays import DOUBLE_OFFSET, Frame
+from pcretrieve.arrays.open3d import RayScene, open3d_cloud
 from pcretrieve.descriptors import describe
-from pcretrieve.draw.open3d import RayScene, open3d_cloud
 from pcretrieve.errors import BenchmarkError, InputError, PcretrieveError
 from pcretrieve.formats import read_scan
 from pcretrieve.ingestion.pool import in_processes

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.bodies import Body, Mask, is_outside, open_edges
 from benchmarks.simulation import RigOptions, camera_pose, scan
 from benchmarks.simulation.scanner import outside_holes, strays
-from pcretrieve.draw.open3d import RayScene
+from pcretrieve.arrays.open3d import RayScene
 from pcretrieve.retrieval import Positions
 from pcretrieve.surface import components
 from pcretrieve.surface.reconstruct import uniform_points

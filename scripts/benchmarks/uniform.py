@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from benchmarks.simulation import RigOptions
 from benchmarks.simulation.scanner import box_centre, outside_holes, strays
-from pcretrieve.draw.open3d import RayScene
+from pcretrieve.arrays.open3d import RayScene
 from pcretrieve.surface.reconstruct import uniform_points
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 import pcretrieve
 from pcretrieve import PointCloud, TriangleMesh
-from pcretrieve.draw.open3d import RayScene
+from pcretrieve.arrays.open3d import RayScene
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.conf import image_poses, trajectory_file
 from pcretrieve.options import MergeOptions, PipelineOptions, ScanOptions

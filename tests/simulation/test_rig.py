@@ -30,7 +30,7 @@ from benchmarks.uniform import UniformOptions, scan_uniformly
 from scipy.spatial.transform import Rotation
 
 from pcretrieve import read_scan
-from pcretrieve.draw.open3d import RayScene
+from pcretrieve.arrays.open3d import RayScene
 from pcretrieve.formats.conf import read_poses
 from pcretrieve.formats.ply import read_ply
 from pcretrieve.points.register.alignment import moved

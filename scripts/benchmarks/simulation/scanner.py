@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.draw.open3d import RayScene
+from pcretrieve.arrays.open3d import RayScene
 from pcretrieve.surface.reconstruct import uniform_points
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import shapes
 
-from pcretrieve.draw.open3d import RayScene
+from pcretrieve.arrays.open3d import RayScene
 
 BALL = shapes.icosphere(3)
 # A unit that is a power of two changes no digit, however far single precision is from bearing it.
@@ -65,7 +65,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
 
-from pcretrieve.draw.open3d import library
+from pcretrieve.arrays.open3d import library
 
 sys.setswitchinterval(1e-6)
 barrier = Barrier(8)
