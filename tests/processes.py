@@ -82,6 +82,7 @@ import re, sys
 from contextlib import suppress
 from pathlib import Path
 from pcretrieve.errors import PcretrieveError
+from pcretrieve.formats import ScanPath
 from pcretrieve.formats.identity import content_hash
 from pcretrieve.ingestion.discover import discover
 
@@ -95,7 +96,7 @@ if __name__ == "__main__":
         discover([sys.argv[1]], limits={"workers": 1, "timeout": 60, "memory": None})
     if Path(sys.argv[1]).is_file():
         with suppress(PcretrieveError):
-            content_hash(Path(sys.argv[1]))
+            content_hash(ScanPath.parse(sys.argv[1]))
     print(peak() - before)
 """
 

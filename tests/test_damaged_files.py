@@ -268,7 +268,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         patch.setattr(fitted, "SMALLEST_KEPT", 1)
         for name in ("c.sqlite", "indexed.sqlite"):
             with Catalogue(folder / name, create=True) as store:
-                ingest(discover([scans]), store, labels=labels)
+                ingest(scans, store, labels=labels)
                 if name == "indexed.sqlite":
                     index(store)
                     assert store.cache.folder is not None

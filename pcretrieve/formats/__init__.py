@@ -5,13 +5,13 @@ together, such as posed range scans, are read as one scan.
 """
 
 from pcretrieve.formats.format import Extra, Format, Part, RawScan
-from pcretrieve.formats.read import ScanLike, as_scan, read_scan
+from pcretrieve.formats.read import ScanLike, as_scan, located, read_scan
 from pcretrieve.formats.registry import (
+    ScanPath,
     is_scan,
     members_of,
     missing_extra,
     parts_of,
-    split_member,
 )
 from pcretrieve.formats.write import write_cloud, write_mesh, write_signatures
 
@@ -21,13 +21,14 @@ __all__ = [
     "Part",
     "RawScan",
     "ScanLike",
+    "ScanPath",
     "as_scan",
     "is_scan",
+    "located",
     "members_of",
     "missing_extra",
     "parts_of",
     "read_scan",
-    "split_member",
     "write_cloud",
     "write_mesh",
     "write_signatures",

@@ -40,11 +40,6 @@ DECIMAL_COMMA = re.compile(r"\d+,\d+")
 # Largest compression ratio of deflate, the usual method of archives and of images.
 DEFLATE_RATIO = 1032
 
-# A protocol has two letters at least, unlike the drives of Windows.
-PROTOCOL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):(/.*)", re.DOTALL)
-# The protocol of files on this computer, whose paths are absolute.
-FILE = "file"
-
 # Characters that a path must not have, and the mark between the name of a file and that of a scan in it.
 UNSAFE = re.compile(r"[\x00-\x1f\x7f/\\#]+")
 # Longest name of a scan in a file; file systems allow 255 bytes for the name of a file.
@@ -155,15 +150,6 @@ class Format(NamedTuple):
 
 
 # --- files ------------------------------------------------------------------------------------------------
-
-
-def url_of(path: Path) -> str | None:
-    """The URL that a path was made of: a `Path` keeps one of the two slashes after the protocol."""
-    found = PROTOCOL.fullmatch(str(path))
-    if found is None:
-        return None
-    protocol, rest = found.groups()
-    return f"{protocol}:/{'/' if protocol == FILE else ''}{rest}"
 
 
 def check_file(path: Path) -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import IO, NamedTuple, TypeVar
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.format import check_file, url_of
-from pcretrieve.formats.registry import MARK, parts_of, split_member
+from pcretrieve.formats.format import check_file
+from pcretrieve.formats.registry import MARK, ScanPath, parts_of
 from pcretrieve.formats.remote import local_copy, remote_version
 
 CHUNK = 1 << 20  # bytes read at once
@@ -25,32 +25,33 @@ class Stamp(NamedTuple):
     changed: float
 
 
-def printable(text: str | Path) -> str:
+def printable(text: str | ScanPath) -> str:
     """Escape the bytes of a file name that are not UTF-8, so that it can be printed and stored."""
-    url = url_of(text) if isinstance(text, Path) else None
-    return os.fsencode(url or text).decode("utf-8", "backslashreplace")
+    return os.fsencode(str(text)).decode("utf-8", "backslashreplace")
 
 
-def content_hash(path: Path) -> str:
+def content_hash(scan: ScanPath) -> str:
     """The SHA-256 hash of a scan."""
-    return scan_hash(path, file_hash(split_member(path)[0]))
+    return scan_hash(scan, file_hash(scan.whole))
 
 
-def scan_hash(path: Path, hash_of_file: str) -> str:
+def scan_hash(scan: ScanPath, hash_of_file: str) -> str:
     """The hash of a scan, given that of its file."""
-    _, name = split_member(path)
-    if name is None:
+    if scan.member is None:
         return hash_of_file
-    return hashlib.sha256(os.fsencode(f"{hash_of_file}{MARK}{name}")).hexdigest()
+    text = f"{hash_of_file}{MARK}{scan.member}"
+    return hashlib.sha256(os.fsencode(text)).hexdigest()
 
 
-def file_hash(file: Path, hash_of_copy: Callable[[Path], str] | None = None) -> str:
+def file_hash(
+    file: ScanPath, hash_of_copy: Callable[[ScanPath], str] | None = None
+) -> str:
     """The SHA-256 hash of a file and of the parts that the file names.
 
     That of a file at a URL is computed from what the store says of its content, else of a copy.
     """
-    if url_of(file) is not None:
-        version = remote_version(file)
+    if file.url is not None:
+        version = remote_version(file.url)
         if version is not None:
             return hashlib.sha256(version.encode()).hexdigest()
         if hash_of_copy is not None:
@@ -63,21 +64,21 @@ def file_hash(file: Path, hash_of_copy: Callable[[Path], str] | None = None) -> 
         while chunk := opened.read(CHUNK):
             digest.update(chunk)
 
-    _of_each_file(file, add)
+    _of_each_file(file.file, add)
     return digest.hexdigest()
 
 
-def stamp_of(file: Path) -> Stamp | None:
+def stamp_of(file: ScanPath) -> Stamp | None:
     """The stamp of a file. Two equal stamps of a path, the first of them settled, are of one content.
 
     Every change of a file sets its ctime, which no user can set to another time. The number of the device is
     left out, because it may change when the computer starts, and differs between the computers of a cluster.
     """
-    if url_of(file) is not None:
+    if file.url is not None:
         return None
     try:
         # Of the opened file, because a network file system may say what it knew of a file not opened.
-        found = _of_each_file(file, lambda opened: os.fstat(opened.fileno()))
+        found = _of_each_file(file.file, lambda opened: os.fstat(opened.fileno()))
     except ScanReadError:
         return None
     text = "; ".join(

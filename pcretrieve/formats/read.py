@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.format import RawScan, url_of
+from pcretrieve.formats.format import RawScan
 from pcretrieve.formats.meshes import welded
-from pcretrieve.formats.registry import read_raw
+from pcretrieve.formats.registry import ScanPath, read_raw
 from pcretrieve.formats.remote import local_copy
 from pcretrieve.values import METRES, UNIT, FloatArray, PointCloud, Step, TriangleMesh
 from pcretrieve.values.base import UNIT_KEPT, UNIT_TAKEN, check_type
 from pcretrieve.values.conversion import GeometryLike, as_geometry
 
 #: A file, or what can be converted to a point cloud or a surface.
-ScanLike: TypeAlias = "str | Path | GeometryLike"
+ScanLike: TypeAlias = "str | Path | ScanPath | GeometryLike"
 
 # Limits of the largest coordinate: products of six lengths, such as squares of
 # volumes, stay in the range of float64.
@@ -55,16 +55,16 @@ def read_scan(path: str | Path) -> PointCloud | TriangleMesh:
         suffix, is truncated, or is empty.
     """
     check_type("path", path, str, Path)
-    return _read(Path(path))
+    return _read(ScanPath.parse(path))
 
 
-def _read(path: Path, given: str = "none") -> PointCloud | TriangleMesh:
+def _read(scan: ScanPath, given: str = "none") -> PointCloud | TriangleMesh:
     """Read a scan, in metres if its unit is known: that of the file, or else the given one."""
     started = time.perf_counter()
     try:
         # Invalid numbers may be signalling NaN, or overflow when squared; `_scan` removes non-finite points.
-        with np.errstate(all="ignore"), local_copy(path) as file:
-            raw = read_raw(file)
+        with np.errstate(all="ignore"), local_copy(scan) as copied:
+            raw = read_raw(copied)
             is_free = given != "none" and (raw.unit is None or raw.is_assumed)
             if is_free and raw.unit not in (None, given):
                 note = f"--unit {given} {UNIT_TAKEN} {raw.unit}"
@@ -73,16 +73,21 @@ def _read(path: Path, given: str = "none") -> PointCloud | TriangleMesh:
                 _scan(raw, started=started), given if is_free else raw.unit, given
             )
     except ScanReadError as error:
-        name = url_of(path) or str(path)
-        if name in error.message:
+        if str(scan) in error.message:
             raise
-        raise ScanReadError(f"{name}: {error.message}") from error
+        raise ScanReadError(f"{scan}: {error.message}") from error
+
+
+def located(scan: ScanLike) -> ScanPath | GeometryLike:
+    """The place of a scan in a file, or geometry as it is given."""
+    return ScanPath.parse(scan) if isinstance(scan, (str, Path)) else scan
 
 
 def as_scan(scan: ScanLike, unit: str = "none") -> PointCloud | TriangleMesh:
     """Read a scan from a path, or convert a value to a scan; in metres if the unit is known."""
-    if isinstance(scan, (str, Path)):
-        return _read(Path(scan), unit)
+    scan = located(scan)
+    if isinstance(scan, ScanPath):
+        return _read(scan, unit)
     value = as_geometry(scan)
     if unit == "none" or any(UNIT in step.sizes for step in value.provenance):
         return value

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from errno import EINVAL
 from functools import partial
 from pathlib import Path
@@ -30,7 +32,6 @@ from pcretrieve.formats.format import (
     RawScan,
     check_file,
     checked,
-    url_of,
 )
 from pcretrieve.formats.gltf import buffer_files, gltf_scene
 from pcretrieve.formats.laser import LAZRS, e57_names, read_e57, read_las
@@ -40,6 +41,10 @@ from pcretrieve.formats.text import is_table, ptx_names, read_ptx, read_text, xy
 from pcretrieve.plugins import Names, Registry
 from pcretrieve.values.files import check_members
 
+# A protocol has two letters at least, unlike the drives of Windows.
+PROTOCOL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):(/.*)", re.DOTALL)
+# The protocol of files on this computer, whose paths are absolute.
+FILE = "file"
 # Separator between the name of a file and the name of a scan in it.
 MARK = "#"
 # Largest number of names in a message.
@@ -60,6 +65,67 @@ INSTEAD = {
 } | dict.fromkeys(ARCHIVES, "unpack it first")
 
 
+@dataclass(frozen=True, slots=True)
+class ScanPath:
+    """Where a scan is, written ``file``, ``file#name`` or as a URL. It is made once, where a path comes in.
+
+    Attributes
+    ----------
+    file : Path
+        The file; of a URL, the path that Python makes of it.
+    member : str or None
+        The name of the scan, if it is one of several in the file.
+    url : str or None
+        The URL of the file; None if the file is on this computer.
+    """
+
+    file: Path
+    member: str | None = None
+    url: str | None = None
+
+    @classmethod
+    def parse(cls, given: str | Path | ScanPath) -> ScanPath:
+        """The place that a text names. The sign # is a part of names of files that hold one scan."""
+        if isinstance(given, ScanPath):
+            return given
+        path = Path(given)
+        name, mark, member = path.name.partition(MARK)
+        if mark and member:
+            found = _format_of(path.with_name(name))
+            if found is not None and found.names is not None:
+                path = path.with_name(name)
+                return cls(path, member, _url_of(path))
+        return cls(path, None, _url_of(path))
+
+    def __str__(self) -> str:
+        file = self.url or str(self.file)
+        return file if self.member is None else f"{file}{MARK}{self.member}"
+
+    @property
+    def name(self) -> str:
+        """The name of the file, and that of the scan in it."""
+        return str(ScanPath(Path(self.file.name), self.member))
+
+    @property
+    def suffix(self) -> str:
+        """The suffix of the file in lower case, which says how it is read."""
+        return self.file.suffix.lower()
+
+    @property
+    def whole(self) -> ScanPath:
+        """All scans of the file."""
+        return replace(self, member=None)
+
+
+def _url_of(path: Path) -> str | None:
+    """The URL that a path was made of: a `Path` keeps one of the two slashes after the protocol."""
+    found = PROTOCOL.fullmatch(str(path))
+    if found is None:
+        return None
+    protocol, rest = found.groups()
+    return f"{protocol}:/{'/' if protocol == FILE else ''}{rest}"
+
+
 def suffixes() -> tuple[str, ...]:
     """The suffixes of all files that can be read, including those of other packages."""
     return FORMATS.names.all()
@@ -77,55 +143,40 @@ def instead(suffix: str) -> str:
     return extra.command if extra else INSTEAD.get(suffix, "")
 
 
-def split_member(path: Path) -> tuple[Path, str | None]:
-    """The file of a path, and the name of the scan in it, if the path names one of several."""
-    file, mark, name = path.name.partition(MARK)
-    if mark and name:
-        found = _format_of(path.with_name(file))
-        if found is not None and found.names is not None:
-            return path.with_name(file), name
-    return path, None
-
-
-def is_scan(path: Path) -> bool:
+def is_scan(scan: ScanPath) -> bool:
     """Whether a file of a folder is a scan that can be read."""
-    suffix = path.suffix.lower()
+    file, suffix = scan.file, scan.suffix
     if suffix not in suffixes() or missing_extra(suffix):
         return False
     try:
         recognise = FORMATS[suffix].recognise
         if recognise is None:
             return True
-        if url_of(path) is not None:
+        if scan.url is not None:
             return False  # only a copy of the file could be looked into
-        check_file(path)
-        with FORMATS.blamed(suffix, Stage.READ), _damage(path):
-            return recognise(path)
+        check_file(file)
+        with FORMATS.blamed(suffix, Stage.READ), _damage(file):
+            return recognise(file)
     except ScanReadError:
         return False  # a folder, a pipe or a device, or an empty or damaged file
     except (OSError, OptionError, ShapeError):
         return True
 
 
-def members_of(path: Path) -> tuple[Path, ...]:
-    """The paths of the scans in a file; none if it is one scan."""
-    found = _format_of(path)
-    if found is None or found.names is None or missing_extra(path.suffix.lower()):
+def members_of(file: Path) -> tuple[ScanPath, ...]:
+    """The scans in a file; none if it is one scan."""
+    found = _format_of(file)
+    if found is None or found.names is None or missing_extra(file.suffix.lower()):
         return ()
-    check_file(path)
-    with _reading(path):
-        names = found.names(path)
+    check_file(file)
+    with _reading(file):
+        names = found.names(file)
         check_members(len(names))
-    return (
-        tuple(path.with_name(f"{path.name}{MARK}{name}") for name in names)
-        if len(names) > 1
-        else ()
-    )
+    return tuple(ScanPath(file, name) for name in names) if len(names) > 1 else ()
 
 
-def parts_of(path: Path) -> tuple[Part, ...]:
+def parts_of(file: Path) -> tuple[Part, ...]:
     """The other files that belong to a file."""
-    file, _ = split_member(path)
     found = _format_of(file)
     if found is None:
         return ()
@@ -133,13 +184,12 @@ def parts_of(path: Path) -> tuple[Part, ...]:
         return tuple(found.parts(file))
 
 
-def read_raw(path: Path) -> RawScan:
-    """Read the arrays of a file, in its unit."""
-    file, name = split_member(path)
-    suffix = file.suffix.lower()
+def read_raw(scan: ScanPath) -> RawScan:
+    """Read the arrays of a file on this computer, in its unit."""
+    file, name, suffix = scan.file, scan.member, scan.suffix
     found = _format_of(file)
     if found is None:
-        kind = f"in {path.suffix}" if suffix else "without a suffix"
+        kind = f"in {file.suffix}" if suffix else "without a suffix"
         advice = f": {INSTEAD[suffix]}" if suffix in INSTEAD else ""
         raise ScanReadError(
             f"there is no reader for names {kind}, only for {' '.join(sorted(suffixes()))}{advice}"
@@ -152,7 +202,7 @@ def read_raw(path: Path) -> RawScan:
         check_file(file)
         with _reading(file):
             if name is None:
-                scan = found.read(file)
+                raw = found.read(file)
             else:
                 names = found.names(file) if found.names is not None else ()
                 if name not in names:
@@ -160,8 +210,8 @@ def read_raw(path: Path) -> RawScan:
                     raise ScanReadError(
                         f"the file must hold a scan {name!r}, got {quoted}"
                     )
-                scan = found.read(file, name)
-            return scan if suffix in FORMATS.own else checked(scan)
+                raw = found.read(file, name)
+            return raw if suffix in FORMATS.own else checked(raw)
     except OSError as error:
         raise ScanReadError(f"cannot read {file}: {error.strerror or error}") from error
 
@@ -280,7 +330,10 @@ _OWN = {
     ".gltf": _scene(gltf_scene, parts=buffer_files),
     ".3mf": _scene(meshes.three_mf_scene, extra=Extra("meshes", ("lxml", "networkx"))),
     ".dae": _scene(meshes.collada_scene, extra=Extra("meshes", ("collada",))),
-    ".conf": Format(partial(read_conf, read_view=read_raw), conf_views),
+    ".conf": Format(
+        partial(read_conf, read_view=lambda view: read_raw(ScanPath.parse(view))),
+        conf_views,
+    ),
 }
 
 #: The formats by suffix. Other packages add formats by entry points of the group ``pcretrieve.readers``: the

@@ -11,8 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 
 from pcretrieve.errors import InputError, PcretrieveError, ScanReadError, ShapeError
-from pcretrieve.formats.format import FILE, url_of
-from pcretrieve.formats.registry import parts_of, split_member
+from pcretrieve.formats.registry import FILE, ScanPath, parts_of
 
 # Largest size of a file that is copied for one command; bytes.
 LARGEST = 1 << 32
@@ -35,9 +34,9 @@ PROTOCOLS = ("http", "https", "s3", "file")
 Remote: TypeAlias = bool | Callable[[Sequence[str]], bool]
 
 
-def check_remote(paths: Iterable[str], remote: Remote, location: str) -> None:
-    """Check that the URLs among the paths in a catalogue, which may be somebody else's, may be fetched."""
-    urls = [url for path in paths if (url := url_of(Path(path))) is not None]
+def check_remote(scans: Iterable[ScanPath], remote: Remote, location: str) -> None:
+    """Check that the URLs among the scans of a catalogue, which may be somebody else's, may be fetched."""
+    urls = [scan.url for scan in scans if scan.url is not None]
     # Not parsed, because parsers differ in what they take for the host.
     hosts = {
         "/".join(url.split("/", 3)[:3]) for url in urls if url.partition(":")[0] != FILE
@@ -49,9 +48,9 @@ def check_remote(paths: Iterable[str], remote: Remote, location: str) -> None:
         )
 
 
-def remote_files(path: Path) -> list[Path]:
+def remote_files(url: str) -> list[ScanPath]:
     """The files that a URL names: by a pattern, in a folder and below, or one."""
-    with _store(path, InputError, "look into") as (system, place, _):
+    with _store(url, InputError, "look into") as (system, place):
         if any(sign in place for sign in "*?["):
             found = [name for name in system.glob(place) if system.isfile(name)]
         elif system.isdir(place):
@@ -60,12 +59,14 @@ def remote_files(path: Path) -> list[Path]:
             found = [place] if system.exists(place) else []
         if len(found) > MOST_LISTED:
             raise ScanReadError(_too_long(MOST_LISTED, "names"))
-        return [Path(str(system.unstrip_protocol(name))) for name in sorted(found)]
+        return [
+            ScanPath.parse(str(system.unstrip_protocol(name))) for name in sorted(found)
+        ]
 
 
-def remote_version(path: Path) -> str | None:
+def remote_version(url: str) -> str | None:
     """What the store says of the content of a file, without reading it."""
-    with _store(path) as (system, place, url):
+    with _store(url) as (system, place):
         about = system.info(place)
     known = next((key for key in VERSIONS if about.get(key)), None)
     # Some servers compute what they call a hash from the size and the time of the last change.
@@ -73,29 +74,29 @@ def remote_version(path: Path) -> str | None:
 
 
 @contextmanager
-def local_copy(path: Path) -> Iterator[Path]:
-    """A file on this computer with the content of a scan."""
-    if url_of(path) is None:
-        yield path
+def local_copy(scan: ScanPath) -> Iterator[ScanPath]:
+    """A scan on this computer with the same content."""
+    if scan.url is None:
+        yield scan
         return
-    remote, _ = split_member(path)
+    above = scan.url.rpartition("/")[0]
     with TemporaryDirectory(prefix="pcretrieve-") as folder:
-        file = Path(folder, remote.name)
-        _copy(remote, file)
+        file = Path(folder, scan.file.name)
+        _copy(scan.url, file)
         for part in parts_of(file):
             # A file may name files anywhere: only those beside it and below belong to the scan.
             if part.path.is_relative_to(folder) and ".." not in part.path.parts:
                 part.path.parent.mkdir(parents=True, exist_ok=True)
-                _copy(remote.parent / part.path.relative_to(folder), part.path)
+                _copy(f"{above}/{part.path.relative_to(folder)}", part.path)
         try:
-            yield Path(folder, path.name)
+            yield ScanPath(file, scan.member)
         except ShapeError as error:
-            error.message = error.message.replace(folder, str(url_of(remote.parent)))
+            error.message = error.message.replace(folder, above)
             raise
 
 
-def _copy(path: Path, file: Path) -> None:
-    with _store(path) as (system, place, url):
+def _copy(url: str, file: Path) -> None:
+    with _store(url) as (system, place):
         from fsspec.callbacks import Callback
 
         def check(size: int | None, value: int) -> None:
@@ -109,10 +110,9 @@ def _copy(path: Path, file: Path) -> None:
 
 @contextmanager
 def _store(
-    path: Path, kind: type[PcretrieveError] = ScanReadError, act: str = "read"
-) -> Iterator[tuple[Any, str, str]]:
-    """The file system of a URL, the path in it, and the URL. Errors of stores get one kind and a message."""
-    url = str(url_of(path))
+    url: str, kind: type[PcretrieveError] = ScanReadError, act: str = "read"
+) -> Iterator[tuple[Any, str]]:
+    """The file system of a URL, and the path in it. Errors of stores get one kind and a message."""
     protocol = url.partition(":")[0]
     if protocol not in PROTOCOLS:
         raise kind(
@@ -130,7 +130,7 @@ def _store(
             raise kind(
                 f"cannot {act} {url}, {error}: pip install 'pcretrieve[remote]'"
             ) from error
-        yield system, place, url
+        yield system, place
     except PcretrieveError:
         raise
     # Stores have exceptions of many packages, which are not all an OSError.

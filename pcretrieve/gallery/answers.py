@@ -28,7 +28,7 @@ from pcretrieve.values import Grade, Neighbors, Signature
 from pcretrieve.values.base import Value, unit_note
 
 if TYPE_CHECKING:
-    from pcretrieve.formats import ScanLike
+    from pcretrieve.formats import ScanLike, ScanPath
     from pcretrieve.retrieval import DistanceMatrix
     from pcretrieve.retrieval.scores import MatchScores
 
@@ -323,14 +323,14 @@ def _answers(
     catalogue: Catalogue, queries: Iterable[str | Path | Signature], question: Question
 ) -> Iterator[tuple[str, Answer | ShapeError]]:
     asked = [each for query in queries for each in _expanded(catalogue, query, question)]
-    scans = [query for _, query in asked if isinstance(query, Path)]
+    scans = [query for _, query in asked if not isinstance(query, (str, Described))]
     of_scan = partial(
         described_scan,
         question.scan_options(catalogue),
         question.has_picture,
         question.up,
     )
-    described: Iterator[tuple[Path, Described | PcretrieveError]] = map(
+    described: Iterator[tuple[ScanPath, Described | PcretrieveError]] = map(
         partial(_attempted, of_scan), scans
     )
     if scans and question.timeout is not None:
@@ -342,7 +342,7 @@ def _answers(
             of_scan, scans, workers=1, timeout=timeout, memory=memory
         )
     for name, query in asked:
-        known = next(described)[1] if isinstance(query, Path) else query
+        known = query if isinstance(query, (str, Described)) else next(described)[1]
         if isinstance(known, ShapeError):
             yield name, known
         elif isinstance(known, PcretrieveError):
@@ -456,8 +456,8 @@ def described_scan(
 
 
 def _attempted(
-    of_scan: Callable[[Path], Described], scan: Path
-) -> tuple[Path, Described | PcretrieveError]:
+    of_scan: Callable[[ScanPath], Described], scan: ScanPath
+) -> tuple[ScanPath, Described | PcretrieveError]:
     try:
         return scan, of_scan(scan)
     except ShapeError as error:
@@ -466,9 +466,9 @@ def _attempted(
 
 def _expanded(
     catalogue: Catalogue, query: str | Path | Signature, question: Question
-) -> Iterator[tuple[str, str | Path | Described]]:
+) -> Iterator[tuple[str, str | ScanPath | Described]]:
     """The queries of a folder, or the one query that is given: their names, and what they name."""
-    scans: list[str | Path | Signature] = [query]
+    scans: list[str | Path | ScanPath | Signature] = [query]
     is_folder = not isinstance(query, Signature) and Path(query).is_dir()
     if is_folder and (
         isinstance(query, Path) or not catalogue.rows.several([str(query)])
@@ -484,12 +484,14 @@ def _expanded(
         try:
             yield name, _query_of(catalogue, scan, question)
         except ScanReadError:
-            yield name, Path(name)  # reading it as a scan will report why
+            from pcretrieve.formats import ScanPath
+
+            yield name, ScanPath.parse(name)  # reading it as a scan will report why
 
 
 def _query_of(
-    catalogue: Catalogue, query: str | Path | Signature, question: Question
-) -> str | Path | Described:
+    catalogue: Catalogue, query: str | Path | ScanPath | Signature, question: Question
+) -> str | ScanPath | Described:
     """The stored shape, the scan or the signature that a query is."""
     found = (
         Described(query)
@@ -506,36 +508,30 @@ def _query_of(
 
 
 def _shape_or_scan(
-    catalogue: Catalogue, query: str | Path, question: Question
-) -> str | Path:
-    path = Path(query)
+    catalogue: Catalogue, query: str | Path | ScanPath, question: Question
+) -> str | ScanPath:
     # Readers are imported for files only, because they are not needed to look up an id.
-    if isinstance(query, str) and (
-        path.is_dir() or not (path.exists() or _is_in_a_file(path))
-    ):
+    path = Path(str(query))
+    is_no_file = isinstance(query, str) and not path.is_file()
+    if is_no_file and (path.is_dir() or catalogue.rows.several([str(query)])):
+        return _stored(catalogue, str(query))
+    from pcretrieve.formats import ScanPath
+    from pcretrieve.formats.identity import content_hash
+
+    scan = ScanPath.parse(query)
+    if isinstance(query, str) and not scan.file.exists():
         return _stored(catalogue, query)
     if question.matrix is None and question.unit not in (
         None,
         catalogue.options.scan.unit,
     ):
-        return path  # sizes in another unit: a shape of the same content does not stand for the file
-    from pcretrieve.formats.identity import content_hash
-
+        return scan  # sizes in another unit: a shape of the same content does not stand for the file
     done = (
         record.id
-        for record in catalogue.rows.with_content(content_hash(path))
+        for record in catalogue.rows.with_content(content_hash(scan))
         if record.status == "done"
     )
-    return next(done, path)
-
-
-def _is_in_a_file(path: Path) -> bool:
-    """Whether a path ``file#name`` names one of the scans in a file."""
-    if "#" not in path.name:
-        return False
-    from pcretrieve.formats import split_member
-
-    return split_member(path)[0].exists()
+    return next(done, scan)
 
 
 def _stored(catalogue: Catalogue, shape_id: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 from pcretrieve.catalogue import Content, Record
@@ -16,6 +15,7 @@ from pcretrieve.errors import (
     UnexpectedError,
     WorkerDied,
 )
+from pcretrieve.formats import ScanPath
 from pcretrieve.options import PipelineOptions, SurfaceOptions
 from pcretrieve.values import Step
 
@@ -42,7 +42,7 @@ class Attempt:
     n_taken: number of changes that were made, or left out, so far.
     """
 
-    path: Path
+    path: ScanPath
     record: Record
     changes: Changes = field(default_factory=dict)
     n_taken: int = 0
@@ -76,7 +76,7 @@ class Work:
         return content_of(attempt.path, self.options.changed(surface=attempt.changes))
 
 
-def content_of(path: Path, options: PipelineOptions) -> Content:
+def content_of(path: ScanPath, options: PipelineOptions) -> Content:
     """Process one scan."""
     from pcretrieve.pipeline.process import process, signature_of
 

@@ -14,6 +14,7 @@ import stat
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -26,8 +27,9 @@ from pcretrieve.errors import (
     ShapeError,
     did_you_mean,
 )
-from pcretrieve.formats import Part, is_scan, members_of, parts_of, split_member
-from pcretrieve.formats.format import no_parts, url_of
+from pcretrieve.formats import Part, ScanPath, is_scan, members_of, parts_of
+from pcretrieve.formats.format import no_parts
+from pcretrieve.formats.identity import printable
 from pcretrieve.formats.registry import FORMATS, instead, suffixes
 from pcretrieve.formats.remote import remote_files
 from pcretrieve.formats.text import is_table
@@ -55,46 +57,47 @@ END = 4096
 
 
 def discover(
-    arguments: Sequence[str | Path],
+    arguments: Sequence[str | Path | ScanPath],
     beside: Iterable[str | Path] = (),
     limits: Mapping[str, Any] | None = None,
-) -> list[Path]:
-    """Find the files of scans; a warning names the files in a folder that are not scans, nor in `beside`.
+) -> list[ScanPath]:
+    """Find scans; a warning names the files in a folder that are not scans, nor in `beside`.
 
     limits: of processes that list folders at URLs and look into files; without limits, this process does.
     """
     check_many("paths", arguments)
     groups = [_expand(argument, limits) for argument in arguments]
     looks = looked_into(
-        dict.fromkeys(file for group in groups for file in group.files), limits
+        dict.fromkeys(scan for group in groups for scan in group.scans), limits
     )
     found = {
-        _absolute(file): looks[file]
+        _absolute(scan): looks[scan]
         for group in groups
-        for file in group.files
-        if group.are_named or looks[file].is_scan
+        for scan in group.scans
+        if group.are_named or looks[scan].is_scan
     }
     parts = {part.path for look in found.values() for part in look.parts}
-    expected = {*found, *parts, *(_absolute(Path(path)) for path in beside)}
+    expected = {_absolute(ScanPath(Path(path))).file for path in beside}
+    expected |= parts | {scan.file for scan in found}
     for group in groups:
-        rest = [_absolute(file) for file in group.files if not looks[file].is_scan]
+        rest = [_absolute(scan).file for scan in group.scans if not looks[scan].is_scan]
         unread = unread_files(file for file in rest if file not in expected)
-        if len(rest) == len(group.files) and not group.are_named:
+        if len(rest) == len(group.scans) and not group.are_named:
             left = f", but {unread}" if unread else ""
             raise InputError(
                 f"{group.name} names no scans{left}; known are {' '.join(sorted(suffixes()))}"
             )
         if unread:
             logger.warning("left unread in %s: %s", group.name, unread)
-    whole = {file: look for file, look in found.items() if file not in parts}
     return [
-        scan
-        for file, look in whole.items()
-        for scan in map(_absolute, look.members or (file,))
+        _absolute(member)
+        for scan, look in found.items()
+        if scan.file not in parts
+        for member in look.members or (scan,)
     ]
 
 
-def shape_ids(paths: Collection[str], taken: Mapping[str, str]) -> dict[str, str]:
+def shape_ids(scans: Mapping[str, ScanPath], taken: Mapping[str, str]) -> dict[str, str]:
     """Choose an id for each path: its name without suffix, with a number if another path has this id.
 
     That of a scan ``file.suffix#name`` is ``file#name``. `taken` has the paths of the ids there are.
@@ -106,17 +109,16 @@ def shape_ids(paths: Collection[str], taken: Mapping[str, str]) -> dict[str, str
     ids = {path: shape_id for shape_id, path in taken.items()}
     # The further ids of each name, of which those before are taken.
     further: dict[str, Iterator[str]] = {}
-    for path in paths:
+    for path, scan in scans.items():
         if path not in ids:
-            file, name = split_member(Path(path))
-            stem = file.stem if name is None else f"{file.stem}#{name}"
+            stem = printable(replace(scan, file=Path(scan.file.stem), url=None))
             numbered = further.setdefault(stem, map(partial(numbered_id, stem), count(1)))
             ids[path] = next(one for one in numbered if one not in used)
             used.add(ids[path])
-    return {path: ids[path] for path in paths}
+    return {path: ids[path] for path in scans}
 
 
-def scans_of(shard: str | None, scans: Sequence[Path]) -> Sequence[Path]:
+def scans_of(shard: str | None, scans: Sequence[ScanPath]) -> Sequence[ScanPath]:
     """The scans of the shard ``I/N`` of a job array; copies of a file are in its shard, by their content."""
     if shard is None:
         return scans
@@ -152,35 +154,34 @@ def unread_files(paths: Iterable[Path]) -> str:
 class _Group(NamedTuple):
     """The files that an argument means: those that it names, or those of which the scans are meant."""
 
-    name: str | Path
-    files: list[Path]
+    name: ScanPath
+    scans: list[ScanPath]
     are_named: bool
 
 
-def _expand(argument: str | Path, limits: Mapping[str, Any] | None) -> _Group:
+def _expand(argument: str | Path | ScanPath, limits: Mapping[str, Any] | None) -> _Group:
     """The files that one argument means."""
     if not str(argument):
         raise InputError("a path must not be empty: name a file or a folder")
-    path, meant = Path(argument), ""
-    url = url_of(path)
+    path, meant = Path(str(argument)), ""
+    place = ScanPath.parse(argument)
     are_named = False
     try:
-        if url is not None:
+        if place.url is not None:
             # The file of a URL with the suffix of a format, whatever it has; else the scans in a folder.
-            are_named = split_member(path)[0].suffix.lower() in suffixes()
-            are_named &= not glob.has_magic(path.name)
-            files = [path] if are_named else _listed(path, limits)
+            are_named = place.suffix in suffixes() and not glob.has_magic(place.name)
+            scans = [place] if are_named else _listed(place.url, limits)
         elif path.is_dir():
-            files = _files_below(path)
+            scans = _files_below(path)
         elif path.exists():
-            files, are_named = _named_by(path), True
-        elif split_member(path)[0].exists():
-            files, are_named = [path], True
+            scans, are_named = _named_by(path), True
+        elif place.file.exists():
+            scans, are_named = [place], True
         elif glob.has_magic(str(argument)):
             matches = in_order(map(Path, glob.glob(str(argument), recursive=True)))
             are_named = path.suffix.lower() in MANIFESTS and bool(matches)
             within = _named_by if are_named else _files_below
-            files = [file for match in matches for file in within(match)]
+            scans = [scan for match in matches for scan in within(match)]
         else:
             with suppress(OSError):
                 meant = did_you_mean(
@@ -189,26 +190,27 @@ def _expand(argument: str | Path, limits: Mapping[str, Any] | None) -> _Group:
             raise InputError(f"there is no file or folder {path}{meant}")
     except OSError as error:
         raise InputError(f"cannot look into {path}: {error.strerror}") from error
-    return _Group(url or path, files, are_named)
+    return _Group(place, scans, are_named)
 
 
-def _listed(path: Path, limits: Mapping[str, Any] | None) -> list[Path]:
+def _listed(url: str, limits: Mapping[str, Any] | None) -> list[ScanPath]:
     """The files in a folder at a URL, listed by an isolated process: a server may never end, or be silent."""
     try:
         if limits is None:
-            return remote_files(path)
+            return remote_files(url)
         memory = min(limits["memory"] or LISTING_MEMORY, LISTING_MEMORY)
-        return alone(remote_files, path, timeout=limits["timeout"], memory=memory)
+        return alone(remote_files, url, timeout=limits["timeout"], memory=memory)
     except ShapeError as error:
         raise InputError(
-            f"cannot look into {url_of(path)}: {error.message}; or name its files in a list (.txt)"
+            f"cannot look into {url}: {error.message}; or name its files in a list (.txt)"
         ) from error
 
 
-def _named_by(path: Path) -> list[Path]:
+def _named_by(path: Path) -> list[ScanPath]:
     """The scans that a manifest names, or the file itself."""
-    if path.suffix.lower() not in MANIFESTS or is_scan(path):
-        return [path]
+    itself = ScanPath.parse(path)
+    if path.suffix.lower() not in MANIFESTS or is_scan(itself):
+        return [itself]
     if path.exists() and not path.is_file():  # reading a pipe or a device may never end
         raise InputError(
             f"the manifest {path} must be a regular file, not a pipe or a device"
@@ -216,7 +218,7 @@ def _named_by(path: Path) -> list[Path]:
     text = read_text(path, "manifest")
     if path.suffix.lower() == ".csv":
         if DECIMALS.search(text.partition("\n")[0]):  # no header, but a row of a table
-            return [path]
+            return [itself]
         names = [name for (name,) in read_table(path, "manifest", text, PATH_COLUMNS)]
     else:
         # Not by splitlines: names may have its other separators, such as U+2028.
@@ -224,21 +226,23 @@ def _named_by(path: Path) -> list[Path]:
             line.strip() for line in text.split("\n") if not line.lstrip().startswith("#")
         ]
     # Missing files are not an error here: reading them fails later, as a failure of one shape.
+    named = [ScanPath.parse(name) for name in names if name]
     scans = [
-        Path(name) if url_of(Path(name)) else path.parent / name for name in names if name
+        scan if scan.url else replace(scan, file=path.parent / scan.file)
+        for scan in named
     ]
     # Unless all are: it is a table with a row that is none, of which its reader tells.
     if scans and not any(map(_is_there, scans)):
-        return [path]
+        return [itself]
     if not scans:
         raise InputError(f"the manifest {path} names no scans")
     return scans
 
 
-def _is_there(scan: Path) -> bool:
+def _is_there(scan: ScanPath) -> bool:
     """Whether a scan is a file that is there, or at a URL."""
     with suppress(OSError, ValueError):  # of a name that the system does not take
-        return url_of(scan) is not None or split_member(scan)[0].exists()
+        return scan.url is not None or scan.file.exists()
     return False
 
 
@@ -298,7 +302,7 @@ def read_table(
         ) from error
 
 
-def _files_below(path: Path) -> list[Path]:
+def _files_below(path: Path) -> list[ScanPath]:
     """The path itself, or all files in a folder; without hidden files."""
     # Broken symbolic links are included: reading them fails later, as a failure of one shape. Subfolders that
     # must not be read are skipped with a warning, because there is one (lost+found) on every disk.
@@ -318,7 +322,7 @@ def _files_below(path: Path) -> list[Path]:
         )
     else:
         found = [path]
-    return [file for file in found if not file.name.startswith(".")]
+    return [ScanPath.parse(file) for file in found if not file.name.startswith(".")]
 
 
 class Look(NamedTuple):
@@ -326,35 +330,34 @@ class Look(NamedTuple):
 
     is_scan: bool
     parts: tuple[Part, ...] = ()
-    members: tuple[Path, ...] = ()
+    members: tuple[ScanPath, ...] = ()
 
 
 def looked_into(
-    files: Collection[Path],
+    scans: Collection[ScanPath],
     limits: Mapping[str, Any] | None,
-    idle: list[Worker[Path, Look]] | None = None,
-) -> dict[Path, Look]:
+    idle: list[Worker[ScanPath, Look]] | None = None,
+) -> dict[ScanPath, Look]:
     """What files are. Isolated processes open those that may be long to read, and may use all memory.
 
     limits, idle: of `in_processes`; without limits, this process opens all files.
     """
-    hidden = [file for file in files if limits is not None and not _is_plain(file)]
+    hidden = [scan for scan in scans if limits is not None and not _is_plain(scan)]
     isolated = in_processes(_look, hidden, idle=idle, **limits or {})
     opened = dict(isolated)
     looks = {}
-    for file in files:
-        look = opened[file] if file in opened else _look(file)
+    for scan in scans:
+        look = opened[scan] if scan in opened else _look(scan)
         # Reading a file as a scan will report why it cannot be looked into.
-        looks[file] = Look(True) if isinstance(look, PcretrieveError) else look
+        looks[scan] = Look(True) if isinstance(look, PcretrieveError) else look
     return looks
 
 
-def _is_plain(path: Path) -> bool:
+def _is_plain(scan: ScanPath) -> bool:
     """Whether at most the first bytes of a file say what it is. A file at a URL is not looked into."""
-    suffix = split_member(path)[0].suffix.lower()
-    if url_of(path) is not None or suffix not in suffixes():
+    if scan.url is not None or scan.suffix not in suffixes():
         return True
-    own = FORMATS.own.get(suffix)
+    own = FORMATS.own.get(scan.suffix)
     return (
         own is not None
         and own.names is None
@@ -363,30 +366,38 @@ def _is_plain(path: Path) -> bool:
     )
 
 
-def _look(path: Path) -> Look:
+def _look(scan: ScanPath) -> Look:
     look = Look(True)
     # A name from a manifest may be none that the system takes; reading it as a scan will report that too.
     with suppress(Exception):
-        look = look._replace(is_scan=is_scan(path))
-    if url_of(path) is None:
+        look = look._replace(is_scan=is_scan(scan))
+    if scan.url is None:
         with suppress(Exception):
-            look = look._replace(members=members_of(path))
+            members = members_of(scan.file) if scan.member is None else ()
+            look = look._replace(members=members)
         with suppress(Exception):
-            parts = (Part(_absolute(part.path), part.pose) for part in parts_of(path))
+            parts = (
+                Part(_absolute(ScanPath(part.path)).file, part.pose)
+                for part in parts_of(scan.file)
+            )
             look = look._replace(parts=tuple(parts))
     return look
 
 
-def _absolute(path: Path) -> Path:
-    """An absolute path without ``..``, or that of a URL. Symbolic links to files are not resolved."""
-    if url_of(path) is not None:
-        return path
-    return path.parent.resolve() / path.name if ".." in path.parts else path.absolute()
+def _absolute(scan: ScanPath) -> ScanPath:
+    """The place by an absolute path without ``..``. Symbolic links to files are not resolved."""
+    path = scan.file
+    if scan.url is not None:
+        return scan
+    is_plain = ".." not in path.parts
+    return replace(
+        scan, file=path.absolute() if is_plain else path.parent.resolve() / path.name
+    )
 
 
-def _shard_key(scan: Path) -> bytes:
+def _shard_key(scan: ScanPath) -> bytes:
     """A hash of the size and the ends of a file; of the path, if the file cannot be read."""
-    file, name = split_member(scan)
+    file, name = scan.file, scan.member
     with suppress(OSError, ValueError):
         status = file.stat()
         if stat.S_ISREG(status.st_mode):  # reading a pipe would wait
@@ -395,4 +406,4 @@ def _shard_key(scan: Path) -> bytes:
                 opened.seek(max(status.st_size - END, 0))
                 ends = b"%d" % status.st_size + first + opened.read(END)
             return hashlib.sha256(os.fsencode(name or "") + ends).digest()
-    return hashlib.sha256(os.fsencode(scan)).digest()
+    return hashlib.sha256(os.fsencode(str(scan))).digest()

@@ -14,7 +14,7 @@ from pathlib import Path, PureWindowsPath
 from typing import Any, NamedTuple
 
 from pcretrieve.errors import BenchmarkError, InputError
-from pcretrieve.formats import split_member
+from pcretrieve.formats import ScanPath
 from pcretrieve.ingestion.discover import discover, read_table, read_text
 
 NAME_COLUMNS = ("file", "path", "filename", "name", "id", "shape")
@@ -75,7 +75,7 @@ def discover_labelled(
     labels: str | Path | None,
     beside: Iterable[str | Path] = (),
     limits: Mapping[str, Any] | None = None,
-) -> tuple[list[Path], dict[str, str]]:
+) -> tuple[list[ScanPath], dict[str, str]]:
     """Find the files of scans, as by `discover`, and their classes."""
     layout = LAYOUTS.get(str(labels), Layout())
     folders = [Path(argument) for argument in arguments if Path(argument).is_dir()]
@@ -84,15 +84,15 @@ def discover_labelled(
     )
     files = [*beside, *named, *([] if labels is None else [labels])]
     scans = discover(arguments, files, limits)
-    return scans, {} if labels is None else labels_of(labels, scans)
+    return scans, {} if labels is None else labels_of(labels, map(str, scans))
 
 
-def labels_of(labels: str | Path, scans: Iterable[str | Path]) -> dict[str, str]:
-    """The classes that a label file, or the layout of a published set, gives."""
+def labels_of(labels: str | Path, scans: Iterable[str]) -> dict[str, str]:
+    """The classes that a label file, or the layout of a published set, gives to scans by their paths."""
     layout = LAYOUTS.get(str(labels))
     if layout is None:
         return read_labels(labels)
-    paths = {str(path): split_member(Path(path))[0] for path in scans}
+    paths = {path: ScanPath.parse(path).file for path in scans}
     if layout.files:
         found = _from_files(str(labels), layout, paths)
     else:

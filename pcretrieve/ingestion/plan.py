@@ -29,8 +29,7 @@ from pcretrieve.errors import (
     did_you_mean,
     shape_error,
 )
-from pcretrieve.formats import split_member
-from pcretrieve.formats.format import url_of
+from pcretrieve.formats import ScanPath
 from pcretrieve.formats.identity import file_hash, printable, scan_hash, stamp_of
 from pcretrieve.ingestion.discover import shape_ids
 from pcretrieve.ingestion.labels import match_labels
@@ -107,7 +106,7 @@ class Plan:
     # Files with the same content as another file, and the record of the other file.
     duplicates: list[tuple[str, Record]] = field(default_factory=list)
     # Scans that must be processed, and their new records; the id may still change.
-    process: list[tuple[Path, Record]] = field(default_factory=list)
+    process: list[tuple[ScanPath, Record]] = field(default_factory=list)
     unreadable: list[Record] = field(
         default_factory=list
     )  # failures of files that cannot be read
@@ -143,17 +142,17 @@ class Planner:
 
     def __init__(
         self,
-        paths: Sequence[Path],
+        scans: Sequence[ScanPath],
         records: Sequence[Record],
         how: Processing,
         labels: Mapping[str, str] | None = None,
-        part: Collection[Path] | None = None,
+        part: Collection[ScanPath] | None = None,
     ) -> None:
         labels = labels or {}
-        self.files = {printable(path): path for path in paths}
+        self.files = {printable(scan): scan for scan in scans}
         chosen = None if part is None else {*part}
         self.names = [
-            name for name, path in self.files.items() if chosen is None or path in chosen
+            name for name, scan in self.files.items() if chosen is None or scan in chosen
         ]
         n_threads = how.workers or len(os.sched_getaffinity(0))
         self.contents = Contents(self.files, n_threads, how.timeout, records)
@@ -175,7 +174,7 @@ class Planner:
         self._queued: dict[Identity, Record] = {}
         for record in records:
             if record.content_hash:
-                identity = _identity(record.path, record.content_hash)
+                identity = _identity(ScanPath.parse(record.path), record.content_hash)
                 self._same.setdefault(identity, []).append(record)
                 if record.path not in self.files and _is_gone(record.path):
                     self._gone[identity] = record
@@ -211,7 +210,7 @@ class Planner:
         if isinstance(content, ShapeError):
             made.unreadable.append(failed(self._record(name), content))
             return
-        identity = _identity(name, content)
+        identity = _identity(self.files[name], content)
         if name not in self._held and (old := self._gone.pop(identity, None)):
             made.moved[old.path] = name
             self._rename(old, name)
@@ -249,7 +248,7 @@ class Planner:
         record = replace(old, path=name)
         self._held[name] = record
         self._ids[name] = record.id
-        same = self._same[_identity(old.path, old.content_hash)]
+        same = self._same[_identity(ScanPath.parse(old.path), old.content_hash)]
         same[same.index(old)] = record
         if record.id in self._labels_left:
             self._labels.setdefault(name, self._labels_left.pop(record.id))
@@ -290,17 +289,17 @@ def _check_labels(
         logger.warning(words, *classes)
 
 
-def _identity(path: str, content: str) -> Identity:
+def _identity(scan: ScanPath, content: str) -> Identity:
     """The identity of a scan: the suffix belongs to it, because it determines how the bytes are read."""
-    file, _ = split_member(Path(path))
-    return file.suffix.lower(), content
+    return scan.suffix, content
 
 
 def _is_gone(path: str) -> bool:
     """Whether there is no such file; false if that is unknown, as at a URL or without permission."""
+    scan = ScanPath.parse(path)
     try:
-        if url_of(Path(path)) is None:
-            split_member(Path(path))[0].stat()
+        if scan.url is None:
+            scan.file.stat()
     except (FileNotFoundError, NotADirectoryError):
         return True
     except OSError:
@@ -317,12 +316,12 @@ class Contents:
 
     def __init__(
         self,
-        scans: Mapping[str, Path],
+        scans: Mapping[str, ScanPath],
         n_threads: int,
         timeout: float,
         records: Iterable[Record] = (),
     ) -> None:
-        self._files = {name: split_member(scan)[0] for name, scan in scans.items()}
+        self._files = {name: scan.whole for name, scan in scans.items()}
         self._scans, self._timeout = scans, timeout
         self._records = {
             record.path: record
@@ -332,10 +331,9 @@ class Contents:
         self._stamps_of_records = self._by_file()
         self._turns = Semaphore(n_threads)
         self._is_closed = False
-        self._hashes: dict[
-            Path, Future[str | None]
-        ] = {}  # None: the file has not changed
-        self._stamps: dict[Path, str] = {}
+        # None: the file has not changed.
+        self._hashes: dict[ScanPath, Future[str | None]] = {}
+        self._stamps: dict[ScanPath, str] = {}
 
     def expect(self, names: Iterable[str]) -> None:
         """Begin to hash scans in the background."""
@@ -369,9 +367,9 @@ class Contents:
         """Hash no more files."""
         self._is_closed = True
 
-    def _by_file(self) -> dict[Path, str]:
+    def _by_file(self) -> dict[ScanPath, str]:
         """The stamps of the files whose scans all have a record with the same stamp."""
-        found: dict[Path, set[str | None]] = {}
+        found: dict[ScanPath, set[str | None]] = {}
         for name, file in self._files.items() if self._records else ():
             record = self._records.get(name)
             found.setdefault(file, set()).add(record.stamp if record else None)
@@ -381,7 +379,7 @@ class Contents:
             if stamp and not others
         }
 
-    def _read(self, file: Path) -> None:
+    def _read(self, file: ScanPath) -> None:
         # Without a turn too, when threads hang for so long.
         has_turn = self._turns.acquire(timeout=self._timeout)
         try:
@@ -393,7 +391,7 @@ class Contents:
             if has_turn:
                 self._turns.release()
 
-    def _hash(self, file: Path) -> str | None:
+    def _hash(self, file: ScanPath) -> str | None:
         now, stamp = time.time(), stamp_of(file)
         if stamp is not None and stamp.text == self._stamps_of_records.get(file):
             return None

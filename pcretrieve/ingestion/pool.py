@@ -237,8 +237,8 @@ def _no_start(worker: Worker[Any, Any]) -> str:
 
 def _name(item: object) -> str:
     """The name of an item in the log: that of its scan, if it has or is the path of a scan."""
-    path = getattr(item, "path", item)
-    return path.name if isinstance(path, Path) else "a call"
+    name = getattr(getattr(item, "path", item), "name", None)
+    return name if isinstance(name, str) else "a call"
 
 
 class Worker(Generic[Item, Answer]):

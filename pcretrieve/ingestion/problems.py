@@ -13,7 +13,7 @@ from pathlib import Path
 from sqlite3 import sqlite_version
 
 from pcretrieve.errors import PcretrieveError, ScanReadError
-from pcretrieve.formats import parts_of, split_member
+from pcretrieve.formats import ScanPath, parts_of
 from pcretrieve.formats.identity import content_hash
 from pcretrieve.formats.write import check_output
 from pcretrieve.ingestion.plan import versions
@@ -64,8 +64,9 @@ def report_problem(
     ScanReadError
         If the scan cannot be opened.
     """
-    scan, output, options = Path(scan), Path(output), PipelineOptions.of(options)
-    file, member = split_member(scan)
+    output, options = Path(output), PipelineOptions.of(options)
+    place = ScanPath.parse(scan)
+    file = place.file
     check_output(output, [file])
     parts: list[Path] = []
     with suppress(ScanReadError, OSError):  # which is then what is reported
@@ -78,15 +79,15 @@ def report_problem(
         "options_digest": options.digest,
         "scan": {
             "name": file.name,
-            "member": member,
+            "member": place.member,
             "bytes": file.stat().st_size if file.is_file() else None,
-            "content_hash": None if missing else content_hash(scan),
+            "content_hash": None if missing else content_hash(place),
             "missing": missing,
         },
     }
     log = "The process ended before it returned its log.\n"
     try:
-        measured, log = alone(_measured, scan, options, timeout=timeout, memory=memory)
+        measured, log = alone(_measured, place, options, timeout=timeout, memory=memory)
         found |= measured
     except PcretrieveError as error:  # the process crashed, or exceeded its limits
         found["failure"] = {
@@ -121,7 +122,7 @@ def _without_folder(text: str, file: Path) -> str:
     return text
 
 
-def _measured(scan: Path, options: PipelineOptions) -> tuple[dict[str, object], str]:
+def _measured(scan: ScanPath, options: PipelineOptions) -> tuple[dict[str, object], str]:
     """What can be measured of a scan, and the log of its processing, in a process of its own."""
     log = io.StringIO()
     handler = logging.StreamHandler(log)

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from sqlite3 import sqlite_version
 from typing import Literal, NamedTuple
 
@@ -20,6 +19,7 @@ from pcretrieve.catalogue.arrays import stored_shape, unpacked, unpacked_values
 from pcretrieve.catalogue.cache import remove_kept
 from pcretrieve.catalogue.records import OWN, ChangedRow, Entry, Payload, repeated
 from pcretrieve.errors import CatalogueError, InputError, PcretrieveError, ShapeError
+from pcretrieve.formats import ScanPath
 from pcretrieve.formats.identity import content_hash
 from pcretrieve.formats.remote import Remote, check_remote
 from pcretrieve.ingestion.attempts import content_of
@@ -116,7 +116,7 @@ def check(
         ):  # which is a defect that the check of the database finds
             chosen += _sample(store, sample, seed)
         if not _has_meshes(store):
-            check_remote([record.path for record in chosen], remote, store.location)
+            check_remote(map(_place, chosen), remote, store.location)
         defects = find_defects(store, repair=repair, on_shapes=on_shapes)
         is_broken = any(
             defect.kind == "database" and defect.repair is None for defect in defects
@@ -188,18 +188,23 @@ def _tasks(catalogue: Catalogue, records: Iterable[Record]) -> Iterator[_Task]:
             yield _Task(record, stored, meshes if has_meshes else ())
 
 
+def _place(record: Record) -> ScanPath:
+    """Where the scan of a shape was."""
+    return ScanPath.parse(record.path)
+
+
 def _again(options: PipelineOptions, task: _Task) -> FloatArray | None:
     """The signature of a shape; None if its file is not there any more, or has changed."""
     if task.meshes:
         from pcretrieve.pipeline.process import signature_of_surfaces
 
         return signature_of_surfaces(task.meshes, options).values
-    path = Path(task.record.path)
+    scan = _place(task.record)
     try:
-        is_same = content_hash(path) == task.record.content_hash
+        is_same = content_hash(scan) == task.record.content_hash
     except ShapeError:
         is_same = False
-    return content_of(path, options).signature if is_same else None
+    return content_of(scan, options).signature if is_same else None
 
 
 # --- what is stored -------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from typing import Any
 
 from pcretrieve.catalogue import Catalogue, CatalogueLike, Content, Record
 from pcretrieve.errors import InputError, PcretrieveError
+from pcretrieve.formats import ScanPath
 from pcretrieve.formats.identity import printable
 from pcretrieve.formats.remote import Remote, check_remote
 from pcretrieve.ingestion.attempts import Attempt, Work, next_attempt
@@ -223,10 +224,12 @@ def retry(
     how = Processing(workers, timeout, memory, executor, True, retries, None, on_shape)
     with Catalogue.opened(catalogue) as store:
         failures = store.records(status="failed")
-        paths = [
-            Path(record.path) for record in failures if stage in (None, record.stage)
+        scans = [
+            ScanPath.parse(record.path)
+            for record in failures
+            if stage in (None, record.stage)
         ]
-        if not paths:
+        if not scans:
             stages = (
                 ", ".join(sorted({str(record.stage) for record in failures})) or "none"
             )
@@ -238,9 +241,9 @@ def retry(
                     else ""
                 )
             )
-        check_remote(map(str, paths), remote, store.location)
-        on_start(len(paths))
-        return process_scans(paths, store, how)
+        check_remote(scans, remote, store.location)
+        on_start(len(scans))
+        return process_scans(scans, store, how)
 
 
 def watch(
@@ -302,17 +305,17 @@ def watch(
 
 
 def process_scans(
-    paths: Sequence[Path],
+    scans: Sequence[ScanPath],
     catalogue: Catalogue,
     how: Processing,
     *,
     labels: Mapping[str, str] | None = None,
-    part: Collection[Path] | None = None,
+    part: Collection[ScanPath] | None = None,
 ) -> Summary:
     """Process scans, those of a shard or all, and store each result, or failure, as soon as it is there."""
     remove_abandoned()  # also where nothing is left to do after a kill
     records = catalogue.rows.origins()
-    planner = Planner(paths, records, how, labels, part)
+    planner = Planner(scans, records, how, labels, part)
     with closing(planner.contents):
         if changed := planner.changed(records):
             catalogue.rows.revise(removed=changed)
@@ -454,7 +457,7 @@ class Arrivals:
             )
         self._folder = folder.absolute()
         self._limits = limits
-        self._idle: list[Worker[Path, Look]] = []
+        self._idle: list[Worker[ScanPath, Look]] = []
         self._seen: dict[Path, State] = {}
         self._given: dict[Path, State] = {}
 
@@ -466,12 +469,12 @@ class Arrivals:
         now: dict[Path, State] = {}
         owned: set[Path] = set()
         files = [
-            Path(place, name)
+            ScanPath.parse(Path(place, name))
             for place, _, names in os.walk(self._folder)
             for name in names
             if not name.startswith(".")
         ]
-        for path, look in looked_into(files, self._limits, self._idle).items():
+        for scan, look in looked_into(files, self._limits, self._idle).items():
             if look.is_scan:
                 owned.update(part.path for part in look.parts)
                 needed = (
@@ -482,8 +485,8 @@ class Arrivals:
                 with suppress(
                     OSError
                 ):  # it has vanished meanwhile, or a view is not there yet
-                    states = (file.stat() for file in (path, *needed))
-                    now[path] = tuple(
+                    states = (file.stat() for file in (scan.file, *needed))
+                    now[scan.file] = tuple(
                         (one.st_ino, one.st_size, one.st_mtime_ns) for one in states
                     )
         found = [

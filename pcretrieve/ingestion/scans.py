@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
 from pcretrieve.errors import InputError, PcretrieveError, ShapeError, Stage
-from pcretrieve.formats import split_member
+from pcretrieve.formats import ScanPath
 from pcretrieve.formats.identity import printable
 from pcretrieve.formats.write import check_output
 from pcretrieve.ingestion.discover import discover, shape_ids
@@ -22,7 +22,7 @@ Found = TypeVar("Found")
 class _Task(NamedTuple):
     """A scan, and the file that is written for it."""
 
-    path: Path
+    path: ScanPath
     file: Path | None
 
 
@@ -118,15 +118,18 @@ class _Applied:
         compile_stages()
 
     def __call__(self, task: _Task) -> Any:
+        path = Path(str(task.path))
         return (
-            self.function(task.path)
-            if task.file is None
-            else self.function(task.path, task.file)
+            self.function(path) if task.file is None else self.function(path, task.file)
         )
 
 
 def _files(
-    paths: Sequence[Path], scans: Sequence[Path], output: Path, suffix: str, kind: Any
+    paths: Sequence[Path],
+    scans: Sequence[ScanPath],
+    output: Path,
+    suffix: str,
+    kind: Any,
 ) -> list[Path | None]:
     """The file of each scan, in a folder that is made, or the file of the only one."""
     folders = [path for path in paths if path.is_dir()]
@@ -135,7 +138,7 @@ def _files(
             f"{paths[0]} names {len(scans)} scans: name one of them, such as {scans[0]}"
         )
     if not folders:
-        check_output(output, [split_member(scan)[0] for scan in scans], kind)
+        check_output(output, [scan.file for scan in scans], kind)
         return [output]
     for folder in folders:
         if output.resolve().is_relative_to(folder.resolve()):
@@ -143,7 +146,7 @@ def _files(
                 f"{output} is in {folder}, whose files are read: name another folder with -o"
             )
     make_folder(output)
-    names = shape_ids([printable(scan) for scan in scans], {}).values()
+    names = shape_ids({printable(scan): scan for scan in scans}, {}).values()
     files: list[Path | None] = [output / f"{name}{suffix}" for name in names]
     check_no_links(filter(None, files))
     return files

@@ -13,10 +13,9 @@ import numpy as np
 from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.formats import (
     ScanLike,
+    ScanPath,
     as_scan,
     parts_of,
-    read_scan,
-    split_member,
     write_cloud,
 )
 from pcretrieve.formats.conf import image_poses, trajectory_file
@@ -85,7 +84,7 @@ def merge_views(
     limits = None if timeout is None else {"timeout": timeout, "memory": memory}
     files = view_files(paths, limits)[0] if len(paths) == len(named) else []
     if output is not None:
-        check_output(Path(output), files, "point")
+        check_output(Path(output), [scan.file for scan in files], "point")
     if not files:
         merged = merge_clouds(
             [as_cloud(as_scan(view)) for view in named], chosen.merge, chosen.scan
@@ -108,34 +107,36 @@ def _merged(paths: Sequence[str | Path], options: PipelineOptions) -> Merged:
 
 def view_files(
     paths: Sequence[str | Path], limits: Mapping[str, float | None] | None = None
-) -> tuple[list[Path], FloatArray | None]:
+) -> tuple[list[ScanPath], FloatArray | None]:
     """Find the files of views, as `discover` does, and their poses.
 
     Returns poses : (v, 4, 4) float64 or None: rigid motions of the views into a common frame, if the files,
         or a trajectory beside them, give those of all views.
     """
-    files = discover(paths, limits=limits)
-    for file in files:
+    scans = discover(paths, limits=limits)
+    for scan in scans:
         try:
-            views = [view for view in parts_of(file) if view.pose is not None]
+            views = [view for view in parts_of(scan.file) if view.pose is not None]
         except (ScanReadError, OSError) as error:
             cause = error.message if isinstance(error, ScanReadError) else error.strerror
-            raise ScanReadError(f"{file}: {cause}") from error
-        if views and len(files) > 1:
+            raise ScanReadError(f"{scan}: {cause}") from error
+        if views and len(scans) > 1:
             raise InputError(
-                f"a {file.suffix} names all views of its cloud, got {len(files)} files with {file}"
+                f"a {scan.file.suffix} names all views of its cloud, got {len(scans)} files with {scan}"
             )
         if views:
-            return [view.path for view in views], np.array([view.pose for view in views])
-    trajectory = trajectory_file(files)
+            named = [ScanPath.parse(view.path) for view in views]
+            return named, np.array([view.pose for view in views])
+    images = [scan.file for scan in scans]
+    trajectory = trajectory_file(images)
     if trajectory is None:
-        return files, None
-    poses = [pose for pose in image_poses(files, trajectory) if pose is not None]
-    if len(poses) < len(files):
+        return scans, None
+    poses = [pose for pose in image_poses(images, trajectory) if pose is not None]
+    if len(poses) < len(images):
         words = "%s has no pose at the time of %d of %d images: all poses are searched"
-        logger.warning(words, trajectory, len(files) - len(poses), len(files))
-        return files, None
-    return files, np.array(poses)
+        logger.warning(words, trajectory, len(images) - len(poses), len(images))
+        return scans, None
+    return scans, np.array(poses)
 
 
 def read_views(paths: Sequence[str | Path]) -> Views:
@@ -144,12 +145,8 @@ def read_views(paths: Sequence[str | Path]) -> Views:
     Scans of one file are in its common frame, unless all sensors are at one place, as without poses.
     """
     files, poses = view_files(paths)
-    clouds = [as_cloud(read_scan(file)) for file in files]
-    if (
-        poses is None
-        and len(clouds) > 1
-        and len({split_member(file)[0] for file in files}) == 1
-    ):
+    clouds = [as_cloud(as_scan(file)) for file in files]
+    if poses is None and len(clouds) > 1 and len({file.whole for file in files}) == 1:
         sensors = {
             tuple(cloud.viewpoints[0]) for cloud in clouds if cloud.viewpoints is not None
         }

@@ -35,7 +35,7 @@ from pcretrieve.pages.inspection_pictures import (
 )
 from pcretrieve.pages.scene import VIEWER_SIZE, Cube
 from pcretrieve.values.conversion import GeometryLike
-from pcretrieve.values.files import check_target, write_file
+from pcretrieve.values.files import write_file
 
 # Number of points that were removed, side by side, across half of the 3D viewer.
 REMOVED_IN_VIEW = 90
@@ -85,15 +85,9 @@ def inspect(
     ScanReadError
         If the file is no scan.
     """
-    from pcretrieve.pipeline.inspecting import inspect_scan
+    from pcretrieve.pipeline.inspecting import check_targets, inspect_scan
 
-    # Of one of several scans in a file, too: ``file#name``.
-    read = (
-        (str(scan), str(scan).partition("#")[0]) if isinstance(scan, (str, Path)) else ()
-    )
-    for target in (page, png):
-        if target is not None:
-            check_target(Path(target), [*map(Path, read)])
+    check_targets(scan, page, png)
     found = inspect_scan(scan, options, n_rescans=n_rescans)
     if page is not None:
         write_file(Path(page).absolute(), inspection_html(found))

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from pcretrieve.checks import OUTCOMES, Check, Inspection, findings_of, graded
 from pcretrieve.errors import OptionError, ShapeError
-from pcretrieve.formats import ScanLike, is_scan, split_member
+from pcretrieve.formats import ScanLike, ScanPath, is_scan, located
 from pcretrieve.formats.identity import printable
 from pcretrieve.options import JUDGED, OptionsLike, PipelineOptions
 from pcretrieve.pipeline.process import (
@@ -23,6 +23,7 @@ from pcretrieve.pipeline.process import (
 )
 from pcretrieve.points import outliers
 from pcretrieve.values import Failure, FloatArray, PointCloud
+from pcretrieve.values.files import check_target
 
 # Number of points in each rescan, relative to all points.
 RESCAN_SHARE = 0.9
@@ -30,6 +31,15 @@ RESCAN_SHARE = 0.9
 # Distance to the nearest point that the stage clean left, beyond which it removed a point, in median
 # distances between nearest neighbours: voxels move the points that they keep.
 DROPPED = 1.1
+
+
+def check_targets(scan: ScanLike, *targets: str | Path | None) -> None:
+    """Check that files can be written before a scan is inspected, and that none of them is read for it."""
+    place = located(scan)
+    sources = [place.file] if isinstance(place, ScanPath) else []
+    for target in targets:
+        if target is not None:
+            check_target(Path(target), sources)
 
 
 def inspect_scan(
@@ -47,7 +57,8 @@ def inspect_scan(
         raise OptionError(
             f"the error of rescans needs at least 2 rescans, got {n_rescans}"
         )
-    path = printable(Path(scan)) if isinstance(scan, (str, Path)) else ""
+    scan = located(scan)
+    path = printable(scan) if isinstance(scan, ScanPath) else ""
     name = Path(path).name or "scan"
     seen, shape, described, failure = Seen(), None, None, None
     rescan_errors, rescan_error = None, None
@@ -61,7 +72,7 @@ def inspect_scan(
                 rescan_errors = _rescan_errors(seen.scan, options, n_rescans)
                 rescan_error = float(np.sqrt((rescan_errors**2).sum()))
     except ShapeError as error:
-        if path and seen.scan is None and not is_scan(split_member(Path(path))[0]):
+        if isinstance(scan, ScanPath) and seen.scan is None and not is_scan(scan):
             raise  # a file of another kind, of which there is nothing to show
         failure = Failure(
             name, error.stage or "worker", type(error).__name__, error.message

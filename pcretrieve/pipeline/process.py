@@ -38,7 +38,7 @@ from pcretrieve.errors import (
     in_stage,
     shape_error,
 )
-from pcretrieve.formats import ScanLike, as_scan
+from pcretrieve.formats import ScanLike, ScanPath, as_scan, located
 from pcretrieve.formats.identity import content_hash
 from pcretrieve.options import OptionsLike, PipelineOptions, ScanOptions, SurfaceOptions
 from pcretrieve.pipeline import log_steps
@@ -294,10 +294,11 @@ def remembered(scan: ScanLike, options: PipelineOptions) -> Shape:
     A search over descriptors then makes each surface once. Some 200 shapes are remembered, of about 1 MB.
     """
     with placed(scan), in_stage(Stage.READ):
-        if isinstance(scan, (str, Path)):
-            content = f"{content_hash(Path(scan))}{Path(scan).suffix}"
+        place = located(scan)
+        if isinstance(place, ScanPath):
+            content = f"{content_hash(place)}{place.suffix}"
         else:
-            content = hashlib.sha256(pickle.dumps(as_geometry(scan))).hexdigest()
+            content = hashlib.sha256(pickle.dumps(as_geometry(place))).hexdigest()
     key = content, options.digest
     if key not in _remembered:
         shape = process(scan, options)
@@ -636,4 +637,5 @@ def placed(scan: object) -> Iterator[None]:
 
 def scan_name(scan: object) -> str | None:
     """The name of a scan in messages."""
-    return Path(scan).name if isinstance(scan, (str, Path)) else None
+    is_path = isinstance(scan, (str, Path, ScanPath))
+    return Path(str(scan)).name if is_path else None

@@ -87,7 +87,7 @@ def ingested(
     """A new catalogue of all scans of a folder, open while the context lasts."""
     labels = read_labels(folder / "labels.csv") if labels is None else labels
     with Catalogue(path, options, create=True) as catalogue:
-        yield catalogue, ingest(discover([folder]), catalogue, labels=labels)
+        yield catalogue, ingest(folder, catalogue, labels=labels)
 
 
 def spread(things: Sequence[Thing], n: int | None) -> list[tuple[int, Thing]]:
@@ -103,8 +103,8 @@ def _tosca(data: Path, limit: int | None) -> list[Item]:
     """The meshes of the set TOSCA."""
     labels = read_labels(data / "tosca" / "labels.csv")
     return [
-        Item(number, path.stem, labels[path.name], read_mesh(path))
-        for number, path in spread(discover([data / "tosca"]), limit)
+        Item(number, scan.file.stem, labels[scan.name], read_mesh(scan.file))
+        for number, scan in spread(discover([data / "tosca"]), limit)
     ]
 
 

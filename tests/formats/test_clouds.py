@@ -13,7 +13,7 @@ from scan_files import CUBE, XYZ, cloud, mesh, pcd_header, ply
 
 from pcretrieve import PointCloud
 from pcretrieve.errors import InputError
-from pcretrieve.formats import is_scan, write_cloud, write_mesh
+from pcretrieve.formats import ScanPath, is_scan, write_cloud, write_mesh
 from pcretrieve.surface import defects
 
 POINTS = np.array([[1.5, 2, 3], [4, 5, -6], [7, 8.25, 9], [-1, 0, 2e-3], [0, 0, 0]])
@@ -67,7 +67,7 @@ def test_ways_to_write_a_table(tmp_path: Path) -> None:
         found = cloud(tmp_path / name)
         np.testing.assert_array_equal(found.points, POINTS, err_msg=name)
         assert found.normals is None, name
-        assert is_scan(tmp_path / name), name
+        assert is_scan(ScanPath.parse(tmp_path / name)), name
     (tmp_path / "a.txt").write_text("x\ty\tz\n" + lines("{}\t{}\t{}"), encoding="utf-16")
     np.testing.assert_array_equal(cloud(tmp_path / "a.txt").points, POINTS)
 
@@ -90,11 +90,11 @@ NO_POINTS = {
 def test_what_a_folder_does_not_take_for_points(tmp_path: Path) -> None:
     for name, text in NO_POINTS.items():
         (tmp_path / name).write_text(text)
-        assert not is_scan(tmp_path / name), name
+        assert not is_scan(ScanPath.parse(tmp_path / name)), name
     np.savez(tmp_path / "a.npz", ids=np.array(["a"]), values=np.ones((1, 9)))
     np.save(tmp_path / "a.npy", np.ones((40, 40)))
-    assert not is_scan(tmp_path / "a.npz")
-    assert not is_scan(tmp_path / "a.npy")
+    assert not is_scan(ScanPath.parse(tmp_path / "a.npz"))
+    assert not is_scan(ScanPath.parse(tmp_path / "a.npy"))
 
 
 def test_normals_that_are_named_or_of_unit_length_are_no_colours(tmp_path: Path) -> None:
@@ -164,7 +164,7 @@ def test_arrays_of_points(tmp_path: Path) -> None:
         for name in ("a.npy", "a.npz"):
             expected = array.reshape(-1, array.shape[-1])[:, :3].astype(float)
             np.testing.assert_array_equal(cloud(tmp_path / name).points, expected)
-        assert is_scan(tmp_path / "a.npy")
+        assert is_scan(ScanPath.parse(tmp_path / "a.npy"))
     rows = np.column_stack([BALL.vertices, np.ones(42), NORMALS])
     types = [
         (name, np.float64) for name in ("x", "y", "z", "intensity", "nx", "ny", "nz")
@@ -177,7 +177,7 @@ def test_arrays_of_points(tmp_path: Path) -> None:
     for name in ("records.npy", "table.npy", "named.npz"):
         found = cloud(tmp_path / name)
         np.testing.assert_array_equal(found.points, BALL.vertices)
-        assert found.normals is not None and is_scan(tmp_path / name)
+        assert found.normals is not None and is_scan(ScanPath.parse(tmp_path / name))
         np.testing.assert_allclose(found.normals, NORMALS, atol=1e-12)
     sensors = cloud(tmp_path / "named.npz").viewpoints
     np.testing.assert_array_equal(sensors, np.tile([0, 0, 9.0], (42, 1)))

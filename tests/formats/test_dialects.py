@@ -25,7 +25,7 @@ from scan_files import (
 
 from pcretrieve import read_scan
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats import is_scan
+from pcretrieve.formats import ScanPath, is_scan
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.surface import defects
 
@@ -77,7 +77,7 @@ def test_numbers_of_microsoft_that_are_none(word: str, tmp_path: Path) -> None:
             map(tuple, [*CUBE[1:].tolist(), [0] * 3])
         ), name
         assert "dropped 1 of 9 points that were NaN" in found.provenance[0].notes[0], name
-        assert is_scan(tmp_path / name), name
+        assert is_scan(ScanPath.parse(tmp_path / name)), name
 
 
 def test_comments_behind_numbers(tmp_path: Path) -> None:
@@ -134,11 +134,11 @@ def test_a_table_with_an_odd_row_is_no_list_of_scans(tmp_path: Path) -> None:
         ),
     ):
         assert words in refusal(tmp_path / name, "\n".join(rows))
-        assert discover([tmp_path / name]) == [tmp_path / name]
+        assert discover([tmp_path / name]) == [ScanPath(tmp_path / name)]
     (tmp_path / "list.txt").write_text("gone.ply\na.txt\n")
     assert discover([tmp_path / "list.txt"]) == [
-        tmp_path / "gone.ply",
-        tmp_path / "a.txt",
+        ScanPath(tmp_path / "gone.ply"),
+        ScanPath(tmp_path / "a.txt"),
     ]
 
 

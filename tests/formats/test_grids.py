@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud, read_scan
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats import is_scan, members_of, parts_of
+from pcretrieve.formats import ScanPath, is_scan, members_of, parts_of
 from pcretrieve.formats.depth import KINECTS, TUM_CAMERAS, camera_of
 from pcretrieve.formats.identity import content_hash
 from pcretrieve.formats.registry import read_raw
@@ -97,8 +97,8 @@ def test_millimetres_and_metres(tmp_path: Path) -> None:
     ):
         write(tmp_path / name, image)
         assert is_ball(cloud(tmp_path / name), tolerance=1e-3), name
-        assert read_raw(tmp_path / name).unit == "m"
-        assert is_scan(tmp_path / name)
+        assert read_raw(ScanPath.parse(tmp_path / name)).unit == "m"
+        assert is_scan(ScanPath.parse(tmp_path / name))
 
 
 CAMERAS = {
@@ -124,12 +124,12 @@ def test_where_the_camera_is_found(tmp_path: Path) -> None:
     for name, text in CAMERAS.items():
         file = (image.parent if name.startswith("a.") else tmp_path) / name
         file.write_text(text)
-        assert is_scan(image)
+        assert is_scan(ScanPath.parse(image))
         assert is_ball(cloud(image), tolerance=1e-3), name
         assert [part.path for part in parts_of(image)] == [file.absolute()]
-        before = content_hash(image)
+        before = content_hash(ScanPath.parse(image))
         file.write_text(text.replace("70", "71"))
-        assert content_hash(image) != before
+        assert content_hash(ScanPath.parse(image)) != before
         file.unlink()
 
 
@@ -154,7 +154,7 @@ def test_the_folder_of_the_tum_benchmark(tmp_path: Path) -> None:
     camera = TUM_CAMERAS["freiburg2"]
     image = readings((*camera.focal, *camera.center), (640, 480))[..., 2]
     write(folder / "depth" / "1.0.png", np.round(5000 * image).astype(np.uint16))
-    assert discover([folder]) == [folder / "depth" / "1.0.png"]
+    assert discover([folder]) == [ScanPath(folder / "depth" / "1.0.png")]
     assert is_ball(cloud(folder / "depth" / "1.0.png"), tolerance=1e-3)
 
 
@@ -169,9 +169,8 @@ def test_the_default_is_the_camera_of_a_kinect_for_images_of_its_size(
         assert is_ball(found, tolerance=1e-3)
         assert found.provenance[0].notes[0] == camera.note
         assert camera.note.startswith("assumed the camera of a Kinect")
-    assert not is_scan(
-        tmp_path / "a.png"
-    )  # a 16-bit image in a folder need not be a depth image
+    # A 16-bit image in a folder need not be a depth image.
+    assert not is_scan(ScanPath(tmp_path / "a.png"))
 
 
 def test_readings_without_an_answer_are_dropped_with_a_note(tmp_path: Path) -> None:
@@ -231,8 +230,8 @@ def test_images_that_are_no_depth_images(tmp_path: Path) -> None:
     ):
         with pytest.raises(ScanReadError, match=words):
             read_scan(tmp_path / name)
-    assert not is_scan(tmp_path / "colours.png")
-    assert not is_scan(tmp_path / "text.png")
+    assert not is_scan(ScanPath.parse(tmp_path / "colours.png"))
+    assert not is_scan(ScanPath.parse(tmp_path / "text.png"))
 
 
 def test_the_parameters_of_open3d_are_read_by_columns(tmp_path: Path) -> None:
@@ -313,10 +312,11 @@ def test_scans_of_one_file_are_joined_by_the_poses_of_their_sensors(
         both.points[n:] @ TURN.as_matrix().T + SENSOR, alone.points, atol=1e-6
     )
     np.testing.assert_array_equal(both.viewpoints, [SENSOR] * n + [np.zeros(3)] * n)
-    first, second = members_of(tmp_path / "both.ptx")
-    assert [path.name for path in (first, second)] == ["both.ptx#1", "both.ptx#2"]
-    np.testing.assert_array_equal(cloud(first).points, alone.points)
-    np.testing.assert_array_equal(cloud(second).points, both.points[n:])
+    members = members_of(tmp_path / "both.ptx")
+    assert [scan.name for scan in members] == ["both.ptx#1", "both.ptx#2"]
+    first, second = (cloud(Path(str(scan))) for scan in members)
+    np.testing.assert_array_equal(first.points, alone.points)
+    np.testing.assert_array_equal(second.points, both.points[n:])
     assert members_of(tmp_path / "one.ptx") == ()
     np.testing.assert_array_equal(
         read_views([tmp_path / "both.ptx"]).poses, [np.eye(4), np.eye(4)]

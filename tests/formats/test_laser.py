@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud, read_scan
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats import as_scan, members_of, parts_of, write_mesh
+from pcretrieve.formats import ScanPath, as_scan, members_of, parts_of, write_mesh
 from pcretrieve.formats.registry import read_raw
 from pcretrieve.ingestion.views import read_views
 
@@ -49,7 +49,7 @@ def test_points_of_las(tmp_path: Path) -> None:
             np.testing.assert_allclose(
                 cloud(tmp_path / f"a{suffix}").points, POINTS, atol=LAS_STEP
             )
-            assert read_raw(tmp_path / f"a{suffix}").unit == "m"
+            assert read_raw(ScanPath.parse(tmp_path / f"a{suffix}")).unit == "m"
         for point_format in (3, 6):
             write_las(tmp_path / f"a{suffix}", many, point_format=point_format)
             np.testing.assert_allclose(
@@ -151,7 +151,7 @@ def test_the_pose_of_an_e57_scan_is_its_viewpoint(tmp_path: Path) -> None:
     assert found.viewpoints is not None
     np.testing.assert_allclose(found.viewpoints, np.tile(SENSOR, (len(POINTS), 1)))
     assert members_of(tmp_path / "a.e57") == ()
-    assert read_raw(tmp_path / "a.e57").unit == "m"
+    assert read_raw(ScanPath.parse(tmp_path / "a.e57")).unit == "m"
 
 
 @needs(".e57")
@@ -175,11 +175,12 @@ def test_scans_in_an_e57_file(tmp_path: Path) -> None:
         {"points": POINTS[:100], "name": "front", "translation": -SENSOR},
     ]
     write_e57(tmp_path / "a.e57", scans)
-    first, second = members_of(tmp_path / "a.e57")
-    assert [path.name for path in (first, second)] == ["a.e57#front", "a.e57#front-2"]
-    assert (len(cloud(first).points), len(cloud(second).points)) == (500, 100)
+    members = members_of(tmp_path / "a.e57")
+    assert [scan.name for scan in members] == ["a.e57#front", "a.e57#front-2"]
+    first, second = (cloud(Path(str(scan))) for scan in members)
+    assert (len(first.points), len(second.points)) == (500, 100)
     both = cloud(tmp_path / "a.e57")
-    np.testing.assert_array_equal(both.points[500:], cloud(second).points)
+    np.testing.assert_array_equal(both.points[500:], second.points)
     assert both.viewpoints is not None
     np.testing.assert_allclose(both.viewpoints[[0, 500]], [SENSOR, -SENSOR])
     views = read_views([tmp_path / "a.e57"])
@@ -238,11 +239,11 @@ found = importlib.util.find_spec
 importlib.util.find_spec = lambda name: None if name in ("pye57", "lazrs", "lxml") else found(name)
 from pcretrieve import read_scan
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats import is_scan
+from pcretrieve.formats import ScanPath, is_scan
 from pcretrieve.ingestion.discover import unread_files
 
 paths = [Path(name) for name in ("a.e57", "b.e57", "c.laz", "d.3mf", "e.jpg")]
-print(unread_files(paths), [is_scan(path) for path in paths])
+print(unread_files(paths), [is_scan(ScanPath(path)) for path in paths])
 try:
     read_scan("a.e57")
 except ScanReadError as error:

@@ -28,7 +28,7 @@ from scan_files import (
 
 from pcretrieve import TriangleMesh, read_scan
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats import members_of, parts_of, split_member
+from pcretrieve.formats import ScanPath, members_of, parts_of
 from pcretrieve.formats.identity import content_hash
 from pcretrieve.formats.registry import read_raw
 from pcretrieve.ingestion.discover import discover, shape_ids
@@ -97,7 +97,9 @@ def test_polygons_of_obj_and_off(tmp_path: Path) -> None:
         assert len(mesh(tmp_path / name).vertices) == 8, name
         assert is_cube(mesh(tmp_path / name)), name
     (tmp_path / "points.obj").write_text("\n".join(f"v {x} {y} {z}" for x, y, z in CUBE))
-    np.testing.assert_array_equal(read_raw(tmp_path / "points.obj").points, CUBE)
+    np.testing.assert_array_equal(
+        read_raw(ScanPath.parse(tmp_path / "points.obj")).points, CUBE
+    )
 
 
 def test_a_vertex_that_is_nan_takes_its_faces_with_it(tmp_path: Path) -> None:
@@ -154,14 +156,16 @@ def test_a_scene_is_one_mesh_or_several(name: str, tmp_path: Path) -> None:
     assert not defects(both).boundary_edges
     assert both.volume == pytest.approx(2 * BALL.volume, rel=1e-5)
     members = members_of(tmp_path / name)
-    for path, x in zip(members, (0, 5), strict=True):
-        np.testing.assert_allclose(mesh(path).vertices.mean(axis=0), [x, 0, 0], atol=1e-5)
-        assert not defects(mesh(path))
-    assert discover([tmp_path / name]) == [*members] == discover([*members])
-    assert [split_member(path)[0] for path in members] == 2 * [tmp_path / name]
-    ids = list(shape_ids([str(path) for path in members], {}).values())
-    assert ids == [f"{Path(name).stem}#{split_member(path)[1]}" for path in members]
-    assert len({content_hash(path) for path in (*members, tmp_path / name)}) == 3
+    for member, x in zip(members, (0, 5), strict=True):
+        body = mesh(Path(str(member)))
+        np.testing.assert_allclose(body.vertices.mean(axis=0), [x, 0, 0], atol=1e-5)
+        assert not defects(body)
+    assert discover([tmp_path / name]) == [*members] == discover([*map(str, members)])
+    assert [member.file for member in members] == 2 * [tmp_path / name]
+    ids = list(shape_ids({str(member): member for member in members}, {}).values())
+    assert ids == [f"{Path(name).stem}#{member.member}" for member in members]
+    whole = members[0].whole
+    assert len({content_hash(scan) for scan in (*members, whole)}) == 3
     np.testing.assert_array_equal(
         read_views([tmp_path / name]).poses, [np.eye(4), np.eye(4)]
     )
@@ -183,14 +187,34 @@ def test_names_in_a_file(tmp_path: Path) -> None:
         read_scan(tmp_path / "gone.gltf#x")
 
 
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("x/a.glb#left", ScanPath(Path("x/a.glb"), "left")),
+        ("x/a.glb#b.glb#c", ScanPath(Path("x/a.glb"), "b.glb#c")),
+        ("x/a.glb#", ScanPath(Path("x/a.glb#"))),
+        ("x/scan#1.xyz", ScanPath(Path("x/scan#1.xyz"))),
+        ("x#1.glb/a.ply", ScanPath(Path("x#1.glb/a.ply"))),
+        ("s3://b/a.glb#1", ScanPath(Path("s3:/b/a.glb"), "1", "s3://b/a.glb")),
+        ("https://h/a.ply", ScanPath(Path("https:/h/a.ply"), None, "https://h/a.ply")),
+    ],
+)
+def test_a_place_is_taken_apart_once(text: str, place: ScanPath) -> None:
+    found = ScanPath.parse(text)
+    assert found == place == ScanPath.parse(Path(text))
+    assert (str(found), found.name) == (text, Path(text).name)
+    assert ScanPath.parse(found) is found
+
+
 def test_a_file_of_one_body_has_no_names_and_a_hash_in_its_name_is_no_mark(
     tmp_path: Path,
 ) -> None:
     write_gltf(tmp_path / "a.gltf", BALL, PAIR[:1])
     (tmp_path / "scan#1.xyz").write_text("1 2 3\n" * 5)
     assert members_of(tmp_path / "a.gltf") == members_of(tmp_path / "a.xyz") == ()
-    assert discover([tmp_path]) == [tmp_path / "a.gltf", tmp_path / "scan#1.xyz"]
-    assert len(read_raw(tmp_path / "scan#1.xyz").points) == 5
+    found = [scan.file for scan in discover([tmp_path])]
+    assert found == [tmp_path / "a.gltf", tmp_path / "scan#1.xyz"]
+    assert len(read_raw(ScanPath.parse(tmp_path / "scan#1.xyz")).points) == 5
 
 
 def test_nodes_place_their_meshes_as_trimesh_does(tmp_path: Path) -> None:
@@ -204,7 +228,7 @@ def test_nodes_place_their_meshes_as_trimesh_does(tmp_path: Path) -> None:
     ]
     for nodes in (*([node] for node in NODES), nested):
         (tmp_path / "a.glb").write_bytes(glb(*gltf(SQUARE, HALVES, nodes)))
-        found = read_raw(tmp_path / "a.glb")
+        found = read_raw(ScanPath.parse(tmp_path / "a.glb"))
         assert found.faces is not None
         by_trimesh: Any = trimesh.load(tmp_path / "a.glb", force="mesh", process=False)
         expected = by_trimesh.vertices[by_trimesh.faces]
@@ -216,7 +240,7 @@ def test_nodes_place_their_meshes_as_trimesh_does(tmp_path: Path) -> None:
     ]
     (tmp_path / "deep.glb").write_bytes(glb(*gltf(SQUARE, HALVES, deep)))
     np.testing.assert_array_equal(
-        read_raw(tmp_path / "deep.glb").points[:, 2], np.full(4, 5000.0)
+        read_raw(ScanPath.parse(tmp_path / "deep.glb")).points[:, 2], np.full(4, 5000.0)
     )
 
 
@@ -255,8 +279,9 @@ def test_meshes_whose_open_edges_coincide_are_one_body(
         f"{path.name}#texture_{number}" for number in (0, 1, 3)
     }
     for member in (first, second, third):
-        assert not defects(mesh(member))
-        assert len(mesh(member).faces) == len(BALL.faces)
+        body = mesh(Path(str(member)))
+        assert not defects(body)
+        assert len(body.faces) == len(BALL.faces)
     # Two halves that are not of one body: their open edges lie elsewhere.
     write(
         pieces[0],
@@ -277,7 +302,7 @@ def test_modes(tmp_path: Path) -> None:
         tree, binary = gltf(SQUARE, order, [{"mesh": 0}])
         tree["meshes"][0]["primitives"][0]["mode"] = mode
         (tmp_path / "a.glb").write_bytes(glb(tree, binary))
-        found = read_raw(tmp_path / "a.glb")
+        found = read_raw(ScanPath.parse(tmp_path / "a.glb"))
         assert len(found.points) == 4
         assert (found.faces is None) == (faces is None)
         if faces is not None:
@@ -294,7 +319,7 @@ def test_quantized_positions(tmp_path: Path) -> None:
     tree["bufferViews"][0] |= {"byteStride": 4, "byteLength": 16}
     tree["bufferViews"][1] |= {"byteOffset": 16}
     (tmp_path / "a.glb").write_bytes(glb(tree, rows.tobytes() + binary[48:]))
-    found = read_raw(tmp_path / "a.glb")
+    found = read_raw(ScanPath.parse(tmp_path / "a.glb"))
     np.testing.assert_array_equal(
         np.unique(found.points, axis=0), np.unique(2 * np.array(SQUARE), axis=0)
     )
@@ -309,11 +334,11 @@ def test_the_file_of_a_buffer_belongs_to_the_scan_if_it_lies_below(
         tmp_path / "with blank.bin"
     ]
     assert mesh(tmp_path / "a.gltf").volume == pytest.approx(BALL.volume, rel=1e-5)
-    before = content_hash(tmp_path / "a.gltf")
+    before = content_hash(ScanPath.parse(tmp_path / "a.gltf"))
     (tmp_path / "with blank.bin").write_bytes(
         (tmp_path / "with blank.bin").read_bytes() + b"\0"
     )
-    assert content_hash(tmp_path / "a.gltf") != before
+    assert content_hash(ScanPath.parse(tmp_path / "a.gltf")) != before
     write_gltf(tmp_path / "b.gltf", BALL, PAIR, "a.bin")
     text = (tmp_path / "b.gltf").read_text()
     (tmp_path / "short.bin").write_bytes(b"\0")
@@ -346,7 +371,7 @@ def test_a_3mf_file_names_its_unit(tmp_path: Path) -> None:
         ("foot", "ft"),
     ):
         (tmp_path / "a.3mf").write_bytes(three_mf(BALL, unit=named))
-        assert read_raw(tmp_path / "a.3mf").unit == unit
+        assert read_raw(ScanPath.parse(tmp_path / "a.3mf")).unit == unit
         assert mesh(tmp_path / "a.3mf").volume == pytest.approx(
             METRES[unit] ** 3 * BALL.volume, rel=1e-5
         )
@@ -360,7 +385,7 @@ def test_a_3mf_file_names_its_unit(tmp_path: Path) -> None:
 def test_a_collada_file_says_how_long_its_unit_is(tmp_path: Path) -> None:
     for metres, unit, scale in ((0.01, "cm", 1.0), (1, "m", 1.0), (0.5, "m", 0.5)):
         (tmp_path / "a.dae").write_text(collada(BALL, metres=metres, shift=(1, 2, 3)))
-        found = read_raw(tmp_path / "a.dae")
+        found = read_raw(ScanPath.parse(tmp_path / "a.dae"))
         assert found.unit == unit
         np.testing.assert_allclose(
             found.points.mean(axis=0), scale * np.array([1, 2, 3]), atol=1e-6

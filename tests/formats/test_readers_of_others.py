@@ -12,7 +12,7 @@ from scan_files import CUBE, cloud
 
 from pcretrieve import PointCloud, read_scan
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.formats import write_cloud, write_mesh
+from pcretrieve.formats import ScanPath, write_cloud, write_mesh
 from pcretrieve.formats.identity import content_hash
 from pcretrieve.ingestion.discover import discover
 
@@ -121,10 +121,10 @@ def test_an_installed_package_brings_a_format_of_several_files(
     np.testing.assert_array_equal(
         cloud(tmp_path / "a.grid").points, [*CUBE[:2], [4, 5, 6]]
     )
-    before = content_hash(tmp_path / "a.grid")
+    before = content_hash(ScanPath.parse(tmp_path / "a.grid"))
     (tmp_path / "right.tile").write_text("4 5 7\n")
-    assert content_hash(tmp_path / "a.grid") != before
-    assert discover([tmp_path]) == [tmp_path / "a.grid"]
+    assert content_hash(ScanPath.parse(tmp_path / "a.grid")) != before
+    assert discover([tmp_path]) == [ScanPath(tmp_path / "a.grid")]
 
 
 def test_a_package_whose_writer_is_broken(plugin: Path, tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from pcretrieve import read_scan
 from pcretrieve.catalogue.arrays import packed, packed_symmetric, stored_shape
 from pcretrieve.catalogue.records import Payload
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.formats import members_of, parts_of
+from pcretrieve.formats import ScanPath, members_of, parts_of
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.retrieval.whitening import read_whitening
 
@@ -89,7 +89,7 @@ def test_a_file_that_takes_too_long_to_look_into_is_one_scan(tmp_path: Path) -> 
     """Reading it as a scan, with the same limits, says why."""
     (tmp_path / "a.ptx").write_text(f"2\n2\n{POSE}0 0 0 0.5\n")
     found = discover([tmp_path], limits=LIMITS | {"timeout": 0})
-    assert found == [tmp_path / "a.ptx"]
+    assert found == [ScanPath(tmp_path / "a.ptx")]
 
 
 def test_every_format_holds_at_most_a_thousand_scans(tmp_path: Path) -> None:
@@ -102,7 +102,7 @@ def test_every_format_holds_at_most_a_thousand_scans(tmp_path: Path) -> None:
     for name in ("a.ptx", "a.glb"):
         with pytest.raises(ScanReadError, match=words):
             members_of(tmp_path / name)
-        assert discover([tmp_path / name]) == [tmp_path / name]
+        assert discover([tmp_path / name]) == [ScanPath(tmp_path / name)]
     for name in ("a.glb", "a.npz"):
         with pytest.raises(ScanReadError, match=words):
             read_scan(tmp_path / name)

@@ -16,7 +16,7 @@ from processes import in_this_process
 
 import pcretrieve as pr
 from pcretrieve.errors import StageTimeout
-from pcretrieve.formats import write_mesh
+from pcretrieve.formats import ScanPath, write_mesh
 from pcretrieve.formats.identity import content_hash, file_hash, stamp_of
 from pcretrieve.ingestion import plan
 
@@ -39,7 +39,7 @@ def test_a_file_that_cannot_be_read_holds_up_no_other(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Though it is asked for last, and every thread hangs, as at a network that is not connected."""
-    files = {path.name: path for path in sorted(folder.iterdir())}
+    files = {path.name: ScanPath(path) for path in sorted(folder.iterdir())}
     hanging, connected = ("0.off", "1.off"), threading.Event()
     monkeypatch.setattr(
         plan,
@@ -66,7 +66,7 @@ def ingested(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Ingested:
     """Ingests the folder, and gives the names of the files that were hashed, and the ids of the processed."""
     hashed: list[str] = []
 
-    def noted(file: Path, *_: object) -> str:
+    def noted(file: ScanPath, *_: object) -> str:
         hashed.append(file.name)
         return file_hash(file)
 
@@ -128,9 +128,9 @@ def test_a_file_that_is_cut_off_while_it_is_read_is_read_again(
     """As on a network that breaks off: what was read is neither of the two contents for certain."""
     whole = (folder / "1.off").read_bytes()
 
-    def cut(file: Path, *_: object) -> str:
+    def cut(file: ScanPath, *_: object) -> str:
         if file.name == "1.off":
-            file.write_bytes(whole[:1000])
+            file.file.write_bytes(whole[:1000])
         return file_hash(file)
 
     monkeypatch.setattr(plan, "file_hash", cut)
@@ -146,11 +146,11 @@ def test_a_view_of_a_conf_file_is_a_part_of_it(tmp_path: Path) -> None:
         write_ply(tmp_path / f"{name}.ply", np.eye(3))
     conf = tmp_path / "two.conf"
     conf.write_text("bmesh a.ply 0 0 0 0 0 0 1\nbmesh b.ply 0 0 0 0 0 0 1\n")
-    before, again = stamp_of(conf), stamp_of(conf)
+    before, again = stamp_of(ScanPath(conf)), stamp_of(ScanPath(conf))
     assert before is not None
     assert before == again
     assert before.text.count(";") == 2
     (tmp_path / "b.ply").touch()
-    assert stamp_of(conf) != before
+    assert stamp_of(ScanPath(conf)) != before
     (tmp_path / "b.ply").unlink()
-    assert stamp_of(conf) is None
+    assert stamp_of(ScanPath(conf)) is None

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from pcretrieve.errors import InputError, ScanReadError
+from pcretrieve.formats import ScanPath
 from pcretrieve.formats.identity import content_hash
 from pcretrieve.ingestion.discover import discover
 
@@ -32,7 +33,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def names(*arguments: str | Path) -> list[str]:
-    return [os.path.relpath(path) for path in discover(arguments)]
+    return [os.path.relpath(str(scan)) for scan in discover(arguments)]
 
 
 def test_files_folders_and_globs(folder: Path) -> None:
@@ -64,7 +65,9 @@ def test_numbers_in_names_are_in_the_order_of_numbers(tmp_path: Path) -> None:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("1 2 3\n")
     for argument in (tmp_path, tmp_path / "a*" / "*.ply"):
-        found = [path.relative_to(tmp_path).as_posix() for path in discover([argument])]
+        found = [
+            scan.file.relative_to(tmp_path).as_posix() for scan in discover([argument])
+        ]
         assert found == expected
 
 
@@ -224,4 +227,4 @@ def test_content_that_cannot_be_had(folder: Path) -> None:
         ("long.conf", r"long\.conf: a \.conf file must have at most 4096000 bytes"),
     ):
         with pytest.raises(ScanReadError, match=words):
-            content_hash(folder / name)
+            content_hash(ScanPath.parse(folder / name))

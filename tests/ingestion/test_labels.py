@@ -159,17 +159,17 @@ def write(path: Path, text: str = "") -> Path:
 
 def test_a_label_file_beside_the_scans_or_above(tmp_path: Path) -> None:
     """Two sets have one each, so that the same numbers are told apart."""
-    scans = []
+    scans: list[str] = []
     for track in ("Real", "Synthetic"):
         write(
             tmp_path / track / "test.cla",
             f"PSB 1\n2 3\n\n{track}-a 0 2\n0\n1\n\n{track}-b 0 1\n2\n",
         )
         scans += [
-            write(tmp_path / track / "Data" / f"{number}.obj") for number in range(3)
+            str(write(tmp_path / track / "Data" / f"{number}.obj")) for number in range(3)
         ]
     found = labels_of("psb", scans)
-    assert [found[str(path)] for path in scans] == [
+    assert [found[path] for path in scans] == [
         *("Real-a", "Real-a", "Real-b"),
         *("Synthetic-a", "Synthetic-a", "Synthetic-b"),
     ]

@@ -19,8 +19,7 @@ from processes import in_this_process
 
 from pcretrieve import Catalogue, ingest, read_scan, write_mesh
 from pcretrieve.errors import InputError, ScanReadError
-from pcretrieve.formats import remote
-from pcretrieve.formats.format import url_of
+from pcretrieve.formats import ScanPath, remote
 from pcretrieve.gallery.fitted import signatures
 from pcretrieve.ingestion.discover import discover
 
@@ -243,7 +242,7 @@ def test_what_is_a_url() -> None:
         "http:a.ply": None,
         "3d://a.ply": None,
     }.items():
-        assert url_of(Path(name)) == url, name
+        assert ScanPath.parse(name).url == url, name
 
 
 def test_stores_that_are_not_there() -> None:

@@ -33,6 +33,7 @@ from pcretrieve import (
 )
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.errors import InputError, ScanReadError
+from pcretrieve.formats import ScanPath
 from pcretrieve.formats.identity import content_hash
 from pcretrieve.ingestion.discover import discover
 
@@ -129,7 +130,7 @@ def test_link_local_addresses_are_refused_however_they_are_named(
         with pytest.raises(ScanReadError, match=words):
             read_scan(f"http://{host}/a.ply")
         with pytest.raises(ScanReadError, match=words):
-            content_hash(Path(f"http://{host}/a.ply"))
+            content_hash(ScanPath.parse(f"http://{host}/a.ply"))
         with pytest.raises(ScanReadError, match="a URL must begin with http"):
             read_scan(f"ftp://{host}/a.ply")
     for host in ("169.254.7.9", "scans.test"):  # brackets are of a pattern

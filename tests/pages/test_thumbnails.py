@@ -20,7 +20,7 @@ import pcretrieve as pr
 from pcretrieve import Catalogue, PipelineOptions
 from pcretrieve.draw.thumbnail import THUMBNAIL_PIXELS, Thumbnail, thumbnail
 from pcretrieve.errors import OptionError
-from pcretrieve.formats import write_mesh
+from pcretrieve.formats import ScanPath, write_mesh
 from pcretrieve.ingestion.attempts import content_of
 from pcretrieve.pages.thumbnails import Thumbnails
 
@@ -93,9 +93,9 @@ def test_a_catalogue_keeps_the_pictures_that_would_be_drawn_and_pages_use_them(
         )
         assert kept and size_of(kept) == (THUMBNAIL_PIXELS, THUMBNAIL_PIXELS)
     assert catalogue.rows.stored_bytes("0")["thumbnails"] > 1000
-    bare = content_of(
-        folder / "0.off", OPTIONS.changed(catalogue={"keep": ()})
-    )  # no surface is stored
+    # No surface is stored.
+    keeps_nothing = OPTIONS.changed(catalogue={"keep": ()})
+    bare = content_of(ScanPath(folder / "0.off"), keeps_nothing)
     assert bare.thumbnail == catalogue.thumbnail("0")
     drawn.clear()
     pages = (

@@ -216,14 +216,14 @@ def retrieval_tables(
 def _mixed(data: Path, folder: Path, limit: int | None) -> dict[str, str]:
     """Write simplified meshes of TOSCA beside some of SHREC'11, and return their classes by file name."""
     folder.mkdir()
-    for _, path in spread(discover([data / "shrec11"]), limit):
-        (folder / f"background-{path.name}").symlink_to(path.resolve())
+    for _, scan in spread(discover([data / "shrec11"]), limit):
+        (folder / f"background-{scan.name}").symlink_to(scan.file.resolve())
     classes = read_labels(data / "tosca" / "labels.csv")
     labels = {}
-    for path in progress(discover([data / "tosca"]), "simplified"):
+    for scan in progress(discover([data / "tosca"]), "simplified"):
         with suppress(ShapeError):  # one mesh of TOSCA is not closed
-            write_mesh(simplified(read_mesh(path), N_FACES), folder / path.name)
-            labels[path.name] = classes[path.name]
+            write_mesh(simplified(read_mesh(scan.file), N_FACES), folder / scan.name)
+            labels[scan.name] = classes[scan.name]
     return labels
 
 

@@ -281,7 +281,8 @@ UPRIGHT = {
 def figure_1(folder: Path, sheet: Path | None) -> Iterator[str]:
     """Draw one mesh of each class: that of `UPRIGHT`, or the first one."""
     classes = read_labels(folder / "labels.csv")
-    paths = [path for path in discover([folder]) if path.name in classes]
+    scans = discover([folder])
+    paths = [scan.file for scan in scans if scan.name in classes]
     shown: dict[str, Path] = {}
     for path in sorted(paths, key=lambda path: path.stem not in UPRIGHT):
         shown.setdefault(classes[path.name], path)
@@ -433,7 +434,7 @@ PERTURBED_TIMEOUT = 300.0
 
 def figure_5(folder: Path, limit: int | None) -> Iterator[str]:
     """NN and mAP of perturbed queries, for each descriptor."""
-    paths = [path for _, path in spread(discover([folder]), limit)]
+    paths = [scan.file for _, scan in spread(discover([folder]), limit)]
     tasks = list(enumerate(paths))
     found = all_in_workers(_perturbed, tasks, "perturbed", timeout=PERTURBED_TIMEOUT)
     classes = read_labels(folder / "labels.csv")
