@@ -140,10 +140,7 @@ MOST_PARAMETERS = 8
 
 # Functions that are larger today. A function that is taken apart leaves the list; none is added.
 LARGE = {
-    "catalogue.log._fault",
     "checks.stages.neck",
-    "evaluation.rankings._rank_sorted",
-    "ingestion.pool.in_processes",
     "ingestion.run.ingest",
     "ingestion.scans.map_scans",
     "pages.inspection_pictures.overview",

@@ -14,6 +14,7 @@ from __future__ import annotations
 import fcntl
 import os
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import IO
@@ -53,46 +54,89 @@ def log_fault(log: Path) -> str | None:
     return None
 
 
-def _fault(file: IO[bytes], size: int) -> str | None:
-    header = file.read(HEADER)
-    order, page = ORDERS.get(header[:4]), int.from_bytes(header[8:12], "big")
-    if len(header) < HEADER or order is None or page not in PAGES:
-        return "its header is wrong"
-    numbers = np.frombuffer(header, ">u4").astype(np.uint32)
-    salts, before = numbers[4:6], numbers[6:]
-    words = np.frombuffer(header[:24], order)
-    if (_checksums(words[None], np.zeros((1, 2), np.uint32)) != before).any():
-        return "its header is wrong"
-    n_bytes = FRAME_HEADER + page
-    at_once = max(1, READ_AT_ONCE // n_bytes)
-    n_frames, n_rest = divmod(size - HEADER, n_bytes)
-    wrong, n_lost, is_changed = n_frames, 0, False
-    for start in range(0, n_frames, at_once):
-        data = file.read(min(at_once, n_frames - start) * n_bytes)
+@dataclass(frozen=True, slots=True)
+class _Header:
+    """The header of a log: the order of the bytes in its words, its two salts, and its checksum."""
+
+    order: str
+    page: int
+    salts: Words
+    checksum: Words
+
+    @classmethod
+    def read(cls, data: bytes) -> _Header | None:
+        """The header in the first bytes of a log; None if they are wrong."""
+        order, page = ORDERS.get(data[:4]), int.from_bytes(data[8:12], "big")
+        if len(data) < HEADER or order is None or page not in PAGES:
+            return None
+        numbers = np.frombuffer(data, ">u4").astype(np.uint32)
+        words = np.frombuffer(data[:24], order)
+        if (_checksums(words[None], np.zeros((1, 2), np.uint32)) != numbers[6:]).any():
+            return None
+        return cls(order, page, numbers[4:6], numbers[6:])
+
+    @property
+    def n_bytes(self) -> int:
+        """Bytes of a frame."""
+        return FRAME_HEADER + self.page
+
+
+@dataclass(slots=True)
+class _Frames:
+    """What is found in the frames of a log, which are looked at from the first to the last.
+
+    before: the checksum of the frame before the next one.
+    wrong: number of the first wrong frame, from 0.
+    n_lost: number of transactions that end there or behind, which SQLite drops.
+    is_changed: whether one word of the first wrong frame explains what is wrong with it.
+    """
+
+    header: _Header
+    before: Words
+    n_seen: int = 0
+    wrong: int | None = None
+    n_lost: int = 0
+    is_changed: bool = False
+
+    def look(self, data: bytes) -> None:
+        """Look at the next frames."""
+        n_words = self.header.n_bytes // 4
         # Page, size of the file if a transaction ends here, two salts, two checksums.
-        heads = (
-            np.frombuffer(data, ">u4").reshape(-1, n_bytes // 4)[:, :6].astype(np.uint32)
-        )
-        is_ours = (heads[:, 2:4] == salts).all(axis=1)
+        heads = np.frombuffer(data, ">u4").reshape(-1, n_words)[:, :6].astype(np.uint32)
+        is_ours = (heads[:, 2:4] == self.header.salts).all(axis=1)
         is_commit = heads[:, 1] > 0
-        first = 0
-        if wrong == n_frames:
-            words = np.frombuffer(data, order).reshape(-1, n_bytes // 4)
-            given = np.concatenate([before[None], heads[:-1, 4:]])
+        behind = 0
+        if self.wrong is None:
+            words = np.frombuffer(data, self.header.order).reshape(-1, n_words)
+            given = np.concatenate([self.before[None], heads[:-1, 4:]])
             differences = heads[:, 4:] - _checksums(words, given)  # (n, 2)
             is_wrong = ~is_ours | differences.any(axis=1)
-            before, first = heads[-1, 4:], len(heads)
+            self.before, behind = heads[-1, 4:], len(heads)
             if is_wrong.any():
-                first = int(is_wrong.argmax())
-                wrong = start + first
-                is_changed = _is_one_word(differences[first], words.shape[1])
+                behind = int(is_wrong.argmax())
+                self.wrong = self.n_seen + behind
+                self.is_changed = _is_one_word(differences[behind], n_words)
                 # Changed salts say that the frame is of another log.
-                n_lost += int(is_commit[first] and not is_ours[first] and is_changed)
-        n_lost += int((is_ours & is_commit)[first:].sum())
-    if n_lost > 1 or (n_lost and is_changed):
-        return f"frame {wrong + 1} of {n_frames} is wrong"
+                is_lost = is_commit[behind] and not is_ours[behind] and self.is_changed
+                self.n_lost += int(is_lost)
+        self.n_lost += int((is_ours & is_commit)[behind:].sum())
+        self.n_seen += len(heads)
+
+
+def _fault(file: IO[bytes], size: int) -> str | None:
+    data = file.read(HEADER)
+    header = _Header.read(data)
+    if header is None:
+        return "its header is wrong"
+    at_once = max(1, READ_AT_ONCE // header.n_bytes)
+    n_frames, n_rest = divmod(size - HEADER, header.n_bytes)
+    frames = _Frames(header, header.checksum)
+    for start in range(0, n_frames, at_once):
+        frames.look(file.read(min(at_once, n_frames - start) * header.n_bytes))
+    if frames.wrong is not None and frames.n_lost > (0 if frames.is_changed else 1):
+        return f"frame {frames.wrong + 1} of {n_frames} is wrong"
     rest = file.read()
-    is_ours_too = rest[8:16] == header[16:24] if len(rest) >= 16 else wrong == n_frames
+    is_ours_too = rest[8:16] == data[16:24] if len(rest) >= 16 else frames.wrong is None
     # Where a process is killed, a write has ended; where power fails, a sector.
     if n_rest not in (0, FRAME_HEADER) and size % SECTOR and is_ours_too:
         return "its end is cut off"

@@ -207,28 +207,14 @@ def _rank_sorted(
     codes = np.array(
         [-1 if label is None else code_of[label] for label in labels], dtype=np.intp
     )  # (N,)
-    number = np.full(len(ids), -1)  # (N,) of each shape as a query
-    number[answered] = np.arange(len(answered))
-    hits = [np.empty((2, 0), dtype=np.intp)]
-    nearest = np.full(len(answered), -1)
-    for asked, order in blocks:
-        wanted = np.flatnonzero(number[asked] >= 0)
-        queries = asked[wanted]
-        relevant = codes[order[wanted]] == codes[queries][:, np.newaxis]
-        relevant[:, :1] = False  # the query itself, at rank 0
-        row, rank = np.nonzero(relevant)
-        hits.append(np.stack([number[queries][row], rank]))
-        if order.shape[1] > 1:
-            nearest[number[queries]] = order[wanted, 1]
-    hit_query, hit_rank = np.concatenate(hits, axis=1)
-    order = np.lexsort((hit_rank, hit_query))
+    hit_query, hit_rank, nearest = _hits(blocks, codes, answered)
     query_labels = (*(str(labels[position]) for position in answered), *missed.values())
     return Rankings(
         ids=(*(ids[position] for position in answered), *missed),
         labels=query_labels,
         n_relevant=np.array([sizes[label] - 1 for label in query_labels], dtype=np.intp),
-        hit_query=hit_query[order],
-        hit_rank=hit_rank[order],
+        hit_query=hit_query,
+        hit_rank=hit_rank,
         genuine=np.zeros(0),
         impostor=np.zeros(0),
         nearest=(
@@ -243,6 +229,33 @@ def _rank_sorted(
         n_failed=len(missed),
         n_single=sum(size for size in sizes.values() if size == 1),
     )
+
+
+def _hits(
+    blocks: Iterable[tuple[Positions, Positions]],
+    codes: Positions,
+    answered: Sequence[int],
+) -> tuple[Positions, Positions, Positions]:
+    """The number of the query and the rank of each relevant shape, and the nearest shape of each query.
+
+    codes: (N,) classes of the shapes. answered: their positions that are queries. nearest: −1 for none.
+    """
+    number = np.full(len(codes), -1)  # (N,) of each shape as a query
+    number[answered] = np.arange(len(answered))
+    hits = [np.empty((2, 0), dtype=np.intp)]
+    nearest = np.full(len(answered), -1)
+    for asked, order in blocks:
+        wanted = np.flatnonzero(number[asked] >= 0)
+        queries = asked[wanted]
+        relevant = codes[order[wanted]] == codes[queries][:, np.newaxis]
+        relevant[:, :1] = False  # the query itself, at rank 0
+        row, rank = np.nonzero(relevant)
+        hits.append(np.stack([number[queries][row], rank]))
+        if order.shape[1] > 1:
+            nearest[number[queries]] = order[wanted, 1]
+    hit_query, hit_rank = np.concatenate(hits, axis=1)
+    by_query = np.lexsort((hit_rank, hit_query))
+    return hit_query[by_query], hit_rank[by_query], nearest
 
 
 # --- grouped folds --------------------------------------------------------------------------------

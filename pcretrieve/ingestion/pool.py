@@ -132,69 +132,12 @@ def in_processes(
     end are put there. `told` is called with what the function tells by `tell` while it works.
     """
     most = workers or len(os.sched_getaffinity(0))
-    first = ((item, 1) for item in items)
-    again: deque[tuple[Item, int]] = (
-        deque()
-    )  # for new workers, with the number of the attempt
-    crew: list[Worker[Item, Answer]] = []
-    failed_starts = 0
+    crew = _Crew(function, items, most, timeout, memory, idle, told)
     try:
-        while True:
-            while len(crew) < most and (
-                task := again.popleft() if again else next(first, None)
-            ):
-                if idle and task[1] == 1:
-                    crew.append(idle.pop())
-                    crew[-1].take(*task, timeout)
-                else:
-                    crew.append(Worker(function, memory, *task))
-            if not crew:
-                return
-            pause = min(worker.deadline for worker in crew) - time.monotonic()
-            connection.wait(
-                [event for worker in crew for event in worker.events], max(0.0, pause)
-            )
-            finished = []
-            for worker in tuple(crew):
-                if (news := worker.news()) is None:
-                    continue
-                (outcome,) = news
-                if isinstance(outcome, Message):
-                    hear = told if worker.n_items else _tell_once
-                    if hear is not None:
-                        hear(outcome.content)
-                    continue
-                if not worker.n_items:
-                    failed_starts = failed_starts + 1 if worker.is_gone else 0
-                    if failed_starts == MAX_FAILED_STARTS:
-                        raise PcretrieveError(_no_start(worker))
-                    if not worker.is_gone:
-                        worker.take(worker.item, worker.attempt, timeout)
-                        continue
-                    again.append((worker.item, worker.attempt))
-                elif _is_tried_again(worker, outcome):
-                    worker.stop()
-                    again.append((worker.item, worker.attempt + 1))
-                else:
-                    if worker.printed:
-                        logger.info(
-                            "%s: its libraries printed: %s",
-                            _name(worker.item),
-                            worker.printed,
-                        )
-                    finished.append((worker.item, outcome))
-                if not worker.is_gone and (task := next(first, None)):
-                    worker.take(*task, timeout)
-                    continue
-                crew.remove(worker)
-                if idle is None or worker.is_gone:
-                    worker.stop()
-                else:
-                    idle.append(worker)
-            yield from finished
+        while crew.fill():
+            yield from crew.finished()
     finally:
-        for worker in crew:
-            worker.stop()
+        crew.stop()
 
 
 def alone(
@@ -239,6 +182,100 @@ def _name(item: object) -> str:
     """The name of an item in the log: that of its scan, if it has or is the path of a scan."""
     name = getattr(getattr(item, "path", item), "name", None)
     return name if isinstance(name, str) else "a call"
+
+
+class _Crew(Generic[Item, Answer]):
+    """The workers of one call of `in_processes`, whose parameters these are, and what they have to do."""
+
+    def __init__(
+        self,
+        function: Callable[[Item], Answer],
+        items: Iterable[Item],
+        most: int,
+        timeout: float,
+        memory: float | None,
+        idle: list[Worker[Item, Answer]] | None,
+        told: Callable[[Any], None] | None,
+    ) -> None:
+        self._started = partial(Worker, function, memory)
+        self._most, self._timeout, self._idle, self._told = most, timeout, idle, told
+        # Items with the number of the attempt; those that are tried again are for new workers.
+        self._first = ((item, 1) for item in items)
+        self._again: deque[tuple[Item, int]] = deque()
+        self._workers: list[Worker[Item, Answer]] = []
+        self._failed_starts = 0
+
+    def fill(self) -> bool:
+        """Give workers to items as far as there may be more; whether any worker has something to do."""
+        while len(self._workers) < self._most and (
+            task := self._again.popleft() if self._again else next(self._first, None)
+        ):
+            if self._idle and task[1] == 1:
+                self._workers.append(self._idle.pop())
+                self._workers[-1].take(*task, self._timeout)
+            else:
+                self._workers.append(self._started(*task))
+        return bool(self._workers)
+
+    def finished(self) -> list[tuple[Item, Answer | PcretrieveError]]:
+        """Wait for news, and give workers that are done the next items."""
+        pause = min(worker.deadline for worker in self._workers) - time.monotonic()
+        events = [event for worker in self._workers for event in worker.events]
+        connection.wait(events, max(0.0, pause))
+        found: list[tuple[Item, Answer | PcretrieveError]] = []
+        for worker in tuple(self._workers):
+            if (news := worker.news()) is None:
+                continue
+            (outcome,) = news
+            if isinstance(outcome, Message):
+                hear = self._told if worker.n_items else _tell_once
+                if hear is not None:
+                    hear(outcome.content)
+            elif not worker.n_items and not self._is_lost(worker):
+                worker.take(worker.item, worker.attempt, self._timeout)
+            else:
+                found += self._outcome(worker, outcome)
+                self._go_on(worker)
+        return found
+
+    def stop(self) -> None:
+        """End all workers."""
+        for worker in self._workers:
+            worker.stop()
+
+    def _is_lost(self, worker: Worker[Item, Answer]) -> bool:
+        """Whether a worker has ended before it could take its first item."""
+        self._failed_starts = self._failed_starts + 1 if worker.is_gone else 0
+        if self._failed_starts == MAX_FAILED_STARTS:
+            raise PcretrieveError(_no_start(worker))
+        return worker.is_gone
+
+    def _outcome(
+        self, worker: Worker[Item, Answer], outcome: Any
+    ) -> list[tuple[Item, Answer | PcretrieveError]]:
+        """The item of a worker with its outcome, unless it is tried again."""
+        if not worker.n_items:
+            self._again.append((worker.item, worker.attempt))
+            return []
+        if _is_tried_again(worker, outcome):
+            worker.stop()
+            self._again.append((worker.item, worker.attempt + 1))
+            return []
+        if worker.printed:
+            words = "%s: its libraries printed: %s"
+            logger.info(words, _name(worker.item), worker.printed)
+        return [(worker.item, outcome)]
+
+    def _go_on(self, worker: Worker[Item, Answer]) -> None:
+        """Give a worker the next item, or let it go."""
+        if not worker.is_gone and (task := next(self._first, None)):
+            worker.take(*task, self._timeout)
+            return
+        self._workers.remove(worker)
+        if self._idle is None or worker.is_gone:
+            worker.stop()
+        else:
+            self._idle.append(worker)
 
 
 class Worker(Generic[Item, Answer]):
