@@ -9,6 +9,7 @@ import json
 import struct
 import zipfile
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -265,13 +266,22 @@ def with_other_xml(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
     return with_checksums(bytes(whole), size)
 
 
+def _remainder(value: int) -> int:
+    """The remainder of a byte by the polynomial of Castagnoli."""
+    for _ in range(8):
+        value = value >> 1 ^ (0x82F63B78 if value & 1 else 0)
+    return value
+
+
+REMAINDERS = [_remainder(byte) for byte in range(256)]
+
+
+@lru_cache(maxsize=64)  # most pages of a file that is damaged stay as they are
 def _crc32c(data: bytes) -> int:
     """The checksum of Castagnoli."""
     value = 0xFFFFFFFF
     for byte in data:
-        value ^= byte
-        for _ in range(8):
-            value = value >> 1 ^ (0x82F63B78 if value & 1 else 0)
+        value = value >> 8 ^ REMAINDERS[(value ^ byte) & 255]
     return value ^ 0xFFFFFFFF
 
 

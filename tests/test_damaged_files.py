@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
+import struct
+import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -102,6 +106,17 @@ SCANS: dict[str, str | bytes | Callable[[Path], object]] = {
     "lines.asc": "// X Y Z\n" + lines(BALL.vertices),
     "lines.csv": "x,y,z\n" + lines(BALL.vertices).replace(" ", ","),
     "lines.txt": lines(np.column_stack([BALL.vertices, NORMALS])),
+    "missing.txt": lines(BALL.vertices) + "1.#QNAN -nan(ind) 3 # none\n" * 3,
+    "strips.ply": ply(
+        "ascii",
+        f"element vertex 42\n{XYZ}element tristrips 1\nproperty list int int vertex_indices\n",
+        (lines(BALL.vertices) + "9 0 1 3 -1 2 4 6 5 7\n").encode(),
+    ),
+    "wrapped.obj": "".join(f"v {x:g} \\\n{y:g} {z:g}\n" for x, y, z in BALL.vertices)
+    + "".join(f"f {a + 1}//1 \\\n {b + 1} {c + 1}\n" for a, b, c in BALL.faces[:9]),
+    "colours.off": "COFF42 9 0\n"
+    + "".join(f"{x:g} {y:g} {z:g} 1 2 3\n" for x, y, z in BALL.vertices)
+    + "".join(f"3 {a} {b} {c} .5\n" for a, b, c in BALL.faces[:9]),
     "grids.ptx": 2 * (f"6\n7\n{POSE}" + lines(GRID)),
     "scene.gltf": lambda path: write_gltf(path, BALL, [{"mesh": 0}], "scene.bin"),
     "data.gltf": lambda path: write_gltf(path, BALL, [{"mesh": 0}]),
@@ -138,6 +153,45 @@ def whole_scan(name: str, folder: Path) -> Path:
     return path
 
 
+def damaged_scan(whole: bytes, suffix: str, seed: int) -> bytes:
+    """A damaged file; every second one is damaged below its compression and its checksums.
+
+    Those find most damage of a file, so that what reads its content would see little of it.
+    """
+    if suffix == ".e57":
+        return with_checksums(damaged(without_checksums(whole), seed), len(whole))
+    if seed % 2 and suffix in (".3mf", ".npz"):
+        return damaged_member(whole, seed)
+    if seed % 2 and suffix == ".png":
+        return with_chunks(damaged(whole, seed))
+    return damaged(whole, seed)
+
+
+def damaged_member(archive: bytes, seed: int) -> bytes:
+    """An archive in which one file is damaged."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(archive)) as old, zipfile.ZipFile(file, "w") as new:
+        names = old.namelist()
+        chosen = names[seed // 2 % len(names)]
+        for name in names:
+            content = old.read(name)
+            new.writestr(name, damaged(content, seed) if name == chosen else content)
+    return file.getvalue()
+
+
+def with_chunks(data: bytes) -> bytes:
+    """A PNG file with the checksum of each chunk, as far as the lengths of the chunks are right."""
+    at, content = 8, bytearray(data)
+    while at + 12 <= len(content):
+        (length,) = struct.unpack_from(">I", content, at)
+        end = at + 8 + length
+        if end + 4 > len(content):
+            break
+        struct.pack_into(">I", content, end, zlib.crc32(content[at + 4 : end]))
+        at = end + 4
+    return bytes(content)
+
+
 def test_every_format_is_damaged() -> None:
     assert {Path(name).suffix for name in SCANS} == FORMATS.own.keys()
 
@@ -159,12 +213,7 @@ def test_a_name_that_is_not_utf8_is_read_as_any_other(name: str, tmp_path: Path)
 def test_a_damaged_scan_is_read_or_named(name: str, tmp_path: Path) -> None:
     whole = whole_scan(name, tmp_path).read_bytes()
     path = tmp_path / f"damaged{Path(name).suffix}"
-
-    def content(seed: int) -> bytes:
-        if path.suffix == ".e57":
-            return with_checksums(damaged(without_checksums(whole), seed), len(whole))
-        return damaged(whole, seed)
-
+    content = partial(damaged_scan, whole, path.suffix)
     n_errors, faults = read_damaged(path, content, read_scan, N_SCAN_SEEDS, str(path))
     assert not faults
     assert n_errors
@@ -215,6 +264,16 @@ def scans_in(path: Path) -> object:
     return discover([path])
 
 
+# Lists, labels and options of the scans in the folder `whole`.
+TEXTS = {
+    "options.toml": "[surface]\nmode = 'keep'\ncell = 0.01\n[signature]\nn_values = 9\n",
+    "labels.csv": "file,class\n" + "".join(f"egg{k},class{k // 2}\n" for k in range(6)),
+    "labels.cla": "PSB 1\n2 3\n\ncat 0 2\n5\n6\n\ndog 0 1\n7\n",
+    "scans.txt": "".join(f"scans/egg{k}.off\n" for k in range(6)),
+    "scans.csv": "path,x\n" + "".join(f"scans/egg{k}.off,\n" for k in range(6)),
+}
+
+
 class Kind(NamedTuple):
     """The name of a file, how it is read, and its damages."""
 
@@ -251,19 +310,8 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         write_mesh(egg, scans / f"egg{number}.off")
     (scans / "flat.xyz").write_text("1 2 3\n" * 200)
     labels = {f"egg{number}": f"class{number // 2}" for number in range(6)}
-    (folder / "options.toml").write_text(
-        "[surface]\nmode = 'keep'\ncell = 0.01\n[signature]\nn_values = 9\n"
-    )
-    (folder / "labels.csv").write_text(
-        "file,class\n" + "".join(f"{a},{b}\n" for a, b in labels.items())
-    )
-    (folder / "labels.cla").write_text("PSB 1\n2 3\n\ncat 0 2\n5\n6\n\ndog 0 1\n7\n")
-    (folder / "scans.txt").write_text(
-        "".join(f"scans/egg{number}.off\n" for number in range(6))
-    )
-    (folder / "scans.csv").write_text(
-        "path,x\n" + "".join(f"scans/egg{k}.off,\n" for k in range(6))
-    )
+    for name, text in TEXTS.items():
+        (folder / name).write_text(text)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fitted, "SMALLEST_KEPT", 1)
         for name in ("c.sqlite", "indexed.sqlite"):

@@ -6,6 +6,7 @@ import random
 import re
 import resource
 import signal
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -80,11 +81,11 @@ def damaged_once(data: bytes, damage: str, rng: np.random.Generator) -> bytes:
         case "repeat":
             return data[: at + n] + data[at:]
     reach = len(data) if damage == "renumber" else HEADER_BYTES
-    places = [place.span() for place in NUMBER.finditer(data[:reach])]
-    if not places:
+    place = NUMBER.search(data, at % reach) or NUMBER.search(data)
+    if place is None:
         return data
-    start, stop = places[int(rng.integers(len(places)))]
-    return data[:start] + NUMBERS[int(rng.integers(len(NUMBERS)))] + data[stop:]
+    number = NUMBERS[int(rng.integers(len(NUMBERS)))]
+    return data[: place.start()] + number + data[place.end() :]
 
 
 def damaged(data: bytes, seed: int, damages: Sequence[str] = DAMAGES) -> bytes:
@@ -97,45 +98,81 @@ def damaged(data: bytes, seed: int, damages: Sequence[str] = DAMAGES) -> bytes:
 
 # --- limits -------------------------------------------------------------------------------------------------
 
-MEMORY = 1 << 30  # what a file of a few kilobytes may take; bytes
-SECONDS = 5.0  # of processor time
+MEMORY = 200 << 20  # what a file of a few kilobytes may take; bytes
+SECONDS = 2.0  # of processor time
 
 
 class HangError(BaseException):
     """Raised where a call exceeds its time. Code that handles every `Exception` does not handle it."""
 
 
+class Clock:
+    """The number of files that were tried."""
+
+    n = 0
+
+
 @contextmanager
-def limited_memory(n_bytes: int = MEMORY) -> Iterator[None]:
-    """Let further allocations of more than so many bytes in total raise a MemoryError."""
-    status = Path("/proc/self/status").read_text(encoding="ascii")
-    (used,) = (
-        int(line.split()[1]) << 10
-        for line in status.splitlines()
-        if line.startswith("VmData")
-    )
+def limited(n_bytes: int = MEMORY, seconds: float = SECONDS) -> Iterator[Clock]:
+    """Let allocations of more than so many bytes in total raise a MemoryError, and long trials a HangError.
+
+    A trial is stopped between once and twice these seconds, of processor time, which others do not take.
+    """
+    clock, last = Clock(), -1
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        nonlocal last
+        if last == clock.n:
+            raise HangError(f"not finished within {seconds:g} s")
+        last = clock.n
+
+    used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[5])
+    most = used * resource.getpagesize() + n_bytes
     before = resource.getrlimit(resource.RLIMIT_DATA)
-    resource.setrlimit(resource.RLIMIT_DATA, (used + n_bytes, before[1]))
+    resource.setrlimit(resource.RLIMIT_DATA, (most, before[1]))
+    handler = signal.signal(signal.SIGVTALRM, stop)
+    signal.setitimer(signal.ITIMER_VIRTUAL, seconds, seconds)
     try:
-        yield
+        yield clock
     finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+        signal.signal(signal.SIGVTALRM, handler)
         resource.setrlimit(resource.RLIMIT_DATA, before)
 
 
-@contextmanager
-def limited_time(seconds: float) -> Iterator[None]:
-    """Raise a HangError after so many seconds of processor time, which other processes do not take."""
+class Trial(NamedTuple):
+    """What a file led to: it is read, refused, or else a fault, and what was said."""
 
-    def stop(number: int, frame: FrameType | None) -> None:
-        raise HangError(f"not finished within {seconds:g} s")
+    is_refused: bool
+    fault: str = ""
+    error: BaseException | None = None
 
-    before = signal.signal(signal.SIGVTALRM, stop)
-    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
-        signal.signal(signal.SIGVTALRM, before)
+
+def tried(path: Path, read: Callable[[Path], object], named: str, clock: Clock) -> Trial:
+    """Read a file within the limits of a clock, and without a warning.
+
+    named: what the message of an error must contain, unless the error names a shape of the file.
+    """
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        try:
+            clock.n += 1
+            read(path)
+            found = Trial(False)
+        except PcretrieveError as error:
+            is_named = named in error.message or error.shape_id is not None
+            is_clear = is_named and "codec" not in error.message
+            said = "" if is_clear else f"in other words: {error.message}"
+            found = Trial(True, said, error)
+        except BaseException as error:  # noqa: BLE001 — whatever a reader lets pass is a fault
+            found = Trial(False, f"{type(error).__name__}: {error}", error)
+    if warned and not found.fault:
+        one = warned[0]
+        said = (
+            f"{one.category.__name__} in {one.filename}, line {one.lineno}: {one.message}"
+        )
+        return found._replace(fault=said)
+    return found
 
 
 def read_damaged(
@@ -145,24 +182,15 @@ def read_damaged(
     n_seeds: int,
     named: str,
 ) -> tuple[int, list[str]]:
-    """Read a file that is damaged anew from each seed: the number of errors, and each fault with its seed.
-
-    named: what the message of each error must contain, unless the error names a shape of the file.
-    """
+    """Read a file that is damaged anew from each seed: the number of errors, and each fault with its seed."""
     n_errors, faults = 0, []
-    with limited_memory():
+    with limited() as clock:
         for seed in range(n_seeds):
             path.write_bytes(contents(seed))
-            try:
-                with limited_time(SECONDS):
-                    read(path)
-            except PcretrieveError as error:
-                n_errors += 1
-                found = named in error.message or error.shape_id is not None
-                if not found or "codec" in error.message:
-                    faults.append(f"seed {seed}, in other words: {error}")
-            except BaseException as error:  # noqa: BLE001 — whatever a reader lets pass is a fault
-                faults.append(f"seed {seed}: {type(error).__name__}: {error}")
+            trial = tried(path, read, named, clock)
+            n_errors += trial.is_refused
+            if trial.fault:
+                faults.append(f"seed {seed}, {trial.fault}")
     path.unlink(missing_ok=True)
     return n_errors, faults
 
