@@ -11,7 +11,8 @@ import io
 import re
 import warnings
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import closing
 from functools import partial
 from itertools import islice, pairwise
 from pathlib import Path
@@ -314,18 +315,23 @@ class Grid(NamedTuple):
 
 def read_ptx(path: Path, name: str | None = None) -> RawScan:
     """Read the scans in a PTX file as one, or the scan of a number, without readings that are zeros."""
-    grids = enumerate(_grids(path), start=1)
-    return joined(
-        [_scan(rows, grid) for k, (grid, rows) in grids if name in (None, str(k))]
-    )
+    with closing(_grids(path)) as grids:
+        return joined(
+            [
+                _scan(rows, grid)
+                for k, (grid, rows) in enumerate(grids, start=1)
+                if name in (None, str(k))
+            ]
+        )
 
 
 def ptx_names(path: Path) -> tuple[str, ...]:
     """The numbers of the scans in a file."""
-    return tuple(str(number) for number, _ in enumerate(_grids(path), start=1))
+    with closing(_grids(path)) as grids:
+        return tuple(str(number) for number, _ in enumerate(grids, start=1))
 
 
-def _grids(path: Path) -> Iterator[tuple[Grid, Iterator[str]]]:
+def _grids(path: Path) -> Generator[tuple[Grid, Iterator[str]], None, None]:
     """Yield the header and the rows of each scan; rows that are not read are skipped."""
     n_scans = 0
     # Bytes that are no text are no numbers either, and are reported as such.

@@ -11,7 +11,7 @@ import open3d
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
-from scan_files import cloud
+from scan_files import POSE, cloud
 from scipy.spatial.transform import Rotation
 
 from pcretrieve import PointCloud, read_scan
@@ -324,3 +324,14 @@ def test_scans_of_one_file_are_joined_by_the_poses_of_their_sensors(
     loose = read_views([tmp_path / "loose.ptx"])
     assert len(loose.clouds) == 2
     assert loose.poses is None
+
+
+def test_a_file_that_is_refused_is_closed(tmp_path: Path) -> None:
+    """Else Windows would not let it be replaced, as long as somebody has the error."""
+    grid = f"2\n2\n{POSE}" + "0 0 1\n" * 3
+    (tmp_path / "a.ptx").write_text(grid)
+    with pytest.raises(ScanReadError, match="declares 4 points, it holds 3") as raised:
+        read_scan(tmp_path / "a.ptx")
+    opened = [link.resolve() for link in Path("/proc/self/fd").iterdir()]
+    assert tmp_path / "a.ptx" not in opened
+    assert raised.value.__traceback__ is not None
