@@ -1,4 +1,4 @@
-"""Meshes: OBJ, OFF and STL, and scenes of several bodies: by trimesh 3MF and COLLADA (``.dae``).
+"""Meshes: OBJ, OFF and STL, and scenes of several bodies: 3MF, and by trimesh COLLADA (``.dae``).
 
 trimesh would duplicate the vertices of an OBJ file at the seams of textures, normals and materials, which
 opens a closed surface, and takes one dialect of OFF and of STL only. All three are therefore read here. A
@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable
 from functools import cache, lru_cache, partial
 from pathlib import Path
-from typing import IO, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,7 @@ STL_RECORD = np.dtype(
 # A vertex of a text; the other words differ between programs, such as "end loop" and "end solid".
 STL_VERTEX = re.compile(r"\bvertex((?:\s+[-+.\dni]\S*){3})", re.IGNORECASE)
 
-# Names of units in 3MF files; the last is that of trimesh, where a file names none.
+# Names of units in 3MF files.
 UNITS = {
     "micron": "um",
     "millimeter": "mm",
@@ -54,18 +54,12 @@ UNITS = {
     "inch": "in",
     "foot": "ft",
 }
-UNITS |= {"millimeters": "mm", "meters": "m"}
 
-# Elements of 3MF and of COLLADA files: scenes, nodes, and what refers to a node or to a mesh.
-SCENES = ("{*}build", "{*}visual_scene")
-NODES = ("{*}object", "{*}node")
-USES = (
-    "{*}item",
-    "{*}component",
-    "{*}instance_node",
-    "{*}instance_geometry",
-    "{*}instance_controller",
-)
+# The motion of a 3MF file that leaves a body in its place, by rows.
+UNMOVED = "1 0 0 0 1 0 0 0 1 0 0 0"
+# Elements of COLLADA files: the scene, its nodes, and what refers to a node or to a mesh.
+NODES = ("{*}visual_scene", "{*}node")
+USES = ("{*}instance_node", "{*}instance_geometry", "{*}instance_controller")
 
 # A mesh is repeated in a scene for each node that refers to it. The number of vertices and indices in the
 # scene is limited to the number of bytes of the file, or to this number if the file is smaller.
@@ -161,14 +155,6 @@ def read_stl(path: Path) -> RawScan:
     return RawScan(points, np.arange(len(points)).reshape(-1, 3))
 
 
-def _of_trimesh(mesh: Any) -> RawScan:
-    faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
-    return RawScan(
-        np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3),
-        faces if len(faces) else None,
-    )
-
-
 def welded(
     points: NDArray[Any], faces: NDArray[np.integer]
 ) -> tuple[NDArray[Any], NDArray[np.integer]]:
@@ -212,6 +198,8 @@ def welded(
 
 #: The bodies of a file by name, in their order and in the unit of the file; each is read when it is called.
 Scene: TypeAlias = dict[str, Callable[[], RawScan]]
+#: The name of a mesh, its arrays, and the (4, 4) motion to its place.
+Placed: TypeAlias = tuple[str, RawScan, FloatArray]
 
 
 def read_scene(
@@ -272,40 +260,87 @@ def check_size(n_values: int, n_bytes: int) -> None:
 
 def moved(mesh: RawScan, motion: FloatArray) -> RawScan:
     """A mesh that a (4, 4) motion places; a reflection reverses the orientation of its triangles."""
-    import trimesh
-
-    points, faces = mesh.points, mesh.faces
+    faces = mesh.faces
     if faces is not None and np.linalg.det(motion[:3, :3]) < 0:
         faces = faces[:, ::-1]
-    return RawScan(
-        trimesh.transform_points(points, motion).reshape(-1, 3)
-        if len(points)
-        else points,
-        faces,
-    )
+    return RawScan(mesh.points @ motion[:3, :3].T + motion[:3, 3], faces)
 
 
 def three_mf_scene(path: Path) -> Scene:
-    """The bodies of a 3MF file."""
+    """The bodies of a 3MF file: the objects of its models, as items and components place them.
+
+    trimesh would read all objects of a second model, as slicers write one for the parts of a body, as one.
+    """
+    from lxml import etree  # type: ignore[import-untyped,unused-ignore]
+
+    objects: dict[
+        tuple[str, str], Any
+    ] = {}  # by the name of their model, and their id in it
+    items: list[tuple[str, Any]] = []
     with opened_archive(path) as archive:
         members = archive.infolist()
-        size = sum(info.file_size for info in members)
         for info in members:
-            if "3d/3dmodel.model" in info.filename.lower():
+            model = info.filename.lower()
+            if model.endswith(".model"):
                 with archive.open(info) as file:
-                    _check_instances(file)
-    bodies, unit = _markup(path, "3mf", size)
-    if unit is not None and unit not in UNITS:
+                    parser = etree.XMLParser(resolve_entities=False, huge_tree=True)
+                    root = etree.parse(file, parser).getroot()
+                objects |= {(model, one.get("id")): one for one in root.iter("{*}object")}
+                items += [(model, one) for one in root.iter("{*}item")]
+    mesh_of = cache(lambda key: _mesh(objects[key]))
+    placed: list[Placed] = []
+
+    def place(use: Any, model: str, motion: FloatArray, above: str) -> None:
+        check_members(len(placed))
+        (other,) = use.xpath("@*[local-name()='path']") or [model]
+        key = other.strip("/").lower(), use.get("objectid")
+        own = np.eye(4)
+        own[:3] = numbers_in(use.get("transform", UNMOVED), "motions").reshape(4, 3).T
+        motion = motion @ own
+        name = objects[key].get("name") or above or key[1]
+        placed.append((name, mesh_of(key), motion))
+        for component in objects[key].iter("{*}component"):
+            place(component, key[0], motion, name)
+
+    unit = "millimeter"
+    for model, item in items:
+        place(item, model, np.eye(4), "")
+        unit = item.getroottree().getroot().get("unit", unit)
+    if unit not in UNITS:
         raise Damaged(f"its unit is {unit[:20]!r}")
-    return _scene(bodies, None if unit is None else UNITS[unit])
+    return _scene(_bodies(placed, sum(info.file_size for info in members)), UNITS[unit])
+
+
+def _mesh(node: Any) -> RawScan:
+    """The mesh of an object of a 3MF file."""
+
+    def table(tag: str, *names: str) -> FloatArray:
+        rows = [" ".join([one.get(name, "") for name in names]) for one in node.iter(tag)]
+        return numbers_in(" ".join(rows), "vertices and triangles").reshape(-1, 3)
+
+    faces = table("{*}triangle", "v1", "v2", "v3")
+    return RawScan(table("{*}vertex", *"xyz"), faces.astype(np.int64))
 
 
 def collada_scene(path: Path) -> Scene:
     """The bodies of a COLLADA file."""
-    _check_instances(
-        io.BytesIO(path.read_bytes())
-    )  # lxml refuses names of files that are not UTF-8
-    bodies, said = _markup(path, "dae", path.stat().st_size)
+    import trimesh
+
+    _check_instances(path)
+    with path.open("rb") as file:
+        scene: Any = trimesh.load_scene(file, file_type="dae", process=False)
+    placed: list[Placed] = []
+    said = None
+    for node in scene.graph.nodes_geometry:
+        motion, name = scene.graph[node]
+        mesh = scene.geometry[name]
+        if len(getattr(mesh, "faces", ())):
+            mesh.unmerge_vertices()  # trimesh merges what coincides, of parts that touch too
+            placed.append(
+                (str(node), RawScan(mesh.vertices, np.asarray(mesh.faces)), motion)
+            )
+            said = mesh.metadata.get("units")
+    bodies = _bodies(placed, path.stat().st_size)
     if said is None:
         return _scene(bodies, None)
     metres = 1.0 if said == "meters" else float(said.split()[0])
@@ -315,52 +350,36 @@ def collada_scene(path: Path) -> Scene:
     return _scene(bodies, unit) if unit else _scene(bodies, "m", metres)
 
 
-def _check_instances(file: IO[bytes]) -> None:
-    """Check how many bodies markup has, of which trimesh makes one for each way from its scene to a mesh."""
-    from lxml import etree  # type: ignore[import-untyped,unused-ignore]
+def _check_instances(path: Path) -> None:
+    """Check how many bodies a file has, of which trimesh makes one for each way from its scene to a mesh."""
+    from lxml import etree
 
     uses: dict[
         str, list[str]
-    ] = {}  # of other nodes and of meshes, by the name of a node; "": by the scene
+    ] = {}  # of nodes and meshes, by the id of a node; "": by the scene
+    # As bytes, because lxml refuses names of files that are not UTF-8.
     for _, node in etree.iterparse(
-        file, tag=SCENES + NODES, resolve_entities=False, huge_tree=True
+        io.BytesIO(path.read_bytes()), tag=NODES, resolve_entities=False, huge_tree=True
     ):
-        named = [
-            one.get("objectid") or one.get("url", "")[1:] for one in node.iter(*USES)
-        ]
-        is_scene = node.tag.endswith(("build", "visual_scene"))
+        named = [one.get("url", "")[1:] for one in node.iter(*USES)]
+        is_scene = node.tag.endswith("visual_scene")
         uses.setdefault("" if is_scene else node.get("id"), []).extend(named)
 
     @cache
-    def count(name: str) -> int:
-        return sum(map(count, uses.get(name, ()))) or 1
+    def n_below(name: str) -> int:
+        return sum(map(n_below, uses.get(name, ()))) or 1
 
-    check_members(count(""))
+    check_members(n_below(""))
 
 
-def _markup(
-    path: Path, file_type: str, n_bytes: int
-) -> tuple[list[tuple[str, RawScan]], str | None]:
-    """The bodies in so many bytes of markup with their names, and the unit as trimesh names it."""
-    import trimesh
-
-    with path.open("rb") as file:
-        scene: Any = trimesh.load_scene(file, file_type=file_type, process=False)
-    placed = [(node, *scene.graph[node]) for node in scene.graph.nodes_geometry]
-    meshes = [(str(node), motion, scene.geometry[name]) for node, motion, name in placed]
-    meshes = [found for found in meshes if len(getattr(found[2], "faces", ()))]
+def _bodies(placed: list[Placed], n_bytes: int) -> list[tuple[str, RawScan]]:
+    """The meshes in so many bytes of markup, in their places."""
+    meshes = [found for found in placed if np.asarray(found[1].faces).size]
     if not meshes:
         raise Damaged("it holds no triangles")
-    check_size(
-        sum(mesh.vertices.size + mesh.faces.size for _, _, mesh in meshes), n_bytes
-    )
-    if (
-        file_type == "dae"
-    ):  # in which trimesh merges all that coincides, of parts that touch too
-        for *_, mesh in meshes:
-            mesh.unmerge_vertices()
-    bodies = [(name, moved(_of_trimesh(mesh), motion)) for name, motion, mesh in meshes]
-    return bodies, meshes[-1][2].metadata.get("units")
+    arrays = [each for _, mesh, _ in meshes for each in (mesh.points, mesh.faces)]
+    check_size(sum(np.asarray(each).size for each in arrays), n_bytes)
+    return [(name, moved(mesh, motion)) for name, mesh, motion in meshes]
 
 
 def _scene(

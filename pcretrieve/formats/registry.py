@@ -328,7 +328,7 @@ _OWN = {
     ),
     ".glb": _scene(gltf_scene, write_mesh=partial(meshes.mesh_bytes, file_type="glb")),
     ".gltf": _scene(gltf_scene, parts=buffer_files),
-    ".3mf": _scene(meshes.three_mf_scene, extra=Extra("meshes", ("lxml", "networkx"))),
+    ".3mf": _scene(meshes.three_mf_scene, extra=Extra("meshes", ("lxml",))),
     ".dae": _scene(meshes.collada_scene, extra=Extra("meshes", ("collada",))),
     ".conf": Format(
         partial(read_conf, read_view=lambda view: read_raw(ScanPath.parse(view))),
