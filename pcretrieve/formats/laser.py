@@ -98,13 +98,14 @@ def read_las(path: Path) -> RawScan:
     points = np.concatenate(
         [np.column_stack([part.x, part.y, part.z]) for part in records]
     )
-    noise = np.isin(
-        np.concatenate([np.asarray(part.classification) for part in records]), NOISE
+    noise = np.concatenate(
+        [np.isin(part.classification, NOISE) | (part.withheld != 0) for part in records]
     )  # (n,)
-    if not noise.any():
-        return RawScan(points, unit="m", is_assumed=True)
-    note = f"dropped {int(noise.sum())} of {len(points)} points that the file classifies as noise"
-    return RawScan(points[~noise], notes=(note,), unit="m", is_assumed=True)
+    scan = RawScan(points, unit="m", is_assumed=True)
+    if noise.any() and not noise.all():
+        note = f"dropped {int(noise.sum())} of {len(points)} points that the file calls noise or withheld"
+        scan = scan._replace(points=points[~noise], notes=(note,))
+    return without_zeros(scan)
 
 
 def _check_records(data: bytes) -> None:
@@ -192,25 +193,23 @@ def _check_chunks(data: bytes, start: int, record: bytes, n_bytes: int) -> None:
 
 def read_e57(path: Path, name: str | None = None) -> RawScan:
     """Read the scans in an E57 file as one, or the scan of a name."""
-    with _opened(path) as (file, names):
-        return joined(
-            [
-                _scan(file, number)
-                for number, own in enumerate(names)
-                if name in (None, own)
-            ]
-        )
+    with _opened(path) as (file, numbers):
+        chosen = [_scan(file, numbers[own]) for own in numbers if name in (None, own)]
+        return joined(chosen)
 
 
 def e57_names(path: Path) -> tuple[str, ...]:
     """The names of the scans in an E57 file."""
-    with _opened(path) as (_, names):
-        return tuple(names)
+    with _opened(path) as (_, numbers):
+        return tuple(numbers)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[Any, list[str]]]:
-    """The open file, and the names of its scans, whose sizes are checked before the scans are read."""
+def _opened(path: Path) -> Iterator[tuple[Any, dict[str, int]]]:
+    """The open file, and the numbers of its scans by name, whose sizes are checked before they are read.
+
+    Scanners write scans without points too, which pye57 does not read.
+    """
     import pye57
 
     _check_xml(path)
@@ -218,10 +217,14 @@ def _opened(path: Path) -> Iterator[tuple[Any, list[str]]]:
     # As bytes, because a name need not be UTF-8.
     with pye57.E57(os.fsencode(path)) as file:
         check_members(file.scan_count)
-        headers = [file.get_header(number) for number in range(file.scan_count)]
+        headers = {
+            number: header
+            for number in range(file.scan_count)
+            if (header := file.get_header(number)).point_count
+        }
         if not headers:
-            raise ScanReadError("the file holds no scans")
-        for header in headers:
+            raise ScanReadError("the file holds no scans that have points")
+        for header in headers.values():
             # A point has at least one bit: its three coordinates cannot all be constant.
             if int(header.point_count) > 8 * n_bytes:
                 raise Damaged(
@@ -231,9 +234,9 @@ def _opened(path: Path) -> Iterator[tuple[Any, list[str]]]:
                 raise Damaged("the position of a sensor is not finite")
         named = (
             header["name"].value() if header.node.isDefined("name") else ""
-            for header in headers
+            for header in headers.values()
         )
-        yield file, distinct_names(map(str, named))
+        yield file, dict(zip(distinct_names(map(str, named)), headers, strict=True))
 
 
 def _scan(file: Any, number: int) -> RawScan:

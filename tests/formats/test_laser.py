@@ -6,13 +6,16 @@ import socket
 import struct
 import subprocess
 import sys
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import shapes
 from benchmarks.samples import write_conf, write_pcd
+from numpy.typing import NDArray
 from scan_files import (
     CAN_WRITE,
     cloud,
@@ -29,6 +32,7 @@ from pcretrieve.errors import ScanReadError
 from pcretrieve.formats import ScanPath, as_scan, members_of, parts_of, write_mesh
 from pcretrieve.formats.registry import read_raw
 from pcretrieve.ingestion.views import read_views
+from pcretrieve.values import FloatArray
 
 POINTS = shapes.points_on(shapes.ellipsoid(), 500)
 SINGLE = 1e-6
@@ -66,8 +70,30 @@ def test_points_of_las(tmp_path: Path) -> None:
             assert (
                 found.provenance[0]
                 .notes[0]
-                .startswith("dropped 1 of 500 points that the file classifies")
+                .startswith("dropped 1 of 500 points that the file calls noise")
             )
+
+
+@needs(".las")
+@pytest.mark.parametrize("point_format", [1, 6])
+def test_points_of_las_that_are_not_measured(point_format: int, tmp_path: Path) -> None:
+    """Withheld ones were deleted by an editor; a scanner without an answer writes zeros."""
+    import laspy
+
+    path = tmp_path / "a.las"
+    write_las(path, [*POINTS, *np.zeros((9, 3))], point_format=point_format)
+    data = laspy.read(str(path))
+    data.withheld = np.arange(len(data.x)) < 4
+    data.write(str(path))
+    found = cloud(path)
+    np.testing.assert_allclose(found.points, POINTS[4:], atol=LAS_STEP)
+    withheld, zeros = found.provenance[0].notes
+    assert withheld == "dropped 4 of 509 points that the file calls noise or withheld"
+    assert zeros.startswith("dropped 9 of 505 points at zero")
+    # A file that calls all of its points noise says nothing by it.
+    data.withheld = np.ones(len(data.x), dtype=bool)
+    data.write(str(path))
+    assert len(cloud(path).points) == len(POINTS)
 
 
 @needs(".laz")
@@ -185,6 +211,80 @@ def test_scans_in_an_e57_file(tmp_path: Path) -> None:
     np.testing.assert_allclose(both.viewpoints[[0, 500]], [SENSOR, -SENSOR])
     views = read_views([tmp_path / "a.e57"])
     np.testing.assert_array_equal(views.poses, [np.eye(4), np.eye(4)])
+
+
+Fields = dict[str, tuple[str, NDArray[Any]]]
+
+
+def write_fields(path: Path, scans: Sequence[Fields]) -> None:
+    """Scans of any fields, each as doubles, as scaled integers, or as states 0 to 2."""
+    from pye57 import E57, libe57
+
+    with E57(str(path), "w") as file:
+        image = file.image_file
+        for fields in scans:
+            scan, row = libe57.StructureNode(image), libe57.StructureNode(image)
+            buffers, arrays = libe57.VectorSourceDestBuffer(), []
+            for name, (kind, values) in fields.items():
+                if kind == "double":
+                    node = libe57.FloatNode(image, 0.0, libe57.E57_DOUBLE, -1e9, 1e9)
+                elif kind == "scaled":
+                    node = libe57.ScaledIntegerNode(image, 0, -(10**8), 10**8, 1e-5, 3.0)
+                else:
+                    node = libe57.IntegerNode(image, 0, 0, 2)
+                row.set(name, node)
+                arrays.append(np.array(values, "i1" if kind == "state" else "f8"))
+                buffers.append(
+                    libe57.SourceDestBuffer(
+                        image, name, arrays[-1], len(values), True, kind == "scaled"
+                    )
+                )
+            points = libe57.CompressedVectorNode(
+                image, row, libe57.VectorNode(image, True)
+            )
+            scan.set("guid", libe57.StringNode(image, "{1}"))
+            scan.set("points", points)
+            file.data3d.append(scan)
+            if len(arrays[0]):
+                writer = points.writer(buffers)
+                writer.write(len(arrays[0]))
+                writer.close()
+
+
+def cartesian(points: FloatArray, kind: str) -> Fields:
+    return {f"cartesian{axis}": (kind, points[:, k]) for k, axis in enumerate("XYZ")}
+
+
+def spherical(points: FloatArray, kind: str) -> Fields:
+    x, y, z = points.T
+    distance = np.linalg.norm(points, axis=1)
+    return {
+        "sphericalRange": (kind, distance),
+        "sphericalAzimuth": (kind, np.arctan2(y, x)),
+        "sphericalElevation": (kind, np.arcsin(z / distance)),
+    }
+
+
+@needs(".e57")
+@pytest.mark.parametrize("kind", ["double", "scaled"])
+@pytest.mark.parametrize("fields", [cartesian, spherical])
+def test_points_of_other_scanners(
+    fields: Callable[[FloatArray, str], Fields], kind: str, tmp_path: Path
+) -> None:
+    """Ranges and angles, scaled integers, readings that are marked as invalid, and scans without points."""
+    path, own = tmp_path / "a.e57", fields(POINTS, kind)
+    write_fields(path, [own])
+    np.testing.assert_allclose(cloud(path).points, POINTS, atol=1e-4)
+    states = np.arange(len(POINTS)) % 3
+    write_fields(path, [own | {f"{fields.__name__}InvalidState": ("state", states)}])
+    np.testing.assert_allclose(cloud(path).points, POINTS[::3], atol=1e-4)
+    nothing = fields(POINTS[:0], kind)
+    write_fields(path, [nothing, own, nothing, own])
+    assert [one.name for one in members_of(path)] == ["a.e57#1", "a.e57#2"]
+    np.testing.assert_allclose(cloud(path).points, np.tile(POINTS, (2, 1)), atol=1e-4)
+    write_fields(path, [nothing])
+    with pytest.raises(ScanReadError, match="the file holds no scans that have points"):
+        read_scan(path)
 
 
 HEADS = {
