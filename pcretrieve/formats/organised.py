@@ -34,6 +34,17 @@ def organised_scan(
     n_readings, n_measured = measured.size, int(measured.sum())
     if not n_measured:
         raise ScanReadError(f"none of its {n_readings} readings is an answer")
+    notes = []
+    if n_measured < n_readings:
+        notes.append(
+            f"dropped {n_readings - n_measured} of {n_readings} readings without an answer"
+        )
+    if 1 in measured.shape:  # points that are no grid, as other programs write them
+        return RawScan(
+            grid[measured],
+            viewpoints=sensor if sensor.any() else None,
+            notes=tuple(notes),
+        )
     rows, columns = _span(measured, axis=1), _span(measured, axis=0)
     grid, measured = grid[rows, columns], measured[rows, columns]
     spacing = _spacing(grid, measured, sensor)  # (h, w)
@@ -59,11 +70,6 @@ def organised_scan(
     points, normals = grid[kept], normals[kept]
     away = np.einsum("ij,ij->i", normals, sensor - points) < 0
     normals[away] *= -1
-    notes = []
-    if n_measured < n_readings:
-        notes.append(
-            f"dropped {n_readings - n_measured} of {n_readings} readings without an answer"
-        )
     if len(points) < n_measured:
         notes.append(
             f"dropped {n_measured - len(points)} of {n_measured} points without three neighbours on a surface"

@@ -95,11 +95,23 @@ def read_text(path: Path, *, normals: bool | None = None) -> RawScan:
         rows: Iterable[str] = file
         if has_signs or layout.decimal != ".":
             rows = (_plain(line.replace(layout.decimal, ".")) for line in file)
+        counts = [layout.promised or 0.0]
+        if layout.promised is not None:
+            rows = _without_counts(rows, counts)
         table = _number_rows(rows, columns, layout.separator)
-    if layout.promised is not None and layout.promised != len(table):
-        raise Damaged(f"it declares {layout.promised:.0f} points and holds {len(table)}")
+    if layout.promised is not None and sum(counts) != len(table):
+        raise Damaged(f"it declares {sum(counts):.0f} points and holds {len(table)}")
     keep = len(columns) == 6 and (layout.named or normals or are_normals(table[:, 3:]))
     return without_zeros(RawScan(table[:, :3], normals=table[:, 3:] if keep else None))
+
+
+def _without_counts(rows: Iterable[str], counts: list[float]) -> Iterator[str]:
+    """The rows of several clouds in one file, without the lines that count them, which become `counts`."""
+    for row in rows:
+        if row.strip().isdecimal():
+            counts.append(float(row))
+        else:
+            yield row
 
 
 def _number_rows(
@@ -122,10 +134,8 @@ def _number_rows(
                 comments=None,
             )
     except ValueError as error:
-        second = "; a line of one number may begin a second cloud: divide the file"
-        said = f"{error}{second if 'with 1 columns' in str(error) else ''}"
         raise ScanReadError(
-            f"each line must hold {max(columns) + 1} numbers: {said}"
+            f"each line must hold {max(columns) + 1} numbers: {error}"
         ) from error
     return table.reshape(-1, len(columns))
 
@@ -336,16 +346,15 @@ def _grids(path: Path) -> Generator[tuple[Grid, Iterator[str]], None, None]:
     n_scans = 0
     # Bytes that are no text are no numbers either, and are reported as such.
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        while lines := [
-            line for line in islice(file, N_HEADER_LINES) if not n_scans or line.strip()
-        ]:
+        filled = filter(str.strip, file)
+        while (lines := [*islice(filled, N_HEADER_LINES)]) or not n_scans:
             n_scans += 1
             check_members(n_scans)
             try:
                 grid = _header(lines, path.stat().st_size)
             except ValueError as error:
                 raise Damaged(f"its header is damaged: {error}") from error
-            rows = islice(file, grid.n_columns * grid.n_rows)
+            rows = islice(filled, grid.n_columns * grid.n_rows)
             yield grid, rows
             deque(rows, maxlen=0)
 

@@ -127,11 +127,7 @@ def test_a_table_with_an_odd_row_is_no_list_of_scans(tmp_path: Path) -> None:
             "got 'P1,0.5,1.5,2.5': give the columns a header",
         ),
         ("b.txt", ["what is this?"], "a list of scans must name a file that is there"),
-        (
-            "a.pts",
-            ["3", *POINTS[:3], "5", *POINTS[3:]],
-            "may begin a second cloud: divide the file",
-        ),
+        ("a.pts", ["3", *POINTS[:3], "6", *POINTS[3:]], "declares 9 points and holds 8"),
     ):
         assert words in refusal(tmp_path / name, "\n".join(rows))
         assert discover([tmp_path / name]) == [ScanPath(tmp_path / name)]
@@ -140,6 +136,19 @@ def test_a_table_with_an_odd_row_is_no_list_of_scans(tmp_path: Path) -> None:
         ScanPath(tmp_path / "gone.ply"),
         ScanPath(tmp_path / "a.txt"),
     ]
+
+
+@pytest.mark.parametrize(
+    "after", ["", " -2048", " 2047 255 0 0", " 0.5 255 0 0 0 0 1", "\t7"]
+)
+def test_clouds_of_pts_one_after_another(after: str, tmp_path: Path) -> None:
+    """Cyclone writes intensities and colours, a count before each cloud; others write none."""
+    rows = [f"{row}{after}" for row in POINTS]
+    for text in (rows, ["8", *rows], [" 3 ", *rows[:3], "", "5", *rows[3:], "", "0"]):
+        (tmp_path / "a.pts").write_text("\r\n".join(text))
+        found = cloud(tmp_path / "a.pts")
+        assert found.normals is None
+        np.testing.assert_array_equal(found.points, CUBE)
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.stl", "a.obj", "a.off", "a.pcd"])

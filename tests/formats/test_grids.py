@@ -326,6 +326,30 @@ def test_scans_of_one_file_are_joined_by_the_poses_of_their_sensors(
     assert loose.poses is None
 
 
+def test_points_of_ptx_that_are_no_grid(tmp_path: Path) -> None:
+    """Programs write a cloud without a grid as one row or column, which has no neighbours of a surface."""
+    points = np.random.default_rng(0).uniform(1, 2, (50, 3))
+    points[7] = 0
+    for grid in (points[None], points[:, None]):
+        for sensor in (np.zeros(3), SENSOR):
+            (tmp_path / "a.ptx").write_text(ptx(TURN, sensor, grid))
+            found = cloud(tmp_path / "a.ptx")
+            own = (found.points - sensor) @ TURN.as_matrix()
+            np.testing.assert_allclose(own, np.delete(points, 7, axis=0), atol=1e-6)
+            assert found.normals is None
+            assert (found.viewpoints is None) == (not sensor.any())
+            said = "dropped 1 of 50 readings without an answer"
+            assert found.provenance[0].notes == (said,)
+
+
+def test_blank_lines_between_the_scans_of_ptx(tmp_path: Path) -> None:
+    one = ptx(TURN, SENSOR, readings())
+    (tmp_path / "a.ptx").write_text(one)
+    (tmp_path / "b.ptx").write_text(f"\n{one}\n\n{one}\n".replace("\n", "\r\n"))
+    both = np.tile(cloud(tmp_path / "a.ptx").points, (2, 1))
+    np.testing.assert_array_equal(cloud(tmp_path / "b.ptx").points, both)
+
+
 def test_a_file_that_is_refused_is_closed(tmp_path: Path) -> None:
     """Else Windows would not let it be replaced, as long as somebody has the error."""
     grid = f"2\n2\n{POSE}" + "0 0 1\n" * 3
