@@ -186,6 +186,11 @@ class Planner:
 
     def plans(self) -> Iterator[Plan]:
         """Yield plans for some files at a time; meanwhile, the contents of the next files are hashed."""
+        before = (record.label for record in self._held.values() if record.label)
+        classes = {*self._labels.values(), *before}
+        if len(classes) == 1 and len(self._labels) > 1:
+            words = "all labelled shapes are of one class, %s: scores and measures need two or more"
+            logger.warning(words, *classes)
         for start in range(0, len(self.names), FILES_AT_ONCE):
             self.contents.expect(self.names[start : start + 2 * FILES_AT_ONCE])
             made = Plan()
@@ -273,7 +278,7 @@ def _check_labels(
     names: Iterable[str],
     records: Sequence[Record],
 ) -> None:
-    """Check that a label file names a scan, or an id that a renamed file may keep; warn of a single class."""
+    """Check that a label file names a scan, or an id that a renamed file may keep."""
     is_lost = (
         unknown and not matched and {record.id for record in records}.isdisjoint(unknown)
     )
@@ -283,10 +288,6 @@ def _check_labels(
             f"{how.label_file} must name scans, but its {len(unknown)} names are not among them, such as "
             f"{unknown[0]!r}{meant}"
         )
-    classes = {*matched.values(), *(record.label for record in records if record.label)}
-    if len(classes) == 1 and len(matched) > 1:
-        words = "all labelled shapes are of one class, %s: scores and measures need two or more"
-        logger.warning(words, *classes)
 
 
 def _identity(scan: ScanPath, content: str) -> Identity:

@@ -169,14 +169,16 @@ def ingest(
     classes = labels if isinstance(labels, Mapping) else names
     part = scans_of(shard, scans)
     on_start(len(part))
-    if dry_run:
-        is_path = isinstance(catalogue, (str, Path)) and "://" not in str(catalogue)
-        is_new = is_path and not Path(str(catalogue)).exists()
+    is_path = isinstance(catalogue, (str, Path)) and "://" not in str(catalogue)
+    is_new = is_path and not Path(str(catalogue)).exists()
+    if is_new or dry_run:
         with nullcontext() if is_new else Catalogue.opened(catalogue, chosen) as known:
+            # Checks the labels, before a catalogue is made.
             planner = Planner(
                 scans, [] if known is None else known.records(), how, classes, part
             )
-        return _planned(planner, on_shape)
+        if dry_run:
+            return _planned(planner, on_shape)
     with Catalogue.opened(catalogue, chosen, create=True) as store:
         return process_scans(scans, store, how, labels=classes, part=part)
 
