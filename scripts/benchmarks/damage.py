@@ -80,8 +80,8 @@ def damaged_once(data: bytes, damage: str, rng: np.random.Generator) -> bytes:
             return data[:at] + data[at + n :]
         case "repeat":
             return data[: at + n] + data[at:]
-    reach = len(data) if damage == "renumber" else HEADER_BYTES
-    place = NUMBER.search(data, at % reach) or NUMBER.search(data)
+    start = at if damage == "renumber" else at % HEADER_BYTES
+    place = NUMBER.search(data, start) or NUMBER.search(data)
     if place is None:
         return data
     number = NUMBERS[int(rng.integers(len(NUMBERS)))]
