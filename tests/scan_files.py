@@ -152,24 +152,29 @@ def three_mf(
 
 
 def collada(
-    mesh: TriangleMesh, *, metres: float = 1.0, shift: Sequence[float] = (0, 0, 0)
+    *meshes: TriangleMesh, metres: float = 1.0, shift: Sequence[float] = (0, 0, 0)
 ) -> str:
-    """One mesh and the node that shows it, by pycollada."""
+    """Meshes and the nodes that show them, by pycollada."""
     import collada  # type: ignore[import-not-found,import-untyped,unused-ignore]
 
     document = collada.Collada()
     document.assetInfo.unitname, document.assetInfo.unitmeter = "u", metres
-    source = collada.source.FloatSource("points", mesh.vertices.ravel(), ("X", "Y", "Z"))
-    geometry = collada.geometry.Geometry(document, "body", "body", [source])
-    inputs = collada.source.InputList()
-    inputs.addInput(0, "VERTEX", "#points")
-    geometry.primitives.append(
-        geometry.createTriangleSet(mesh.faces.ravel(), inputs, "paint")
-    )
-    document.geometries.append(geometry)
-    place = [collada.scene.TranslateTransform(*shift)]
-    node = collada.scene.Node("node", [collada.scene.GeometryNode(geometry, [])], place)
-    document.scene = collada.scene.Scene("scene", [node])
+    nodes = []
+    for number, mesh in enumerate(meshes):
+        values = mesh.vertices.ravel()
+        source = collada.source.FloatSource(f"points_{number}", values, ("X", "Y", "Z"))
+        name = f"texture_{number}"
+        geometry = collada.geometry.Geometry(document, name, name, [source])
+        inputs = collada.source.InputList()
+        inputs.addInput(0, "VERTEX", f"#points_{number}")
+        geometry.primitives.append(
+            geometry.createTriangleSet(mesh.faces.ravel(), inputs, "paint")
+        )
+        document.geometries.append(geometry)
+        place = [collada.scene.TranslateTransform(*shift)]
+        shown = [collada.scene.GeometryNode(geometry, [])]
+        nodes.append(collada.scene.Node(f"node_{number}", shown, place))
+    document.scene = collada.scene.Scene("scene", nodes)
     document.scenes.append(document.scene)
     file = io.BytesIO()
     document.write(file)

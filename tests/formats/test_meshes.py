@@ -246,7 +246,8 @@ def test_nodes_place_their_meshes_as_trimesh_does(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "suffix", [".glb", ".gltf", pytest.param(".3mf", marks=needs(".3mf"))]
+    "suffix",
+    [".glb", ".gltf", *(pytest.param(one, marks=needs(one)) for one in (".3mf", ".dae"))],
 )
 def test_meshes_whose_open_edges_coincide_are_one_body(
     suffix: str, tmp_path: Path
@@ -255,6 +256,10 @@ def test_meshes_whose_open_edges_coincide_are_one_body(
     path = tmp_path / f"a{suffix}"
 
     def write(*meshes: trimesh.Trimesh) -> None:
+        if suffix == ".dae":
+            own = (TriangleMesh(each.vertices, each.faces) for each in meshes)
+            path.write_text(collada(*own))
+            return
         scene: Any = trimesh.Scene()
         for number, each in enumerate(meshes):
             scene.add_geometry(
