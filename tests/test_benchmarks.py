@@ -29,7 +29,7 @@ from benchmarks.sensors import SENSORS, left_by
 
 from pcretrieve import ModalSpectrum, write_mesh
 from pcretrieve.points.neighbors import nearest
-from pcretrieve.surface import defects
+from pcretrieve.values.topology import defects
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 

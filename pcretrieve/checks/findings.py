@@ -7,15 +7,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.arrays import joined_by
 from pcretrieve.checks import stages
 from pcretrieve.checks.fit import Fit, between
 from pcretrieve.checks.grading import Check
 from pcretrieve.checks.layers import double_layers
 from pcretrieve.draw.axes import Person, person_of
-from pcretrieve.points.grid import joined_by
 from pcretrieve.points.neighbors import Neighborhoods, nearest, neighborhoods
-from pcretrieve.surface import SurfaceMarks
 from pcretrieve.values import FloatArray, PointCloud, Shape, TriangleMesh
+from pcretrieve.values.topology import SurfaceMarks
 
 # Number of neighbours with whose normals the normal of a point is compared.
 N_NEIGHBORS = 8

@@ -14,17 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.arrays import grid_points
 from pcretrieve.arrays.open3d import RayScene
 from pcretrieve.points.density import local_spacings
-from pcretrieve.points.grid import Mask
 from pcretrieve.points.neighbors import (
     SPACING_NEIGHBORS,
     Neighborhoods,
     nearest,
 )
-from pcretrieve.surface import components
-from pcretrieve.surface.caps import grid_points
-from pcretrieve.values import FloatArray, PointCloud, TriangleMesh, unit_vectors
+from pcretrieve.values import FloatArray, Mask, PointCloud, TriangleMesh, unit_vectors
+from pcretrieve.values.topology import components
 
 # Number of points of the raw scan by which its density is compared from place to place.
 DENSITY_POINTS = 10_000

@@ -20,8 +20,8 @@ from pcretrieve.checks.grading import (
     percent,
 )
 from pcretrieve.checks.layers import Layers
-from pcretrieve.surface import defects
 from pcretrieve.values import FloatArray, IntArray, PointCloud, Shape, Step, TriangleMesh
+from pcretrieve.values.topology import defects
 
 # Log-signature error for each unit of these measurements; that of gaps is for their square, that of ends for
 # what exceeds `ENDS_OF_NOISE`. They were fitted to scans of all kinds of bodies by four sensors.

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.points.grid import Grid, Mask
-from pcretrieve.values import FloatArray, IntArray, Signature, TriangleMesh
+from pcretrieve.values import FloatArray, Grid, IntArray, Mask, Signature, TriangleMesh
 from pcretrieve.values.compiled import compiled
 
 # R, in units of √A with the area A of the surface, each 1.38 times the one before, and the ratio c = σ / R. A

@@ -31,6 +31,7 @@ from pcretrieve.formats.format import (
 )
 from pcretrieve.values import FloatArray
 from pcretrieve.values.files import MOST_MEMBERS, check_members
+from pcretrieve.values.geometry import SENSOR_DISTANCE
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -39,8 +40,6 @@ if TYPE_CHECKING:
 LINE = "`bmesh FILE tx ty tz qx qy qz qw`"
 # Largest size of a file that names views: a path has at most 4096 bytes.
 MOST_CONF_BYTES = 4096 * MOST_MEMBERS
-# Distance of the conventional sensor of range scanners, in diagonals of the view: rays are nearly parallel.
-SENSOR_DISTANCE = 10.0
 
 # Files of a folder with poses, the first of which is read, and lists of images with their times.
 TRAJECTORIES = ("groundtruth.txt", "associations.txt")

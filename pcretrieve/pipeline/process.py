@@ -44,15 +44,7 @@ from pcretrieve.options import OptionsLike, PipelineOptions, ScanOptions, Surfac
 from pcretrieve.pipeline import log_steps
 from pcretrieve.points.neighbors import Neighborhoods, plane_neighborhoods
 from pcretrieve.spectral import eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
-from pcretrieve.surface import (
-    SurfaceMarks,
-    defects,
-    reduced,
-    remesh,
-    sampled,
-    sound_mesh,
-    surfaces,
-)
+from pcretrieve.surface import reduced, remesh, sampled, sound_mesh, surfaces
 from pcretrieve.values import (
     Eigenpairs,
     FloatArray,
@@ -67,6 +59,7 @@ from pcretrieve.values import (
 )
 from pcretrieve.values.conversion import as_cloud, as_geometry
 from pcretrieve.values.geometry import with_others
+from pcretrieve.values.topology import SurfaceMarks, defects
 
 V = TypeVar("V", PointCloud, TriangleMesh)
 

@@ -22,9 +22,7 @@ from pcretrieve.points.neighbors import (
     neighborhoods,
     voxel_numbers,
 )
-from pcretrieve.values import FloatArray, PointCloud
-
-Mask = NDArray[np.bool_]
+from pcretrieve.values import FloatArray, Mask, PointCloud
 
 # Spacing from which a point is sparse, in voxels; and the smallest fraction of the surface that sparse points
 # represent for points to be interpolated.

@@ -1,66 +1,20 @@
-"""Grids of cubic voxels, and arrays with one value for each voxel."""
+"""Sets of voxels: their connected components, and the distances to them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from pcretrieve.arrays import bounds
-from pcretrieve.values import FloatArray
+from pcretrieve.arrays import Mask, joined_by
 from pcretrieve.values.compiled import compiled
-
-#: A set of voxels, or of other elements.
-Mask: TypeAlias = NDArray[np.bool_]
 
 #: A quantity in each voxel.
 Voxels: TypeAlias = NDArray[np.float32]
 
 # Voxels are 26-adjacent if their centres are less than this apart: √3 < 1.8 < 2.
 CORNER = 1.8
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Grid:
-    """A grid of cubic voxels of the edge `cell`. The coordinates of a voxel are those of its centre.
-
-    origin: (3,) float64, centre of voxel (0, 0, 0); unit of the file.
-    """
-
-    origin: FloatArray
-    cell: float
-    shape: tuple[int, int, int]
-
-    @classmethod
-    def around(
-        cls, points: FloatArray, cell: float, margin: int, shift: FloatArray | float = 0.0
-    ) -> Grid:
-        """The smallest grid that contains points and a margin.
-
-        shift: (3,) float64 or float, displacement of the grid in the negative directions; in voxels.
-        """
-        low, high = bounds(points)
-        low = low - np.asarray(shift) * cell
-        n_x, n_y, n_z = (
-            np.ceil((high - low) / cell).astype(int) + 2 * margin + 1
-        ).tolist()
-        return cls(low - margin * cell, cell, (n_x, n_y, n_z))
-
-    def coordinates(self, points: FloatArray) -> FloatArray:
-        """(n, 3) coordinates of points in voxels, integer at the centres."""
-        return (points - self.origin) / self.cell
-
-    def centres(self, at: NDArray[Any]) -> FloatArray:
-        """(n, 3) points at coordinates in voxels."""
-        return np.asarray(at * self.cell + self.origin, dtype=np.float64)
-
-    def index(self, points: FloatArray) -> tuple[NDArray[np.intp], ...]:
-        """Indices, for an array of `shape`, of the voxels that contain the points."""
-        return tuple(np.rint(self.coordinates(points)).astype(np.intp).T)
 
 
 @compiled()
@@ -116,15 +70,6 @@ def touching(voxels: NDArray[Any]) -> NDArray[np.intp]:
         return np.zeros(0, dtype=np.intp)
     a, b = cKDTree(voxels).query_pairs(CORNER, output_type="ndarray").T
     return joined_by(a, b, len(voxels))
-
-
-def joined_by(a: NDArray[np.integer], b: NDArray[np.integer], n: int) -> NDArray[np.intp]:
-    """(n,) classes of the equivalence relation of n elements that pairs a[i], b[i] of one class generate.
-
-    They are the connected components of a graph, and numbered in the order of their first elements.
-    """
-    graph = coo_array((np.ones(len(a), dtype=np.int8), (a, b)), shape=(n, n))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.intp)
 
 
 @compiled()

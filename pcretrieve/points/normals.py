@@ -9,12 +9,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.arrays import DOUBLE_OFFSET, Frame, unit_vectors
+from pcretrieve.arrays import DOUBLE_OFFSET, Frame, joined_by, unit_vectors
 from pcretrieve.arrays.open3d import library, open3d_cloud
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
 from pcretrieve.points.density import disks, local_spacings, sparse_points
-from pcretrieve.points.grid import joined_by
 from pcretrieve.points.neighbors import (
     Neighborhoods,
     guided_planes,

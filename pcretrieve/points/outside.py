@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pcretrieve.arrays import bounds, unit_vectors
-from pcretrieve.points.grid import Grid, Mask, Voxels, components, distances
-from pcretrieve.values import FloatArray
+from pcretrieve.points.grid import Voxels, components, distances
+from pcretrieve.values import FloatArray, Grid, Mask
 from pcretrieve.values.compiled import compiled
 
 # Number of empty voxels around the points, in which finite differences are computed.

@@ -21,9 +21,9 @@ from scipy.spatial.transform import Rotation
 from pcretrieve.arrays.open3d import RayScene, library
 from pcretrieve.descriptors.hapt import in_principal_frame
 from pcretrieve.errors import DegenerateMeshError, OptionError, Stage
-from pcretrieve.surface.simplify import decimated, simplified
-from pcretrieve.surface.topology import compact
 from pcretrieve.values import FloatArray, IntArray, Shape, TriangleMesh, unit_vectors
+from pcretrieve.values.simplify import decimated, simplified
+from pcretrieve.values.topology import compact
 
 # Number of faces to which a surface is simplified first.
 N_FACES = 1000

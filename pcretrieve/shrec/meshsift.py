@@ -16,9 +16,9 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.csgraph import dijkstra
 
+from pcretrieve.arrays import vertex_normals
 from pcretrieve.errors import DegenerateMeshError, Stage
 from pcretrieve.shrec.cm_bof import coarser
-from pcretrieve.surface.fairing import vertex_normals
 from pcretrieve.values import (
     FloatArray,
     IntArray,

@@ -153,7 +153,7 @@ def geodesic_matrix(mesh: TriangleMesh, *, weighted: bool = True) -> FloatArray:
         ) from error
 
     # Imported here, because its compiled functions are loaded on import, which no other descriptor needs.
-    from pcretrieve.surface.simplify import simplified
+    from pcretrieve.values.simplify import simplified
 
     coarse = simplified(mesh, N_FACES) if len(mesh.faces) > N_FACES else mesh
     solver = MeshHeatMethodDistanceSolver(coarse.vertices, coarse.faces)

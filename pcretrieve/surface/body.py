@@ -15,16 +15,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.arrays import joined_by
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.density import interpolated
-from pcretrieve.points.grid import Grid, Mask, Voxels, joined_by
+from pcretrieve.points.grid import Voxels
 from pcretrieve.points.neighbors import (
     PLANE_NEIGHBORS,
     Neighborhoods,
@@ -40,9 +41,9 @@ from pcretrieve.surface.field import distance_field, folded, hidden_below, norma
 from pcretrieve.surface.growth import with_topology
 from pcretrieve.surface.marching import LEAST_SHARE, Crossings, crossed, marched, smoothed
 from pcretrieve.surface.parts import CONTINUED, contact_layer, joined, rims, walls
-from pcretrieve.surface.simplify import simplified
-from pcretrieve.surface.topology import edges_of
-from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
+from pcretrieve.values import FloatArray, Grid, Mask, PointCloud, Step, TriangleMesh
+from pcretrieve.values.simplify import simplified
+from pcretrieve.values.topology import SurfaceMarks, edges_of
 
 # Largest fraction of the interior of the coarse surface that the flood fill may reach. If it reaches more, it
 # has leaked through a hole, and is repeated with the radius of closed holes times each factor in turn.
@@ -83,25 +84,6 @@ CELLS = (1.0, 4 / 3, 3 / 4)
 # Shift of the grid of each further surface relative to the one before, modulo one voxel. Its multiples are a
 # low-discrepancy sequence (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018).
 SHIFT = np.array([0.8191725134, 0.6710436067, 0.5497004779])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SurfaceMarks:
-    """Where the topology of a surface was changed.
-
-    cuts: (k, 3) float64, centres of the voxels that were removed to obtain the requested genus.
-    bridges: (j, 3) float64, centres of the voxels that were added to connect a component to the body.
-    base: (p, 3) float64, points of the caps of the base on which the body stands, where no points were
-        measured.
-    """
-
-    cuts: FloatArray
-    bridges: FloatArray
-    base: FloatArray
-
-    def moved(self, by: FloatArray) -> SurfaceMarks:
-        """All places, translated."""
-        return SurfaceMarks(self.cuts + by, self.bridges + by, self.base + by)
 
 
 def body_surfaces(

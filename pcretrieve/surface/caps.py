@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.points.grid import Mask, joined_by
+from pcretrieve.arrays import grid_points, joined_by
 from pcretrieve.points.neighbors import nearest, neighborhoods
 from pcretrieve.surface.fairing import domed, faces_at, faired, membrane, with_ring
 from pcretrieve.surface.field import normals_of
-from pcretrieve.surface.topology import edges_of
-from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
+from pcretrieve.values import FloatArray, Mask, PointCloud, TriangleMesh
+from pcretrieve.values.topology import edges_of
 
 # Distance to the nearest point beyond which a vertex is in a hole: relative to the diagonal, and in spacings
 # of the points, whichever is larger. A vertex of a large hole exceeds the last distance, relative to the
@@ -384,10 +384,3 @@ def points_on(surface: TriangleMesh, faces: Mask, spacing: float) -> FloatArray:
     )
     n = int(np.ceil(longest / spacing)) + 1
     return grid_points(corners, n)
-
-
-def grid_points(corners: FloatArray, n: int) -> FloatArray:
-    """(k, 3) points of regular grids on triangles, whose corners are (f, 3, 3), n steps along each side."""
-    i, j = np.nonzero(np.add.outer(np.arange(n + 1), np.arange(n + 1)) <= n)
-    shares = np.column_stack([i, j, n - i - j]) / n  # (g, 3): barycentric coordinates
-    return np.asarray(np.einsum("gk,fkd->fgd", shares, corners).reshape(-1, 3))

@@ -9,7 +9,7 @@ from pcretrieve.arrays import bounds
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.density import local_spacings
-from pcretrieve.points.grid import Grid, Mask, Voxels
+from pcretrieve.points.grid import Voxels
 from pcretrieve.points.neighbors import PLANE_NEIGHBORS, Neighborhoods, neighborhoods
 from pcretrieve.points.outside import sampled
 from pcretrieve.surface.caps import Capped, capped, limbs_continued
@@ -17,9 +17,9 @@ from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.marching import level_set
 from pcretrieve.surface.poisson import poisson
 from pcretrieve.surface.repair import largest_component
-from pcretrieve.surface.topology import components, defects
-from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
+from pcretrieve.values import FloatArray, Grid, Mask, PointCloud, TriangleMesh
 from pcretrieve.values.compiled import compiled
+from pcretrieve.values.topology import components, defects
 
 # Standard deviation of the Gaussian filter of the indicator function; in voxels.
 FILTER = 0.6

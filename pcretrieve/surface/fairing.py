@@ -13,10 +13,9 @@ import numpy as np
 from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
-from pcretrieve.arrays import area_vectors, unit_vectors
-from pcretrieve.points.grid import Mask
-from pcretrieve.surface.topology import edges_of
+from pcretrieve.arrays import Mask, area_vectors, vertex_normals
 from pcretrieve.values import FloatArray, IntArray
+from pcretrieve.values.topology import edges_of
 
 # Linear problems that are solved in turn, each with the operator and the normals of the patch before it: a
 # flat patch gets the area of a dome. After four, a cap of a sphere of 60 degrees has its height to 1 %.
@@ -194,12 +193,3 @@ def _operators(at: FloatArray, faces: IntArray) -> Operators:
     stiffness = csc_array(diags_array(links.sum(axis=1)) - links)
     areas = np.maximum(areas, LEAST_AREA * areas.mean())
     return Operators(stiffness, areas, vertex_normals(at, faces))
-
-
-def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """(n, 3) unit normals: of the sum of the area vectors of the faces of a vertex; zero where that is."""
-    vectors = np.repeat(area_vectors(vertices, faces), 3, axis=0)
-    sums = [
-        np.bincount(faces.ravel(), each, minlength=len(vertices)) for each in vectors.T
-    ]
-    return unit_vectors(np.transpose(sums))

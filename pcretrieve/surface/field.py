@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from pcretrieve.errors import ReconstructionError
-from pcretrieve.points.grid import Mask, Voxels
+from pcretrieve.points.grid import Voxels
 from pcretrieve.points.outside import Outside
-from pcretrieve.values import FloatArray, IntArray, PointCloud
+from pcretrieve.values import FloatArray, IntArray, Mask, PointCloud
 from pcretrieve.values.compiled import compiled
 
 # Radius of the neighbourhood of a voxel, and standard deviation of the Gaussian

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.points.grid import Mask, Voxels, distances, touching
+from pcretrieve.points.grid import Voxels, distances, touching
 from pcretrieve.points.outside import FARTHEST
 from pcretrieve.surface.marching import marched, voxels_of
-from pcretrieve.values import IntArray, TriangleMesh
+from pcretrieve.values import IntArray, Mask, TriangleMesh
 from pcretrieve.values.compiled import compiled
 
 # Largest amount by which the depth of a voxel, as the priority of region growing, may exceed its distance to

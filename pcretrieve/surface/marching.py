@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.points.grid import Mask
-from pcretrieve.values import FloatArray, IntArray
+from pcretrieve.values import FloatArray, IntArray, Mask
 from pcretrieve.values.compiled import compiled
 
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from pcretrieve.arrays import unit_vectors
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.points.grid import Grid, Mask, Voxels, components, distances
-from pcretrieve.values import FloatArray
+from pcretrieve.points.grid import Voxels, components, distances
+from pcretrieve.values import FloatArray, Grid, Mask
 from pcretrieve.values.compiled import compiled
 
 # Radius of the surfel, an oriented disk, that represents a point; in voxels.

@@ -12,9 +12,9 @@ from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.repair import largest_component, repaired
-from pcretrieve.surface.simplify import decimated
-from pcretrieve.surface.topology import compact, defects
 from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
+from pcretrieve.values.simplify import decimated
+from pcretrieve.values.topology import compact, defects
 
 # Binary digits of a coordinate in single precision: in a cube of side 1, points nearer than 2**-24 coincide.
 SINGLE_DIGITS = 24

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcretrieve.errors import DegenerateMeshError, Stage
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.neighbors import Neighborhoods
-from pcretrieve.surface.body import SurfaceMarks, body_surfaces
+from pcretrieve.surface.body import body_surfaces
 from pcretrieve.surface.poisson import poisson_surface
 from pcretrieve.surface.repair import (
     ONE_SIDED,
@@ -20,8 +20,9 @@ from pcretrieve.surface.repair import (
     repaired,
     used_vertices,
 )
-from pcretrieve.surface.topology import Defects, defects, orient_faces
 from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
+from pcretrieve.values.simplify import decimated, simplified
+from pcretrieve.values.topology import Defects, SurfaceMarks, defects, orient_faces
 
 
 def uniform_points(
@@ -93,6 +94,28 @@ def sampled(mesh: TriangleMesh, options: SurfaceOptions) -> PointCloud:
         (f"sampled {n} points from a mesh with defects: {found}",) if found else (),
     )
     return PointCloud(points, provenance=(*mesh.provenance, step))
+
+
+def reduced(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh:
+    """A surface with at most `max_faces` faces.
+
+    The time and memory of a spectrum grow faster than the number of faces, while its error is small already.
+    """
+    if len(mesh.faces) <= options.max_faces:
+        return mesh
+    started = time.perf_counter()
+    notes: tuple[str, ...] = (
+        "simplified, because it had more faces than surface.max_faces",
+    )
+    try:
+        coarse = simplified(mesh, options.max_faces)
+    except DegenerateMeshError:  # open, or not a manifold
+        coarse, repairs = repaired(decimated(mesh, options.max_faces))
+        notes = (*notes, *repairs)
+    sizes: dict[str, float] = {"faces_in": len(mesh.faces), "faces": len(coarse.faces)}
+    sizes["euler"] = coarse.euler_characteristic
+    step = Step("simplify", time.perf_counter() - started, sizes, notes)
+    return TriangleMesh(coarse.vertices, coarse.faces, (*mesh.provenance, step))
 
 
 def _n_non_manifold(found: Defects) -> int:

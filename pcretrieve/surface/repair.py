@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcretrieve.arrays import unit_vectors
+from pcretrieve.arrays import joined_by, unit_vectors
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError
-from pcretrieve.points.grid import joined_by
-from pcretrieve.surface import topology
-from pcretrieve.values import TriangleMesh
+from pcretrieve.values import TriangleMesh, topology
 from pcretrieve.values.geometry import adjacency
 
 

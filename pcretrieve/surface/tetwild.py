@@ -24,9 +24,9 @@ import numpy as np
 from pcretrieve.errors import RemeshError, ShapeError
 from pcretrieve.options import RemeshOptions
 from pcretrieve.surface.repair import repaired
-from pcretrieve.surface.topology import compact, defects, edges_of, face_groups
 from pcretrieve.values import FloatArray, IntArray, Step, TriangleMesh
 from pcretrieve.values.compiled import end_with_parent
+from pcretrieve.values.topology import compact, defects, edges_of, face_groups
 
 # The faces of a tetrahedron of positive volume, counter-clockwise seen from outside.
 OUTWARD_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])

@@ -25,6 +25,9 @@ SMALLEST_ASPECT = 1e-9
 # Tolerance of the length of unit normals: files store them in single precision, and averages are not exact.
 UNIT_TOLERANCE = 1e-3
 
+# Distance of the conventional sensor of range scanners, in diagonals of the view: rays are nearly parallel.
+SENSOR_DISTANCE = 10.0
+
 
 @dataclass(frozen=True, slots=True)
 class Step:

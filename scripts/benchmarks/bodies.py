@@ -19,9 +19,9 @@ from pcretrieve.arrays.open3d import RayScene
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.ingestion.labels import read_labels
 from pcretrieve.retrieval import Positions
-from pcretrieve.surface import components
 from pcretrieve.values import FloatArray, IntArray, TriangleMesh
 from pcretrieve.values.geometry import edge_graph
+from pcretrieve.values.topology import components
 
 Mask = NDArray[np.bool_]
 

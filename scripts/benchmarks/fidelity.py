@@ -62,13 +62,13 @@ from pcretrieve.points import clean, oriented_normals
 from pcretrieve.points.normals import estimate_normals, orient_by_tangent_planes
 from pcretrieve.retrieval import coordinates
 from pcretrieve.spectral import eigenpairs, laplace_beltrami
-from pcretrieve.surface import defects, tetwild
+from pcretrieve.surface import tetwild
 from pcretrieve.surface.poisson import poisson
 from pcretrieve.surface.reconstruct import uniform_points
 from pcretrieve.surface.tetwild import boundary_faces
-from pcretrieve.surface.topology import compact
 from pcretrieve.values import FloatArray, PointCloud, Shape, SignatureTable, TriangleMesh
 from pcretrieve.values.files import write_file
+from pcretrieve.values.topology import compact, defects
 
 EPILOG = """example:
   scripts/benchmark fidelity --set humans --limit 10

@@ -31,9 +31,9 @@ from pcretrieve.formats import read_scan
 from pcretrieve.options import JUDGED
 from pcretrieve.pipeline.inspecting import inspect_scan
 from pcretrieve.pipeline.process import signature
-from pcretrieve.surface import defects
 from pcretrieve.values import TriangleMesh
 from pcretrieve.values.conversion import as_mesh
+from pcretrieve.values.topology import defects
 
 TABLE = Table(
     Column("mesh", 8, align="<"),

@@ -19,10 +19,10 @@ from benchmarks.simulation import RigOptions, camera_pose, scan
 from benchmarks.simulation.scanner import outside_holes, strays
 from pcretrieve.arrays.open3d import RayScene
 from pcretrieve.retrieval import Positions
-from pcretrieve.surface import components
 from pcretrieve.surface.reconstruct import uniform_points
 from pcretrieve.values import FloatArray, TriangleMesh
 from pcretrieve.values.geometry import edge_graph
+from pcretrieve.values.topology import components
 
 # --- uniform points -----------------------------------------------------------------------------------------
 

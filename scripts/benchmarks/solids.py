@@ -10,8 +10,8 @@ from trimesh.remesh import subdivide_to_size
 
 from pcretrieve.surface.marching import level_set
 from pcretrieve.surface.repair import outward
-from pcretrieve.surface.topology import compact
 from pcretrieve.values import FloatArray, IntArray, TriangleMesh
+from pcretrieve.values.topology import compact
 
 #: A distance of (..., 3) points from a surface, negative inside; exact or a bound of it.
 Field = Callable[[FloatArray], FloatArray]

@@ -16,8 +16,7 @@ from pcretrieve.descriptors.hapt import (
     projected_areas,
 )
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.points.grid import Grid
-from pcretrieve.values import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, Grid, TriangleMesh
 
 
 def tube(radius: float, length: float, *, bend: float = 0.0) -> TriangleMesh:

@@ -14,7 +14,7 @@ from scan_files import CUBE, XYZ, cloud, mesh, pcd_header, ply
 from pcretrieve import PointCloud
 from pcretrieve.errors import InputError
 from pcretrieve.formats import ScanPath, is_scan, write_cloud, write_mesh
-from pcretrieve.surface import defects
+from pcretrieve.values.topology import defects
 
 POINTS = np.array([[1.5, 2, 3], [4, 5, -6], [7, 8.25, 9], [-1, 0, 2e-3], [0, 0, 0]])
 BALL = shapes.icosphere(1)

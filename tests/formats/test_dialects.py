@@ -27,7 +27,7 @@ from pcretrieve import read_scan
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats import ScanPath, is_scan
 from pcretrieve.ingestion.discover import discover
-from pcretrieve.surface import defects
+from pcretrieve.values.topology import defects
 
 BALL = shapes.icosphere(1)
 TRIANGLES = np.array([(a, *two) for a, *rest in SIDES for two in pairwise(rest)])

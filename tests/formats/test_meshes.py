@@ -34,8 +34,8 @@ from pcretrieve.formats.identity import content_hash
 from pcretrieve.formats.registry import read_raw
 from pcretrieve.ingestion.discover import discover, shape_ids
 from pcretrieve.ingestion.views import read_views
-from pcretrieve.surface import defects
 from pcretrieve.values import METRES
+from pcretrieve.values.topology import defects
 
 BALL = shapes.icosphere(1)
 PAIR: list[dict[str, Any]] = [

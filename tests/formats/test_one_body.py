@@ -20,8 +20,8 @@ from scan_files import CAN_WRITE, collada, write_e57, write_las
 import pcretrieve as pr
 from pcretrieve import PointCloud, TriangleMesh, read_scan
 from pcretrieve.formats import missing_extra
-from pcretrieve.surface import defects
 from pcretrieve.values import FloatArray
+from pcretrieve.values.topology import defects
 
 # Its values are smooth: a histogram jumps where a rounding error moves a voxel.
 R_BIHDM = {"signature": {"method": "r-bihdm"}}

@@ -29,7 +29,7 @@ from pcretrieve.errors import InputError, ReconstructionError, ScanReadError, Sh
 from pcretrieve.formats import ScanLike, write_cloud, write_mesh
 from pcretrieve.options import PRESETS
 from pcretrieve.pipeline.process import moved, process, stages
-from pcretrieve.surface import defects
+from pcretrieve.values.topology import defects
 
 POINTS = shapes.points_on(shapes.body(), 8000)
 HAND = Path(__file__).parents[2] / "scans" / "hand-1" / "hand-1_fist.ply"

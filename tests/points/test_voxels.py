@@ -9,9 +9,9 @@ import pytest
 import shapes
 from scipy import ndimage
 
-from pcretrieve.points.grid import Grid, components, distances
+from pcretrieve.points.grid import components, distances
 from pcretrieve.points.outside import CLEARANCE, _regrown, flood, sampled
-from pcretrieve.values import FloatArray
+from pcretrieve.values import FloatArray, Grid
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])

@@ -19,8 +19,8 @@ from benchmarks.simulation.skeleton import (
     motions,
 )
 
-from pcretrieve.surface import defects
 from pcretrieve.values import FloatArray
+from pcretrieve.values.topology import defects
 
 FAMILIES = sorted(POSES)
 

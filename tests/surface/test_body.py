@@ -15,7 +15,6 @@ from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import ScanOptions, SurfaceOptions
 from pcretrieve.points import oriented_normals
 from pcretrieve.points.density import local_spacings
-from pcretrieve.points.grid import Grid
 from pcretrieve.points.neighbors import (
     PLANE_NEIGHBORS,
     SPACING_NEIGHBORS,
@@ -23,7 +22,7 @@ from pcretrieve.points.neighbors import (
     spacing,
 )
 from pcretrieve.points.outside import sampled
-from pcretrieve.surface import SurfaceMarks, body_surfaces, defects
+from pcretrieve.surface import body_surfaces
 from pcretrieve.surface.body import _invented
 from pcretrieve.surface.caps import NO_CAP, _stands, capped
 from pcretrieve.surface.coarse import (
@@ -35,7 +34,8 @@ from pcretrieve.surface.coarse import (
     indicator,
 )
 from pcretrieve.surface.reconstruct import uniform_points
-from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
+from pcretrieve.values import FloatArray, Grid, PointCloud, Step, TriangleMesh
+from pcretrieve.values.topology import SurfaceMarks, defects
 
 CELL = 0.0045  # edge of the voxels for the torus; relative to the diagonal
 LIMB_RADIUS = 0.06  # of the limb of `limbed`

@@ -7,7 +7,8 @@ import pytest
 import shapes
 from numpy.typing import NDArray
 
-from pcretrieve.surface.fairing import domed, faired, membrane, vertex_normals, with_ring
+from pcretrieve.arrays import vertex_normals
+from pcretrieve.surface.fairing import domed, faired, membrane, with_ring
 from pcretrieve.values import TriangleMesh
 
 BALL = shapes.ellipsoid((1, 1, 1), subdivisions=4)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter, label
 
 from pcretrieve.points.grid import distances
-from pcretrieve.surface import defects
 from pcretrieve.surface.growth import grown
 from pcretrieve.surface.marching import (
     SHRINK,
@@ -29,9 +28,9 @@ from pcretrieve.surface.parts import (
     contact_layer,
     walls as links_across,
 )
-from pcretrieve.surface.topology import SOUND
 from pcretrieve.values import FloatArray, TriangleMesh
 from pcretrieve.values.geometry import adjacency
+from pcretrieve.values.topology import SOUND, defects
 
 Mask = NDArray[np.bool_]
 

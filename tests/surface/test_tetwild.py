@@ -20,9 +20,9 @@ from processes import PATIENCE, wait_for
 
 from pcretrieve.errors import RemeshError
 from pcretrieve.options import RemeshOptions
-from pcretrieve.surface import defects
 from pcretrieve.surface.tetwild import remesh, tetrahedralize
 from pcretrieve.values import FloatArray, IntArray, Step, TriangleMesh
+from pcretrieve.values.topology import defects
 
 BALL = shapes.icosphere(2)
 

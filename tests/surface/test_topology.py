@@ -15,7 +15,8 @@ from pcretrieve.surface.repair import (
     split_non_manifold,
 )
 from pcretrieve.surface.tetwild import boundary_faces
-from pcretrieve.surface.topology import (
+from pcretrieve.values import IntArray, TriangleMesh
+from pcretrieve.values.topology import (
     SOUND,
     Defects,
     compact,
@@ -23,7 +24,6 @@ from pcretrieve.surface.topology import (
     defects,
     orient_faces,
 )
-from pcretrieve.values import IntArray, TriangleMesh
 
 BALL = shapes.icosphere(2)  # 162 vertices, 320 faces
 

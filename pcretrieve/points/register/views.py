@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.errors import InputError, ReconstructionError, Stage
-from pcretrieve.formats.conf import SENSOR_DISTANCE
 from pcretrieve.options import MergeOptions, ScanOptions
 from pcretrieve.points.clean import FEWEST_POINTS
 from pcretrieve.points.crop import (
@@ -22,6 +21,7 @@ from pcretrieve.points.crop import (
 )
 from pcretrieve.points.normals import estimate_normals
 from pcretrieve.values import FloatArray, PointCloud, bounding_diagonal
+from pcretrieve.values.geometry import SENSOR_DISTANCE
 
 # Fewest neighbours for a normal; a view must have more points.
 NORMAL_NEIGHBORS = 16

@@ -45,9 +45,9 @@ from pcretrieve.pipeline.process import process
 from pcretrieve.plugins import METHODS
 from pcretrieve.retrieval import DistanceBlock, table_whitening
 from pcretrieve.shrec.matcher import MATCHERS, match_all
-from pcretrieve.surface.simplify import simplified
 from pcretrieve.values import Metric, Shape, TriangleMesh
 from pcretrieve.values.files import write_file
+from pcretrieve.values.simplify import simplified
 
 LENGTHS = (15, 20, 23, 25, 30)
 

@@ -22,16 +22,14 @@ from pcretrieve.evaluation.rankings import Subset, rank_subsets
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.labels import read_labels
 from pcretrieve.options import RemeshOptions, RetrievalOptions, Scale, SignatureOptions
-from pcretrieve.points.grid import Mask
 from pcretrieve.retrieval import DistanceBlock
 from pcretrieve.retrieval.distances import coordinates, pairwise
 from pcretrieve.surface.repair import largest_component
-from pcretrieve.surface.simplify import simplified
 from pcretrieve.surface.tetwild import remesh
-from pcretrieve.surface.topology import compact
 from pcretrieve.values import (
     FloatArray,
     IntArray,
+    Mask,
     ModalSpectrum,
     Shape,
     SignatureTable,
@@ -39,6 +37,8 @@ from pcretrieve.values import (
     TriangleMesh,
 )
 from pcretrieve.values.files import write_file
+from pcretrieve.values.simplify import simplified
+from pcretrieve.values.topology import compact
 
 # Standard deviation of the Gaussian filter that smooths the staircase of the pixels, relative to the square
 # root of the area; the smallest in pixels. The outline is where the filtered picture is 1/2.

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import time
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.arrays import DOUBLE_OFFSET, Frame
+from pcretrieve.arrays import DOUBLE_OFFSET, FloatArray, Frame, IntArray, Mask
 from pcretrieve.arrays.open3d import open3d_mesh
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.options import SurfaceOptions
-from pcretrieve.surface.repair import repaired
-from pcretrieve.surface.topology import compact, twins
-from pcretrieve.values import FloatArray, IntArray, Step, TriangleMesh
 from pcretrieve.values.compiled import compiled
+from pcretrieve.values.geometry import TriangleMesh
+from pcretrieve.values.topology import compact, twins
 
 # Weight of the squared distance along the surface, relative to the squared distance from it. A smaller weight
 # preserves creases better, a larger one gives faces of more even shape.
@@ -32,7 +29,6 @@ LEAST_COSINE = 0.8
 LEAST_QUALITY = 0.5
 
 Keys = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 Point = tuple[float, float, float]
 
 
@@ -445,25 +441,3 @@ def decimated(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
     return TriangleMesh(
         frame.outward(np.array(found.vertices)), np.array(found.triangles, dtype=np.int32)
     )
-
-
-def reduced(mesh: TriangleMesh, options: SurfaceOptions) -> TriangleMesh:
-    """A surface with at most `max_faces` faces.
-
-    The time and memory of a spectrum grow faster than the number of faces, while its error is small already.
-    """
-    if len(mesh.faces) <= options.max_faces:
-        return mesh
-    started = time.perf_counter()
-    notes: tuple[str, ...] = (
-        "simplified, because it had more faces than surface.max_faces",
-    )
-    try:
-        coarse = simplified(mesh, options.max_faces)
-    except DegenerateMeshError:  # open, or not a manifold
-        coarse, repairs = repaired(decimated(mesh, options.max_faces))
-        notes = (*notes, *repairs)
-    sizes: dict[str, float] = {"faces_in": len(mesh.faces), "faces": len(coarse.faces)}
-    sizes["euler"] = coarse.euler_characteristic
-    step = Step("simplify", time.perf_counter() - started, sizes, notes)
-    return TriangleMesh(coarse.vertices, coarse.faces, (*mesh.provenance, step))

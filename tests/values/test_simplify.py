@@ -9,11 +9,10 @@ from scipy.ndimage import gaussian_filter
 
 import pcretrieve as pr
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.surface import defects
 from pcretrieve.surface.marching import level_set
-from pcretrieve.surface.simplify import simplified
-from pcretrieve.surface.topology import compact, components
 from pcretrieve.values import FloatArray, Step, TriangleMesh
+from pcretrieve.values.simplify import simplified
+from pcretrieve.values.topology import compact, components, defects
 
 
 def blob(seed: int, n: int = 24) -> TriangleMesh:

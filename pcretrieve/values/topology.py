@@ -1,4 +1,4 @@
-"""The edges of a triangulation, and the fans of faces around its vertices."""
+"""The edges of a triangulation, the fans of faces around its vertices, its defects and components."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.points.grid import joined_by
-from pcretrieve.values import FloatArray, IntArray, TriangleMesh
+from pcretrieve.arrays import FloatArray, IntArray, joined_by
 from pcretrieve.values.compiled import compiled
+from pcretrieve.values.geometry import TriangleMesh
 
 Index = NDArray[np.intp]
 
@@ -268,3 +268,22 @@ def face_groups(faces: NDArray[np.integer]) -> Index:
     group = np.empty(len(faces), dtype=np.intp)
     group[order] = np.cumsum(new) - 1
     return group
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceMarks:
+    """Where the topology of a surface was changed.
+
+    cuts: (k, 3) float64, centres of the voxels that were removed to obtain the requested genus.
+    bridges: (j, 3) float64, centres of the voxels that were added to connect a component to the body.
+    base: (p, 3) float64, points of the caps of the base on which the body stands, where no points were
+        measured.
+    """
+
+    cuts: FloatArray
+    bridges: FloatArray
+    base: FloatArray
+
+    def moved(self, by: FloatArray) -> SurfaceMarks:
+        """All places, translated."""
+        return SurfaceMarks(self.cuts + by, self.bridges + by, self.base + by)
