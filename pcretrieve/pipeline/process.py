@@ -66,6 +66,12 @@ V = TypeVar("V", PointCloud, TriangleMesh)
 _remembered: dict[tuple[str, str], Shape] = {}
 N_REMEMBERED = 200
 
+# Said of a surface that fails, if all points have one sensor.
+ONE_VIEW = (
+    "all points are seen from one place, so that this is one view of the body: join it with "
+    "views of its other sides by `pcretrieve merge`"
+)
+
 # The stages of points. A cloud that has passed some of them last does not pass these again.
 FILTERS = ("crop", "clean", "orient")
 
@@ -375,7 +381,12 @@ def stages(scan: ScanLike, options: PipelineOptions) -> Iterator[Seen]:
             yield seen
     except ReconstructionError as error:
         # What the reader took for granted, or left out, may be why there is no surface.
-        if notes := [note for step in seen.steps for note in step.notes]:
+        notes = [note for step in seen.steps for note in step.notes]
+        sensors = None if seen.cloud is None else seen.cloud.viewpoints
+        is_of_one = sensors is not None and np.allclose(sensors, sensors[0])
+        if is_of_one and error.stage == Stage.SURFACE:
+            notes.append(ONE_VIEW)
+        if notes:
             error.message = f"{error.message}; {'; '.join(notes)}"
         raise
 

@@ -347,3 +347,16 @@ def test_a_failure_tells_what_the_reader_left_out(tmp_path: Path) -> None:
         pr.reconstruct(tmp_path / "a.xyz")
     assert "scan the sides that are missing" in raised.value.message
     assert "; dropped 1 of " in raised.value.message
+
+
+def test_a_failure_of_one_view_says_that_it_is_one_and_names_merge() -> None:
+    ball = shapes.icosphere(3)
+    sensor = np.array([0.0, 0.0, 4.0])
+    front = shapes.points_on(ball, 6000)
+    front = front[front @ sensor > 1]
+    for sensors, is_one in ((None, False), ([sensor], True), ([sensor, -sensor], False)):
+        given = None if sensors is None else np.resize(sensors, front.shape)
+        with pytest.raises(ReconstructionError) as raised:
+            pr.reconstruct(PointCloud(front, viewpoints=given))
+        words = "this is one view of the body: join it with views of its other sides"
+        assert (words in raised.value.message) == is_one, raised.value.message
