@@ -464,7 +464,7 @@ def test_bodies_of_3mf_in_their_places(kind: str, tmp_path: Path) -> None:
     found = mesh(path)
     assert not defects(found).boundary_edges
     assert defects(found).components == len(places)
-    own = [mesh(member) for member in members_of(path) or [path]]
+    own = [mesh(Path(str(member))) for member in members_of(path) or [path]]
     middles = [one.vertices.mean(axis=0) for one in own]
     np.testing.assert_allclose(
         sorted(x for x, _, _ in middles), places, atol=1e-6, err_msg=kind
