@@ -140,7 +140,6 @@ MOST_PARAMETERS = 8
 
 # Functions that are larger today. A function that is taken apart leaves the list; none is added.
 LARGE = {
-    "checks.stages.neck",
     "ingestion.run.ingest",
     "ingestion.scans.map_scans",
     "pages.inspection_pictures.overview",

@@ -381,28 +381,41 @@ def neck(mesh: TriangleMesh, function: FloatArray) -> Neck:
     .. [1] J. Cheeger, "A lower bound for the smallest eigenvalue of the Laplacian", Problems in Analysis,
        1970.
     """
-    corners = function[mesh.faces]  # (m, 3)
-    areas, values = mesh.face_areas, corners.mean(axis=1)
-    order = np.argsort(values)
-    shares = np.cumsum(areas[order]) / areas.sum()
-    below = np.searchsorted(shares, LEVELS)
-    levels = values[order[below]]
-    # Each face is taken once for each level line that crosses it.
-    first, last = np.searchsorted(levels, [corners.min(axis=1), corners.max(axis=1)])
-    face = np.repeat(np.arange(len(areas)), last - first)
-    line = np.arange(len(face)) - np.repeat(np.cumsum(last - first) - last, last - first)
-    start, end = _pieces(mesh.vertices, mesh.faces[face], corners[face], levels[line])
+    levels, smaller = _levels(mesh, function)
+    line, start, end = _lines(mesh, function, levels)
     pieces = np.linalg.norm(end - start, axis=1)
     lengths = np.bincount(line, pieces, len(LEVELS))
-    smaller = np.minimum(shares[below], 1 - shares[below])
     is_half = (smaller > LEAST_HALF) & (lengths > 0)
-    relative = np.where(is_half, lengths / np.sqrt(smaller * areas.sum()), np.inf)
+    sides = np.sqrt(smaller * mesh.face_areas.sum())
+    relative = np.where(is_half, lengths / sides, np.inf)
     at = int(np.argmin(relative))
     before, after = lengths[max(0, at - NEARBY) : at + 1], lengths[at : at + NEARBY + 1]
     length = max(lengths[at], np.finfo(np.float64).tiny)
     sharpness = min(before.max(), after.max()) / length
     middle = pieces[line == at] @ (start + end)[line == at] / (2 * length)
     return Neck(float(relative[at]), float(sharpness), np.asarray(middle))
+
+
+def _levels(mesh: TriangleMesh, function: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The levels of a function that part `LEVELS` of the area, and the share on the smaller side of each."""
+    areas, values = mesh.face_areas, function[mesh.faces].mean(axis=1)
+    order = np.argsort(values)
+    shares = np.cumsum(areas[order]) / areas.sum()
+    below = np.searchsorted(shares, LEVELS)
+    return values[order[below]], np.minimum(shares[below], 1 - shares[below])
+
+
+def _lines(
+    mesh: TriangleMesh, function: FloatArray, levels: FloatArray
+) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
+    """The pieces of level lines in the faces that they cross: (k,) the number of the level, and both ends."""
+    corners = function[mesh.faces]  # (m, 3)
+    first, last = np.searchsorted(levels, [corners.min(axis=1), corners.max(axis=1)])
+    # Each face is taken once for each level line that crosses it.
+    face = np.repeat(np.arange(len(corners)), last - first)
+    line = np.arange(len(face)) - np.repeat(np.cumsum(last - first) - last, last - first)
+    ends = _pieces(mesh.vertices, mesh.faces[face], corners[face], levels[line])
+    return line, *ends
 
 
 def _pieces(
