@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import math
 import re
+import warnings
 from collections.abc import Callable
 from functools import cache, lru_cache, partial
 from pathlib import Path
@@ -327,7 +328,8 @@ def collada_scene(path: Path) -> Scene:
     import trimesh
 
     _check_instances(path)
-    with path.open("rb") as file:
+    with path.open("rb") as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of dates whose time zone has an unknown name
         scene: Any = trimesh.load_scene(file, file_type="dae", process=False)
     placed: list[Placed] = []
     said = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 import zipfile
 from itertools import pairwise
 from pathlib import Path
@@ -495,6 +496,17 @@ def test_a_collada_file_says_how_long_its_unit_is(tmp_path: Path) -> None:
         ScanReadError, match=r"at most 1000 scans, .* this one has 1073741824 or more"
     ):
         read_scan(tmp_path / "a.dae")
+
+
+@needs(".dae")
+def test_a_date_of_a_collada_file_is_no_warning(tmp_path: Path) -> None:
+    """pycollada would warn of names of time zones that have no offset for all."""
+    text = re.sub("<created>.*?<", "<created>1 May 2011 10:00 PDT<", collada(BALL))
+    (tmp_path / "a.dae").write_text(text)
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        assert len(mesh(tmp_path / "a.dae").faces) == len(BALL.faces)
+    assert not warned
 
 
 @needs(".3mf")
