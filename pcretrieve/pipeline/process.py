@@ -450,7 +450,7 @@ def _of_scan(value: PointCloud, options: PipelineOptions) -> Iterator[Seen]:
 @cache
 def compile_stages() -> None:
     """Compile the loops of all stages, if setup.py has not; one process after the other."""
-    from pcretrieve.points.grid import components, distances
+    from pcretrieve.points.voxels import components, distances
 
     components(np.zeros((1, 1, 1), dtype=np.bool_), False)
     if components.dispatcher.stats.cache_misses:

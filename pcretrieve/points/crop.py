@@ -12,8 +12,8 @@ from pcretrieve.arrays import tangent_axes, unit_vectors
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import ScanOptions
 from pcretrieve.points.clean import FEWEST_POINTS, check_extent
-from pcretrieve.points.grid import touching
 from pcretrieve.points.neighbors import PLANE_NEIGHBORS, neighborhoods, noise
+from pcretrieve.points.voxels import touching
 from pcretrieve.values import FloatArray, PointCloud, Step, bounding_diagonal
 
 # A depth camera writes one range, 0 or the largest that its format has, for each ray without an answer. Such

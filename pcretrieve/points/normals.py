@@ -20,7 +20,7 @@ from pcretrieve.points.neighbors import (
     plane_neighborhoods,
     spacing,
 )
-from pcretrieve.points.outside import Outside, flood
+from pcretrieve.points.voxels import Outside, flood
 from pcretrieve.values import FloatArray, PointCloud, Step
 from pcretrieve.values.compiled import compiled
 

@@ -1,4 +1,4 @@
-"""Oriented points, or a mesh with defects → closed surface: reconstruction, repair, remeshing."""
+"""Oriented points, or a mesh with defects → closed surface: reconstruction and remeshing."""
 
 from pcretrieve.surface.body import body_surfaces
 from pcretrieve.surface.reconstruct import reduced, sampled, sound_mesh, surfaces

@@ -2,13 +2,13 @@
 
 This is the surface method ``growth``. Its steps are:
 
-1. Flood fill finds the voxels outside the body (`points.outside`).
+1. Flood fill finds the voxels outside the body (`points.voxels`).
 2. Voxels near the points get a signed distance to the surface (`field`).
 3. Voxels far from the points, in holes of the scan, are classified by a coarse surface (`coarse`, `caps`).
 4. Voxels between two parts of the body that touch are removed, unless the genus is ``free``; components that
    a hole of the scan has separated are connected (`parts`).
 5. Topology-preserving region growing removes handles that the body does not have (`growth`).
-6. The boundary of the voxels is triangulated, smoothed and simplified (`marching`, `simplify`).
+6. The boundary of the voxels is triangulated, smoothed and simplified (`marching`, `values.simplify`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from pcretrieve.arrays import joined_by
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.density import interpolated
-from pcretrieve.points.grid import Voxels
 from pcretrieve.points.neighbors import (
     PLANE_NEIGHBORS,
     Neighborhoods,
@@ -33,7 +32,7 @@ from pcretrieve.points.neighbors import (
     noise,
     spacing,
 )
-from pcretrieve.points.outside import Outside, flood
+from pcretrieve.points.voxels import Outside, Voxels, flood
 from pcretrieve.surface.caps import NO_CAP, Capped, faces_ground, points_on
 from pcretrieve.surface.coarse import coarse_surface, crossings, filled
 from pcretrieve.surface.fairing import faces_at, faired, with_ring

@@ -9,16 +9,15 @@ from pcretrieve.arrays import bounds
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.density import local_spacings
-from pcretrieve.points.grid import Voxels
 from pcretrieve.points.neighbors import PLANE_NEIGHBORS, Neighborhoods, neighborhoods
-from pcretrieve.points.outside import sampled
+from pcretrieve.points.voxels import Voxels, sampled
 from pcretrieve.surface.caps import Capped, capped, limbs_continued
 from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.marching import level_set
 from pcretrieve.surface.poisson import poisson
-from pcretrieve.surface.repair import largest_component
 from pcretrieve.values import FloatArray, Grid, Mask, PointCloud, TriangleMesh
 from pcretrieve.values.compiled import compiled
+from pcretrieve.values.repair import largest_component
 from pcretrieve.values.topology import components, defects
 
 # Standard deviation of the Gaussian filter of the indicator function; in voxels.

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pcretrieve.errors import ReconstructionError
-from pcretrieve.points.grid import Voxels
-from pcretrieve.points.outside import Outside
+from pcretrieve.points.voxels import Outside, Voxels
 from pcretrieve.values import FloatArray, IntArray, Mask, PointCloud
 from pcretrieve.values.compiled import compiled
 

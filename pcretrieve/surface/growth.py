@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.points.grid import Voxels, distances, touching
-from pcretrieve.points.outside import FARTHEST
+from pcretrieve.points.voxels import FARTHEST, Voxels, distances, touching
 from pcretrieve.surface.marching import marched, voxels_of
 from pcretrieve.values import IntArray, Mask, TriangleMesh
 from pcretrieve.values.compiled import compiled

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pcretrieve.arrays import unit_vectors
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.points.grid import Voxels, components, distances
+from pcretrieve.points.voxels import Voxels, components, distances
 from pcretrieve.values import FloatArray, Grid, Mask
 from pcretrieve.values.compiled import compiled
 

@@ -11,8 +11,8 @@ from pcretrieve.arrays.open3d import library, open3d_cloud
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.surface.field import normals_of
-from pcretrieve.surface.repair import largest_component, repaired
 from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
+from pcretrieve.values.repair import largest_component, repaired
 from pcretrieve.values.simplify import decimated
 from pcretrieve.values.topology import compact, defects
 

@@ -13,14 +13,14 @@ from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.neighbors import Neighborhoods
 from pcretrieve.surface.body import body_surfaces
 from pcretrieve.surface.poisson import poisson_surface
-from pcretrieve.surface.repair import (
+from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
+from pcretrieve.values.repair import (
     ONE_SIDED,
     denoised,
     outward,
     repaired,
     used_vertices,
 )
-from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
 from pcretrieve.values.simplify import decimated, simplified
 from pcretrieve.values.topology import Defects, SurfaceMarks, defects, orient_faces
 

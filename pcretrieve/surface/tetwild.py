@@ -23,9 +23,9 @@ import numpy as np
 
 from pcretrieve.errors import RemeshError, ShapeError
 from pcretrieve.options import RemeshOptions
-from pcretrieve.surface.repair import repaired
 from pcretrieve.values import FloatArray, IntArray, Step, TriangleMesh
 from pcretrieve.values.compiled import end_with_parent
+from pcretrieve.values.repair import repaired
 from pcretrieve.values.topology import compact, defects, edges_of, face_groups
 
 # The faces of a tetrahedron of positive volume, counter-clockwise seen from outside.

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from trimesh.remesh import subdivide_to_size
 
 from pcretrieve.surface.marching import level_set
-from pcretrieve.surface.repair import outward
 from pcretrieve.values import FloatArray, IntArray, TriangleMesh
+from pcretrieve.values.repair import outward
 from pcretrieve.values.topology import compact
 
 #: A distance of (..., 3) points from a surface, negative inside; exact or a bound of it.

@@ -9,8 +9,14 @@ import pytest
 import shapes
 from scipy import ndimage
 
-from pcretrieve.points.grid import components, distances
-from pcretrieve.points.outside import CLEARANCE, _regrown, flood, sampled
+from pcretrieve.points.voxels import (
+    CLEARANCE,
+    _regrown,
+    components,
+    distances,
+    flood,
+    sampled,
+)
 from pcretrieve.values import FloatArray, Grid
 
 

@@ -21,7 +21,7 @@ from pcretrieve.points.neighbors import (
     neighborhoods,
     spacing,
 )
-from pcretrieve.points.outside import sampled
+from pcretrieve.points.voxels import sampled
 from pcretrieve.surface import body_surfaces
 from pcretrieve.surface.body import _invented
 from pcretrieve.surface.caps import NO_CAP, _stands, capped

@@ -11,7 +11,7 @@ import shapes
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter, label
 
-from pcretrieve.points.grid import distances
+from pcretrieve.points.voxels import distances
 from pcretrieve.surface.growth import grown
 from pcretrieve.surface.marching import (
     SHRINK,

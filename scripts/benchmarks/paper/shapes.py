@@ -24,7 +24,6 @@ from pcretrieve.ingestion.labels import read_labels
 from pcretrieve.options import RemeshOptions, RetrievalOptions, Scale, SignatureOptions
 from pcretrieve.retrieval import DistanceBlock
 from pcretrieve.retrieval.distances import coordinates, pairwise
-from pcretrieve.surface.repair import largest_component
 from pcretrieve.surface.tetwild import remesh
 from pcretrieve.values import (
     FloatArray,
@@ -37,6 +36,7 @@ from pcretrieve.values import (
     TriangleMesh,
 )
 from pcretrieve.values.files import write_file
+from pcretrieve.values.repair import largest_component
 from pcretrieve.values.simplify import simplified
 from pcretrieve.values.topology import compact
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from pcretrieve.arrays import joined_by, unit_vectors
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError
-from pcretrieve.values import TriangleMesh, topology
-from pcretrieve.values.geometry import adjacency
+from pcretrieve.values import topology
+from pcretrieve.values.geometry import TriangleMesh, adjacency
 
 
 def split_non_manifold(mesh: TriangleMesh) -> TriangleMesh:

@@ -8,14 +8,14 @@ import shapes
 from numpy.typing import NDArray
 
 from pcretrieve.errors import DegenerateMeshError, ReconstructionError
-from pcretrieve.surface.repair import (
+from pcretrieve.surface.tetwild import boundary_faces
+from pcretrieve.values import IntArray, TriangleMesh
+from pcretrieve.values.repair import (
     denoised,
     largest_component,
     repaired,
     split_non_manifold,
 )
-from pcretrieve.surface.tetwild import boundary_faces
-from pcretrieve.values import IntArray, TriangleMesh
 from pcretrieve.values.topology import (
     SOUND,
     Defects,
