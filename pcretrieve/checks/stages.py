@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import compress
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,21 @@ from pcretrieve.checks.grading import (
     percent,
 )
 from pcretrieve.checks.layers import Layers
-from pcretrieve.values import FloatArray, IntArray, PointCloud, Shape, Step, TriangleMesh
+from pcretrieve.surface.fairing import vertex_normals
+from pcretrieve.values import (
+    FloatArray,
+    IntArray,
+    PointCloud,
+    Shape,
+    Step,
+    TriangleMesh,
+    unit_vectors,
+)
+from pcretrieve.values.geometry import adjacency
 from pcretrieve.values.topology import defects
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 # Log-signature error for each unit of these measurements; that of gaps is for their square, that of ends for
 # what exceeds `ENDS_OF_NOISE`. They were fitted to scans of all kinds of bodies by four sensors.
@@ -43,22 +56,39 @@ ERROR_OF_WELDS = 0.3
 # neighbours and have no effect.
 WELDS_OF_PARTS = 5
 
-# Length of the shortest level line of the first eigenfunction round one body, relative to the root of the
-# area on its smaller side. People have .75 and more, but a femur .38.
-LEAST_NECK = 0.7
+# Largest length of a level line where two bodies touch, relative to the root of the area on its smaller side:
+# of a line that is nowhere in a crease, and of one that is so all round. It is .4 along the shaft of a femur,
+# nowhere in a crease; .85 round an animal, half in creases; and 1.1 round the flange of a machine part.
+NECK = 0.45
+CREASED_NECK = 1.05
 
-# Level lines nearby, on both sides, are longer than the shortest one by this factor where two bodies touch.
-# Along the shaft of a bone they are not, 1.35 at most.
+# Least share of the line that lies in a crease. With a smaller one, level lines nearby, on both sides, must
+# be longer by the factor: along a rod they are not.
+LEAST_CREASED = 0.2
 LEAST_SHARPNESS = 1.5
 NECK_ERROR = 0.45
 
-# Shares of the area on one side of the level lines that are drawn, and the number of those nearby. Wider
-# steps miss the line round a contact. Those beyond are not near a half of the body.
-LEVELS = np.linspace(0.15, 0.85, 71)
-NEARBY = 5
-
-# Least share of the area on the smaller side of a level line that may part two bodies.
+# Least share of the area on the smaller side of a level line that may part two bodies, and of those nearby.
 LEAST_HALF = 0.2
+LEAST_SIDE = 0.15
+
+# Number of level lines at equal steps of the area on one side, and of the function: the first pass over both
+# bodies, the others lie in the creases.
+N_LEVELS = 71
+
+# Largest share of the area between level lines nearby.
+NEARBY = 0.055
+
+# An edge is weaker by 1 plus this, times the angle by which the normals at its ends lean towards each other.
+WEAKNESS = 150.0
+
+# Mean of these angles, round a vertex, from which it is in a crease; radians.
+CREASE = 0.02
+
+# Number of eigenfunctions that are combined at first, and of the steps that fit the sum to the creases, which
+# are narrower. More find as many pairs.
+N_COMBINED = 40
+N_STEPS = 30
 
 # Number of eigenvalues that are compared between surfaces, as many as the values of the paper's signature.
 N_COMPARED = 23
@@ -326,7 +356,7 @@ def spectrum_checks(shape: Shape) -> list[Check]:
         if surface.mesh is None or surface.eigenpairs is None:
             continue
         vectors = surface.eigenpairs.eigenvectors[: len(surface.mesh.vertices)]
-        checks.append(body_check(neck(surface.mesh, vectors[:, 1])))
+        checks.append(body_check(neck(surface.mesh, vectors[:, 1:])))
     if len(logs) > 1:
         apart = float(np.linalg.norm(logs[:, :N_COMPARED].std(axis=0, ddof=1)))
         shown = f"{apart:.2g} between the spectra of {len(logs)} surfaces"
@@ -337,24 +367,28 @@ def spectrum_checks(shape: Shape) -> list[Check]:
 
 
 class Neck(NamedTuple):
-    """Where a body is narrowest.
+    """The level line that is the most like that where two bodies touch.
 
-    length: of the shortest level line, relative to the root of the area on its smaller side.
+    length: relative to the root of the area on its smaller side.
+    creased: share of it that lies in a crease.
     sharpness: length of the level lines nearby, on the side where they are shorter, relative to it.
-    middle: (3,) float64, the middle of the line.
+    middle: (3,) float64.
     """
 
     length: float
+    creased: float
     sharpness: float
     middle: FloatArray
 
 
 def body_check(waist: Neck) -> Check:
-    """Check whether two bodies touch: a short line with much longer ones on both sides parts them."""
-    are_two = waist.length < LEAST_NECK and waist.sharpness > LEAST_SHARPNESS
+    """Check whether two bodies touch: a short crease runs all round, or much longer lines on both sides."""
+    is_short = waist.length < NECK + (CREASED_NECK - NECK) * waist.creased
+    is_contact = waist.creased > LEAST_CREASED or waist.sharpness > LEAST_SHARPNESS
+    are_two = is_short and is_contact
     shown = (
-        f"the neck between its halves is {waist.length:.2g} of the root of the smaller one's area, and "
-        f"{waist.sharpness:.2g} times as long beside it"
+        f"the line between its halves is {waist.length:.2g} of the root of the smaller one's area, "
+        f"{percent(waist.creased)} in a crease, and {waist.sharpness:.2g} times as long beside it"
     )
     error = NECK_ERROR if are_two else 0.0
     return graded(
@@ -367,77 +401,120 @@ def body_check(waist: Neck) -> Check:
     )
 
 
-def neck(mesh: TriangleMesh, function: FloatArray) -> Neck:
-    """The shortest level line of a function, among those that part a fifth or more of the area.
+def neck(mesh: TriangleMesh, eigenvectors: FloatArray) -> Neck:
+    """The line by which a surface may be two bodies, among those that part a fifth or more of the area.
 
-    The level lines of the first eigenfunction of the Laplace-Beltrami operator run round the body, across its
-    longest extent; the shortest is an estimate of the Cheeger constant [1]_. A rod has a long one in relation
-    to the root of its area, two balls that touch a short one.
+    The shortest level line of the first eigenfunction of the Laplace–Beltrami operator is an estimate of the
+    Cheeger constant [1]_: two balls that touch have a short one. Here, the function is flat on both sides of
+    creases, so that a level line follows the one round a contact, even if it is not the narrowest place.
 
-    function: (n,) float64, one value at each vertex.
+    eigenvectors: (n, k) float64, of the operator, without the constant one.
 
     References
     ----------
     .. [1] J. Cheeger, "A lower bound for the smallest eigenvalue of the Laplacian", Problems in Analysis,
        1970.
     """
-    levels, smaller = _levels(mesh, function)
-    line, start, end = _lines(mesh, function, levels)
+    leanings = _leanings(mesh)
+    corners = _parting(mesh, leanings, eigenvectors)[mesh.faces]  # (m, 3)
+    levels, shares = _levels(corners.mean(axis=1), mesh.face_areas)
+    line, face, start, end = _level_lines(mesh, corners, levels)
     pieces = np.linalg.norm(end - start, axis=1)
-    lengths = np.bincount(line, pieces, len(LEVELS))
-    is_half = (smaller > LEAST_HALF) & (lengths > 0)
-    sides = np.sqrt(smaller * mesh.face_areas.sum())
-    relative = np.where(is_half, lengths / sides, np.inf)
-    at = int(np.argmin(relative))
-    before, after = lengths[max(0, at - NEARBY) : at + 1], lengths[at : at + NEARBY + 1]
-    length = max(lengths[at], np.finfo(np.float64).tiny)
-    sharpness = min(before.max(), after.max()) / length
-    middle = pieces[line == at] @ (start + end)[line == at] / (2 * length)
-    return Neck(float(relative[at]), float(sharpness), np.asarray(middle))
+    lengths = np.bincount(line, pieces, len(levels)).clip(np.finfo(np.float64).tiny)
+    concave = leanings.sum(axis=1) / np.diff(leanings.indptr)  # (n,)
+    in_crease = concave[mesh.faces].mean(axis=1)[face] > CREASE
+    creased = np.bincount(line, pieces * in_crease, len(levels)) / lengths
+    smaller = np.minimum(shares, 1 - shares)
+    relative = lengths / np.sqrt(smaller * mesh.area)
+    excess = relative - (CREASED_NECK - NECK) * creased
+    at = int(np.where(smaller > LEAST_HALF, excess, np.inf).argmin())
+    nearby = np.where(np.abs(shares - shares[at]) < NEARBY, lengths, 0)
+    sharpness = min(nearby[: at + 1].max(), nearby[at:].max()) / lengths[at]
+    middle = pieces[line == at] @ (start + end)[line == at] / (2 * lengths[at])
+    return Neck(
+        float(relative[at]), float(creased[at]), float(sharpness), np.asarray(middle)
+    )
 
 
-def _levels(mesh: TriangleMesh, function: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The levels of a function that part `LEVELS` of the area, and the share on the smaller side of each."""
-    areas, values = mesh.face_areas, function[mesh.faces].mean(axis=1)
+def _leanings(mesh: TriangleMesh) -> csr_array:
+    """(n, n) angles by which normals at the ends of edges lean towards each other: positive in creases."""
+    links = adjacency(mesh)
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    normals = unit_vectors(normals + links @ normals)
+    starts, ends = links.tocoo().coords
+    along = unit_vectors(mesh.vertices[ends] - mesh.vertices[starts])
+    links.data = np.einsum("ij,ij->i", normals[starts] - normals[ends], along)
+    return links
+
+
+def _parting(
+    mesh: TriangleMesh, leanings: csr_array, eigenvectors: FloatArray
+) -> FloatArray:
+    """(n,) the lowest eigenfunction, about, of a Laplacian whose edges are weak in creases.
+
+    It is the best combination of eigenfunctions (Rayleigh–Ritz method), and then the solution of one step of
+    inverse iteration, by some steps of conjugate gradients.
+    """
+    from scipy.linalg import eigh
+    from scipy.sparse import diags_array
+    from scipy.sparse.linalg import cg
+
+    weights = leanings.copy()
+    weights.data = 1 / (1 + WEAKNESS * leanings.data.clip(0))
+    degrees = weights.sum(axis=1)
+    laplacian = (diags_array(degrees) - weights).tocsr()
+    span = eigenvectors[:, :N_COMBINED]
+    energies, mixing = eigh(span.T @ (laplacian @ span), subset_by_index=[0, 0])
+    start = span @ mixing[:, 0]
+    corner_areas = np.repeat(mesh.face_areas / 3, 3)
+    masses = np.bincount(mesh.faces.ravel(), corner_areas, len(start))
+    scaling = diags_array(1 / degrees)
+    solved, _ = cg(
+        laplacian, masses * start, start / energies[0], maxiter=N_STEPS, M=scaling
+    )
+    return np.asarray(solved)
+
+
+def _levels(values: FloatArray, areas: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(l,) levels of a function in ascending order, and the shares of the area below them.
+
+    values, areas: (m,) of the faces.
+    """
     order = np.argsort(values)
     shares = np.cumsum(areas[order]) / areas.sum()
-    below = np.searchsorted(shares, LEVELS)
-    return values[order[below]], np.minimum(shares[below], 1 - shares[below])
+    steps = np.linspace(LEAST_SIDE, 1 - LEAST_SIDE, N_LEVELS)
+    by_area = values[order[np.searchsorted(shares, steps)]]
+    by_value = np.linspace(by_area[0], by_area[-1], N_LEVELS)
+    levels = np.sort(np.concatenate([by_area, by_value]))
+    return levels, shares[np.searchsorted(values[order], levels)]
 
 
-def _lines(
-    mesh: TriangleMesh, function: FloatArray, levels: FloatArray
-) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
-    """The pieces of level lines in the faces that they cross: (k,) the number of the level, and both ends."""
-    corners = function[mesh.faces]  # (m, 3)
-    first, last = np.searchsorted(levels, [corners.min(axis=1), corners.max(axis=1)])
-    # Each face is taken once for each level line that crosses it.
-    face = np.repeat(np.arange(len(corners)), last - first)
-    line = np.arange(len(face)) - np.repeat(np.cumsum(last - first) - last, last - first)
-    ends = _pieces(mesh.vertices, mesh.faces[face], corners[face], levels[line])
-    return line, *ends
+def _level_lines(
+    mesh: TriangleMesh, values: FloatArray, levels: FloatArray
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    """The pieces of level lines, one in each face that a line crosses.
 
-
-def _pieces(
-    vertices: FloatArray, faces: IntArray, values: FloatArray, levels: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """(k, 3) beginnings and ends of the pieces of level lines, one in each of the faces that they cross.
-
-    levels: (k,) float64, of the line that crosses each face.
+    values: (m, 3) at the corners of the faces.
+    levels: (l,) in ascending order.
+    Returns line, face, start, end: (k,) of which level, in which face; (k, 3) the ends of the pieces.
     """
-    is_above = values > levels[:, np.newaxis]
+    first, last = np.searchsorted(levels, [values.min(axis=1), values.max(axis=1)])
+    face = np.repeat(np.arange(len(values)), last - first)
+    line = np.arange(len(face)) - np.repeat(np.cumsum(last - first) - last, last - first)
+    is_above = values[face] > levels[line, np.newaxis]
     # One corner is on a side of its own; the line crosses both edges that meet there.
     alone = np.where(
         is_above.sum(axis=1) == 1, is_above.argmax(axis=1), is_above.argmin(axis=1)
     )
-    row = np.arange(len(faces))
-    start, at_start = vertices[faces[row, alone]], values[row, alone]
+    corner = mesh.vertices[mesh.faces[face, alone]]
+    value = values[face, alone]
     ends = []
     for step in (1, 2):
         other = (alone + step) % 3
-        share = (levels - at_start) / (values[row, other] - at_start)
-        ends.append(start + share[:, np.newaxis] * (vertices[faces[row, other]] - start))
-    return ends[0], ends[1]
+        share = (levels[line] - value) / (values[face, other] - value)
+        along = mesh.vertices[mesh.faces[face, other]] - corner
+        ends.append(corner + share[:, np.newaxis] * along)
+    return line, face, ends[0], ends[1]
 
 
 def _counted(n: int, name: str) -> str:

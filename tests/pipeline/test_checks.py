@@ -21,6 +21,7 @@ from pcretrieve.checks.layers import double_layers
 from pcretrieve.checks.stages import body_check, hole_check, neck
 from pcretrieve.draw.axes import person_of
 from pcretrieve.points.neighbors import neighborhoods
+from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.values import FloatArray
 
 BALL = icosphere(4)
@@ -187,19 +188,52 @@ def test_two_layers_of_points_are_double_walls() -> None:
     assert (double_layers(cloud_of(points)).apart > 0).mean() < 0.03
 
 
+def one_body(mesh: TriangleMesh) -> Check:
+    """The check whether a surface is one body."""
+    eigenvectors = unit_eigenpairs(mesh, 61).eigenvectors
+    return body_check(neck(mesh, eigenvectors[:, 1:]))
+
+
+def about_origin(radius: FloatArray) -> TriangleMesh:
+    """A surface by its radius in the directions of the vertices of a ball, (n,)."""
+    return TriangleMesh(radius[:, np.newaxis] * BALL.vertices, BALL.faces)
+
+
+def pressed_balls(apart: float) -> TriangleMesh:
+    """The union of two balls of radius 1, whose middles are twice so far apart."""
+    along = np.abs(BALL.vertices[:, 0])
+    return about_origin(apart * along + np.sqrt(1 - apart**2 * (1 - along**2).clip(0, 1)))
+
+
 @pytest.mark.parametrize("ratio", [1, 0.7])
 def test_two_balls_that_touch_are_two_bodies(ratio: float) -> None:
     # An oval of Cassini, whose neck is short beside its halves, one of which is smaller by a factor.
     cosine = BALL.vertices[:, 0] ** 2 - (BALL.vertices[:, 1:] ** 2).sum(axis=1)
-    size = np.sqrt(cosine + np.sqrt(cosine**2 + 1.01**4 - 1))
+    size = np.sqrt(cosine + np.sqrt(cosine**2 + 1.005**4 - 1))
     size = np.where(BALL.vertices[:, 0] < 0, ratio, 1) * size
-    mesh = TriangleMesh(size[:, np.newaxis] * BALL.vertices, BALL.faces)
-    assert body_check(neck(mesh, mesh.vertices[:, 0])).outcome != "passed"
+    assert one_body(about_origin(size)).outcome != "passed"
 
 
-def test_a_rod_is_one_body() -> None:
-    mesh = tube(9.0)
-    assert body_check(neck(mesh, mesh.vertices[:, 0])).outcome == "passed"
+def test_balls_pressed_together_are_two_bodies_by_their_crease() -> None:
+    found = one_body(pressed_balls(0.9))
+    assert found.value is not None and found.value > 0.75, "as long as round a person"
+    assert found.outcome != "passed"
+    assert abs(found.places[0][0]) < 0.05, "the place is between them"
+
+
+def test_a_crease_that_does_not_run_all_round_parts_no_bodies() -> None:
+    # The same balls, but half of their crease is filled.
+    pressed = np.linalg.norm(pressed_balls(0.9).vertices, axis=1)
+    filled = np.where(BALL.vertices[:, 1] > 0, pressed.clip(min=1), pressed)
+    assert one_body(about_origin(filled)).outcome == "passed"
+
+
+@pytest.mark.parametrize("knobs", [0, 1])
+def test_a_rod_is_one_body_and_so_is_one_with_thick_ends(knobs: int) -> None:
+    rod = tube(9.0).vertices * [3, 1, 1]
+    from_end = np.abs(rod[:, :1]).max() - np.abs(rod[:, :1])
+    thick = 1 + knobs * np.exp(-((from_end / 0.4) ** 2)) * [0, 1, 1]
+    assert one_body(TriangleMesh(rod * thick, BALL.faces)).outcome == "passed"
 
 
 # --- names of the parts of a person -------------------------------------------------------------------
