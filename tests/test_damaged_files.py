@@ -93,7 +93,7 @@ SCANS: dict[str, str | bytes | Callable[[Path], object]] = {
     "big_endian.ply": ply(
         "binary_big_endian", ELEMENTS, BALL.vertices.astype(">f4").tobytes(), *BIG_ENDIAN
     ),
-    "text.stl": BALL.to_trimesh().export(file_type="stl_ascii"),
+    "text.stl": shapes.icosphere(0).to_trimesh().export(file_type="stl_ascii"),
     **{
         f"{encoding.value}.pcd": partial(
             Pcd.from_xyz_points(BALL.vertices.astype(np.float32)).save, encoding=encoding
