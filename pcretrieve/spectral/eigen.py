@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from typing import NamedTuple
+
 import numpy as np
 from scipy.linalg import LinAlgError, eigh
 
@@ -24,6 +27,15 @@ LARGEST_TOLERANCE = 1e-3
 # Smallest λ_1 · area of a connected surface. A tube that is a hundred times longer than wide has 5e-3; a
 # smaller value by orders of magnitude is a second zero eigenvalue with rounding errors.
 SMALLEST_GAP = 1e-6
+
+
+class Found(NamedTuple):
+    """Eigenpairs: (k,) and (n, k), the number of blocks, and the largest relative residual."""
+
+    eigenvalues: FloatArray
+    vectors: FloatArray
+    iterations: int
+    residual: float
 
 
 def eigenpairs(
@@ -67,13 +79,12 @@ def eigenpairs(
             found = (
                 _krylov(operator, n_pairs, tolerance)
                 if used == "krylov"
-                else _dense(operator, n_pairs)
+                else _checked(operator, *_dense(operator, n_pairs))
             )
     # SuperLU raises RuntimeError for a singular matrix.
     except (LinAlgError, RuntimeError) as error:
         raise SpectrumError(f"the eigenvalue solver failed: {error}") from error
-    eigenvalues, vectors, iterations = found
-    largest_residual = _check_answer(operator, eigenvalues, vectors)
+    eigenvalues, vectors, iterations, largest_residual = found
 
     # The zero eigenvalue and its eigenvector are known exactly, and replace the computed ones.
     if operator.n_components:
@@ -117,21 +128,17 @@ def _check_question(operator: LaplaceBeltrami, n_pairs: int, tolerance: float) -
         )
 
 
-def _krylov(
-    operator: LaplaceBeltrami, n_pairs: int, tolerance: float
-) -> tuple[FloatArray, FloatArray, int]:
-    """By a shift amid the wanted eigenvalues, 4πk / area by Weyl's law; else by one below all of them."""
-    try:
-        return block_krylov(
-            operator,
-            n_pairs,
-            shift=2 * np.pi * n_pairs / operator.area,
-            tolerance=tolerance,
-        )
-    except (SpectrumError, LinAlgError, RuntimeError):
-        return block_krylov(
-            operator, n_pairs, shift=RELATIVE_SHIFT / operator.area, tolerance=tolerance
-        )
+def _krylov(operator: LaplaceBeltrami, n_pairs: int, tolerance: float) -> Found:
+    """By a shift amid the wanted eigenvalues, 4πk / area by Weyl's law; else by one below all of them.
+
+    Without pivoting, the first shift loses digits if it is near to an eigenvalue of a part of the matrix.
+    """
+    shift, last = 2 * np.pi * n_pairs / operator.area, RELATIVE_SHIFT / operator.area
+    with suppress(SpectrumError, LinAlgError, RuntimeError):
+        found = block_krylov(operator, n_pairs, shift=shift, tolerance=tolerance)
+        return _checked(operator, *found)
+    found = block_krylov(operator, n_pairs, shift=last, tolerance=tolerance)
+    return _checked(operator, *found)
 
 
 def _dense(operator: LaplaceBeltrami, n_pairs: int) -> tuple[FloatArray, FloatArray, int]:
@@ -142,10 +149,13 @@ def _dense(operator: LaplaceBeltrami, n_pairs: int) -> tuple[FloatArray, FloatAr
     return eigenvalues, vectors, 0
 
 
-def _check_answer(
-    operator: LaplaceBeltrami, eigenvalues: FloatArray, vectors: FloatArray
-) -> float:
-    """The largest relative residual of the pairs with λ > 0."""
+def _checked(
+    operator: LaplaceBeltrami,
+    eigenvalues: FloatArray,
+    vectors: FloatArray,
+    iterations: int,
+) -> Found:
+    """The eigenpairs that a solver found, if they are some, with the largest residual of those with λ > 0."""
     scaled = eigenvalues * operator.area  # dimensionless
     if not (np.isfinite(scaled).all() and np.isfinite(vectors).all()):
         raise SpectrumError("eigenpairs must be finite, got NaN or infinite numbers")
@@ -174,4 +184,4 @@ def _check_answer(
         raise SpectrumError(
             f"relative residuals must stay below {LARGEST_RESIDUAL}, got {largest:.1e}"
         )
-    return largest
+    return Found(eigenvalues, vectors, iterations, largest)
