@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcretrieve.arrays import vertex_normals
 from pcretrieve.checks.fit import FILLED, Fit
 from pcretrieve.checks.grading import (
     ENDS_OF_NOISE,
@@ -20,10 +21,10 @@ from pcretrieve.checks.grading import (
     percent,
 )
 from pcretrieve.checks.layers import Layers
-from pcretrieve.surface.fairing import vertex_normals
 from pcretrieve.values import (
     FloatArray,
     IntArray,
+    Mask,
     PointCloud,
     Shape,
     Step,
@@ -415,36 +416,40 @@ def neck(mesh: TriangleMesh, eigenvectors: FloatArray) -> Neck:
     .. [1] J. Cheeger, "A lower bound for the smallest eigenvalue of the Laplacian", Problems in Analysis,
        1970.
     """
-    leanings = _leanings(mesh)
+    leanings, in_crease = _creases(mesh)
     corners = _parting(mesh, leanings, eigenvectors)[mesh.faces]  # (m, 3)
     levels, shares = _levels(corners.mean(axis=1), mesh.face_areas)
     line, face, start, end = _level_lines(mesh, corners, levels)
     pieces = np.linalg.norm(end - start, axis=1)
     lengths = np.bincount(line, pieces, len(levels)).clip(np.finfo(np.float64).tiny)
-    concave = leanings.sum(axis=1) / np.diff(leanings.indptr)  # (n,)
-    in_crease = concave[mesh.faces].mean(axis=1)[face] > CREASE
-    creased = np.bincount(line, pieces * in_crease, len(levels)) / lengths
+    creased = np.bincount(line, pieces * in_crease[face], len(levels)) / lengths
     smaller = np.minimum(shares, 1 - shares)
     relative = lengths / np.sqrt(smaller * mesh.area)
-    excess = relative - (CREASED_NECK - NECK) * creased
-    at = int(np.where(smaller > LEAST_HALF, excess, np.inf).argmin())
+    likeness = (CREASED_NECK - NECK) * creased - relative
+    at = int(np.where(smaller > LEAST_HALF, likeness, -np.inf).argmax())
     nearby = np.where(np.abs(shares - shares[at]) < NEARBY, lengths, 0)
-    sharpness = min(nearby[: at + 1].max(), nearby[at:].max()) / lengths[at]
-    middle = pieces[line == at] @ (start + end)[line == at] / (2 * lengths[at])
+    beside = min(nearby[: at + 1].max(), nearby[at:].max())
     return Neck(
-        float(relative[at]), float(creased[at]), float(sharpness), np.asarray(middle)
+        length=float(relative[at]),
+        creased=float(creased[at]),
+        sharpness=float(beside / lengths[at]),
+        middle=pieces[line == at] @ (start + end)[line == at] / (2 * lengths[at]),
     )
 
 
-def _leanings(mesh: TriangleMesh) -> csr_array:
-    """(n, n) angles by which normals at the ends of edges lean towards each other: positive in creases."""
-    links = adjacency(mesh)
+def _creases(mesh: TriangleMesh) -> tuple[csr_array, Mask]:
+    """By which angles normals at the ends of edges lean towards each other, and which faces are in creases.
+
+    Returns leanings: (n, n) float64, positive in creases; in_crease: (m,) bool.
+    """
+    leanings = adjacency(mesh)
     normals = vertex_normals(mesh.vertices, mesh.faces)
-    normals = unit_vectors(normals + links @ normals)
-    starts, ends = links.tocoo().coords
+    normals = unit_vectors(normals + leanings @ normals)
+    starts, ends = leanings.tocoo().coords
     along = unit_vectors(mesh.vertices[ends] - mesh.vertices[starts])
-    links.data = np.einsum("ij,ij->i", normals[starts] - normals[ends], along)
-    return links
+    leanings.data = np.einsum("ij,ij->i", normals[starts] - normals[ends], along)
+    at_vertices = leanings.sum(axis=1) / np.diff(leanings.indptr)  # (n,)
+    return leanings, at_vertices[mesh.faces].mean(axis=1) > CREASE
 
 
 def _parting(
