@@ -23,7 +23,6 @@ from pcretrieve.checks.grading import (
 from pcretrieve.checks.layers import Layers
 from pcretrieve.values import (
     FloatArray,
-    IntArray,
     Mask,
     PointCloud,
     Shape,
@@ -496,7 +495,7 @@ def _levels(values: FloatArray, areas: FloatArray) -> tuple[FloatArray, FloatArr
 
 def _level_lines(
     mesh: TriangleMesh, values: FloatArray, levels: FloatArray
-) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray, FloatArray]:
     """The pieces of level lines, one in each face that a line crosses.
 
     values: (m, 3) at the corners of the faces.
