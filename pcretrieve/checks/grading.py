@@ -27,7 +27,7 @@ Limits = tuple[float, float]
 LARGEST_ERROR = 0.85
 
 # Largest share of the surface that closes ends where noise and small holes are, and no limb is missing.
-ENDS_OF_NOISE = 0.0004
+ENDS_OF_NOISE = 0.00034
 
 # Largest share of the surface where noise looks like layers.
 LAYERS_OF_NOISE = 0.03

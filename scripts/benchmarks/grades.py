@@ -317,7 +317,15 @@ def _ranked(row: Row, place: FloatArray, here: Sequence[Row], places: FloatArray
     if row["label"] not in nearest:
         return {"rank": None, "nearest": None}
     own = nearest[row["label"]]
+    words = [
+        other["word"]
+        for other in here
+        if other["damage"] == WHOLE
+        and other["pose"] != row["pose"]
+        and other["label"] == row["label"]
+    ]
     return {
+        "wanted": words,
         "rank": 1 + sum(apart < own for apart in nearest.values()),
         "nearest": min(nearest, key=lambda label: nearest[label]),
         "own": own,
@@ -464,6 +472,14 @@ ASKED = (
         "scans whose nearest is wrong: not good",
         lambda row: row["sensor"] != MESH and (row.get("rank") or 1) > 1,
         lambda row: not _is_good(row),
+        0.90,
+        0.0,
+    ),
+    # An answer may be wrong because the scan that should have been found is bad.
+    Asked(
+        "the same, or the scan that was wanted is not",
+        lambda row: row["sensor"] != MESH and (row.get("rank") or 1) > 1,
+        lambda row: not _is_good(row) or set(row["wanted"]) != {"good"},
         0.90,
         0.0,
     ),
