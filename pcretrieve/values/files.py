@@ -11,6 +11,7 @@ import os
 import re
 import secrets
 import stat
+import warnings
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -236,6 +237,10 @@ def array_header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], bool]
         if version == (1, 0)
         else np.lib.format.read_array_header_2_0
     )
-    shape, in_columns, dtype = read(head)
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore"
+        )  # of headers by Python 2, and of odd signs in them
+        shape, in_columns, dtype = read(head)
     file.seek(head.tell())
     return shape, dtype, in_columns

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from scan_files import (
     glb,
     gltf,
     mesh,
+    npy,
     pcd_header,
     ply,
 )
@@ -164,6 +166,18 @@ def test_decimal_commas_are_named(name: str, tmp_path: Path) -> None:
     assert "export it with decimal points, not commas" in refusal(
         tmp_path / name, texts[name]
     )
+
+
+@pytest.mark.parametrize("shape", ["(8L, 3L)", "(8, 3)"])
+def test_arrays_of_python_2_are_no_warning(shape: str, tmp_path: Path) -> None:
+    content = npy(
+        f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}", CUBE.tobytes()
+    )
+    (tmp_path / "a.npy").write_bytes(content)
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        np.testing.assert_array_equal(cloud(tmp_path / "a.npy").points, CUBE)
+    assert not warned
 
 
 # --- PCD --------------------------------------------------------------------------------------------------
