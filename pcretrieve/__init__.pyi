@@ -52,7 +52,6 @@ from .formats import (
     read_scan as read_scan,
     write_cloud as write_cloud,
     write_mesh as write_mesh,
-    write_signatures as write_signatures,
 )
 from .gallery.answers import (
     Answer as Answer,
@@ -116,6 +115,7 @@ from .values import (
     Surface as Surface,
     TriangleMesh as TriangleMesh,
 )
+from .values.signatures import write_signatures as write_signatures
 from .web import serve as serve
 
 __all__: list[str]

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from sklearn.base import (
     BaseEstimator,
     ClassNamePrefixFeaturesOutMixin,
@@ -24,10 +24,10 @@ from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, column_or_1d, validate_data
 from typing_extensions import Self
 
+from pcretrieve import InputError, OptionError, PipelineOptions
 from pcretrieve.descriptors import signature_length
-from pcretrieve.errors import InputError, OptionError
 from pcretrieve.formats import ScanLike
-from pcretrieve.options import OptionsLike, PipelineOptions, Shrinkage, SignatureOptions
+from pcretrieve.options import OptionsLike, Shrinkage, SignatureOptions
 from pcretrieve.pipeline.process import remembered, signature_of
 from pcretrieve.retrieval import (
     Positions,
@@ -38,9 +38,8 @@ from pcretrieve.retrieval import (
     people,
 )
 from pcretrieve.retrieval.distances import BLOCK_DISTANCES, known_distance
-from pcretrieve.values import FloatArray
 
-Found: TypeAlias = "tuple[FloatArray, Positions] | Positions"
+Found: TypeAlias = "tuple[NDArray[np.float64], Positions] | Positions"
 
 
 class _Whitener(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):  # type: ignore[misc]
@@ -61,7 +60,7 @@ class _Whitener(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):  # type:
         self.whitening_ = fit_whitening(self._kind, logs, **self.get_params())
         return self
 
-    def transform(self, X: ArrayLike) -> FloatArray:
+    def transform(self, X: ArrayLike) -> NDArray[np.float64]:
         """Whitened signatures (n, L) float64: W (x − mean) for each row x of X."""
         check_is_fitted(self)
         return self.whitening_.apply(
@@ -248,7 +247,9 @@ class SignatureNeighbors(BaseEstimator):  # type: ignore[misc]
             raise InputError("a score needs queries of fitted classes, got none")
         return float(total / n_queries)
 
-    def _sorted(self, X: ArrayLike | None) -> Iterator[tuple[FloatArray, Positions]]:
+    def _sorted(
+        self, X: ArrayLike | None
+    ) -> Iterator[tuple[NDArray[np.float64], Positions]]:
         """For each query the distances, ascending, and the rows of the fitted signatures."""
         queries = (
             self._fit_X
@@ -316,7 +317,7 @@ class SignatureTransformer(
         self._chosen()
         return self
 
-    def transform(self, X: Iterable[ScanLike]) -> FloatArray:
+    def transform(self, X: Iterable[ScanLike]) -> NDArray[np.float64]:
         """The log-signatures (n, L) float64 of n files, arrays, or values of geometry.
 
         Dimensionless, except for the scale ``absolute``. The surfaces of 200 scans are remembered by their

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from pcretrieve.draw.axes import body_axes
 from pcretrieve.draw.pictures import (
     CLAY,
+    THUMBNAIL_AZIMUTH,
+    THUMBNAIL_ELEVATION,
     cameras_framing,
     depth_picture,
     point_picture,
     rotation,
     surface_picture,
 )
-from pcretrieve.draw.thumbnail import AZIMUTH, ELEVATION
 from pcretrieve.values import PointCloud, TriangleMesh
 
 # `scripts/docs` says where the repository is, because it builds from a copy of these files.
@@ -77,7 +78,7 @@ def draw(
     for place, (name, one) in zip(places.flat, bodies.items(), strict=True):
         mesh = one if isinstance(one, TriangleMesh) else meshes[-1]
         at = one.vertices if isinstance(one, TriangleMesh) else one.points
-        front = rotation(AZIMUTH, ELEVATION) @ body_axes(
+        front = rotation(THUMBNAIL_AZIMUTH, THUMBNAIL_ELEVATION) @ body_axes(
             mesh.vertices, mesh.faces, mesh.up
         )
         (camera,) = cameras_framing(at, [front])

@@ -54,89 +54,77 @@ def log_fault(log: Path) -> str | None:
     return None
 
 
-@dataclass(frozen=True, slots=True)
-class _Header:
-    """The header of a log: the order of the bytes in its words, its two salts, and its checksum."""
-
-    order: str
-    page: int
-    salts: Words
-    checksum: Words
-
-    @classmethod
-    def read(cls, data: bytes) -> _Header | None:
-        """The header in the first bytes of a log; None if they are wrong."""
-        order, page = ORDERS.get(data[:4]), int.from_bytes(data[8:12], "big")
-        if len(data) < HEADER or order is None or page not in PAGES:
-            return None
-        numbers = np.frombuffer(data, ">u4").astype(np.uint32)
-        words = np.frombuffer(data[:24], order)
-        if (_checksums(words[None], np.zeros((1, 2), np.uint32)) != numbers[6:]).any():
-            return None
-        return cls(order, page, numbers[4:6], numbers[6:])
-
-    @property
-    def n_bytes(self) -> int:
-        """Bytes of a frame."""
-        return FRAME_HEADER + self.page
-
-
 @dataclass(slots=True)
 class _Frames:
     """What is found in the frames of a log, which are looked at from the first to the last.
 
+    order, salts: the order of the bytes in the words of the log, and the two salts of its frames.
+    n_bytes: bytes of a frame.
     before: the checksum of the frame before the next one.
     wrong: number of the first wrong frame, from 0.
     n_lost: number of transactions that end there or behind, which SQLite drops.
     is_changed: whether one word of the first wrong frame explains what is wrong with it.
     """
 
-    header: _Header
+    order: str
+    salts: Words
+    n_bytes: int
     before: Words
     n_seen: int = 0
     wrong: int | None = None
     n_lost: int = 0
     is_changed: bool = False
 
+    @classmethod
+    def behind(cls, header: bytes) -> _Frames | None:
+        """The frames behind the header of a log; None if the header is wrong."""
+        order, page = ORDERS.get(header[:4]), int.from_bytes(header[8:12], "big")
+        if len(header) < HEADER or order is None or page not in PAGES:
+            return None
+        numbers = np.frombuffer(header, ">u4").astype(np.uint32)
+        words = np.frombuffer(header[:24], order)
+        if (_checksums(words[None], np.zeros((1, 2), np.uint32)) != numbers[6:]).any():
+            return None
+        return cls(order, numbers[4:6], FRAME_HEADER + page, numbers[6:])
+
     def look(self, data: bytes) -> None:
         """Look at the next frames."""
-        n_words = self.header.n_bytes // 4
+        n_words = self.n_bytes // 4
         # Page, size of the file if a transaction ends here, two salts, two checksums.
         heads = np.frombuffer(data, ">u4").reshape(-1, n_words)[:, :6].astype(np.uint32)
-        is_ours = (heads[:, 2:4] == self.header.salts).all(axis=1)
+        is_ours = (heads[:, 2:4] == self.salts).all(axis=1)
         is_commit = heads[:, 1] > 0
-        behind = 0
+        first = 0
         if self.wrong is None:
-            words = np.frombuffer(data, self.header.order).reshape(-1, n_words)
+            words = np.frombuffer(data, self.order).reshape(-1, n_words)
             given = np.concatenate([self.before[None], heads[:-1, 4:]])
             differences = heads[:, 4:] - _checksums(words, given)  # (n, 2)
             is_wrong = ~is_ours | differences.any(axis=1)
-            self.before, behind = heads[-1, 4:], len(heads)
+            self.before, first = heads[-1, 4:], len(heads)
             if is_wrong.any():
-                behind = int(is_wrong.argmax())
-                self.wrong = self.n_seen + behind
-                self.is_changed = _is_one_word(differences[behind], n_words)
+                first = int(is_wrong.argmax())
+                self.wrong = self.n_seen + first
+                self.is_changed = _is_one_word(differences[first], n_words)
                 # Changed salts say that the frame is of another log.
-                is_lost = is_commit[behind] and not is_ours[behind] and self.is_changed
+                is_lost = is_commit[first] and not is_ours[first] and self.is_changed
                 self.n_lost += int(is_lost)
-        self.n_lost += int((is_ours & is_commit)[behind:].sum())
+        self.n_lost += int((is_ours & is_commit)[first:].sum())
         self.n_seen += len(heads)
 
 
 def _fault(file: IO[bytes], size: int) -> str | None:
-    data = file.read(HEADER)
-    header = _Header.read(data)
-    if header is None:
+    header = file.read(HEADER)
+    frames = _Frames.behind(header)
+    if frames is None:
         return "its header is wrong"
-    at_once = max(1, READ_AT_ONCE // header.n_bytes)
-    n_frames, n_rest = divmod(size - HEADER, header.n_bytes)
-    frames = _Frames(header, header.checksum)
+    at_once = max(1, READ_AT_ONCE // frames.n_bytes)
+    n_frames, n_rest = divmod(size - HEADER, frames.n_bytes)
     for start in range(0, n_frames, at_once):
-        frames.look(file.read(min(at_once, n_frames - start) * header.n_bytes))
+        frames.look(file.read(min(at_once, n_frames - start) * frames.n_bytes))
     if frames.wrong is not None and frames.n_lost > (0 if frames.is_changed else 1):
         return f"frame {frames.wrong + 1} of {n_frames} is wrong"
     rest = file.read()
-    is_ours_too = rest[8:16] == data[16:24] if len(rest) >= 16 else frames.wrong is None
+    is_ours_too = rest[8:16] == header[16:24] if len(rest) >= 16 else frames.wrong is None
     # Where a process is killed, a write has ended; where power fails, a sector.
     if n_rest not in (0, FRAME_HEADER) and size % SECTOR and is_ours_too:
         return "its end is cut off"

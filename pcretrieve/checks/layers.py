@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.arrays import tangent_axes
 from pcretrieve.points.neighbors import nearest
-from pcretrieve.values import FloatArray, PointCloud
+from pcretrieve.values import FloatArray, PointCloud, tangent_axes
 
 # Number of points that are compared, so that a neighbourhood is wider than layers are apart.
 COMPARED = 10_000

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from pcretrieve.arrays import FloatArray, IntArray
-from pcretrieve.draw.pictures import CLAY
-from pcretrieve.draw.thumbnail import MOST_POINTS
+from pcretrieve.draw.pictures import CLAY, MOST_POINTS
 from pcretrieve.errors import InputError
 
 # Number of groups in a column of a key.

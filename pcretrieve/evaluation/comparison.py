@@ -18,8 +18,7 @@ import numpy as np
 from pcretrieve.catalogue import CatalogueLike
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation import measures
-from pcretrieve.evaluation.catalogue import rank_shapes
-from pcretrieve.evaluation.rankings import Rankings
+from pcretrieve.evaluation.rankings import Rankings, rank_shapes
 from pcretrieve.options import OptionsLike
 from pcretrieve.retrieval import DistanceMatrix, ids_path, read_matrix
 from pcretrieve.values import FloatArray

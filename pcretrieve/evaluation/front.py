@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike
 from pcretrieve.catalogue import Catalogue, CatalogueLike
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation import measures
-from pcretrieve.evaluation.catalogue import RankedShapes, rank_shapes
 from pcretrieve.evaluation.comparison import (
     Comparison,
     compare_scores,
     result_scores,
     write_evaluation,
 )
+from pcretrieve.evaluation.rankings import RankedShapes, rank_shapes
 from pcretrieve.gallery.fitted import index, signatures
 from pcretrieve.options import OptionsLike, PipelineOptions, describe_options
 from pcretrieve.retrieval import DistanceMatrix, Whitening, people
@@ -284,7 +284,7 @@ def matrix(
             from pcretrieve.shrec.matcher import known_matcher, match_all
 
             method = known_matcher(matcher)
-            made = match_all(
-                method, [*store], lambda name: store.shape(name, method.needs)
+            made = DistanceMatrix(
+                *match_all(method, [*store], lambda name: store.shape(name, method.needs))
             )
         return replace(made, labels=tuple(map(store.labels().get, made.ids)))

@@ -239,7 +239,7 @@ N_RESAMPLES = 2000
 CHUNK = 2**20
 
 
-def bootstrap_interval(values: FloatArray, *, level: float = LEVEL) -> FloatArray:
+def bootstrap_interval(values: FloatArray) -> FloatArray:
     """Confidence intervals of the means of columns, whose rows are drawn again together.
 
     values: (Q, m) float64, one row for each query, such as `QueryScores.columns`, or differences of such rows
@@ -255,7 +255,7 @@ def bootstrap_interval(values: FloatArray, *, level: float = LEVEL) -> FloatArra
         for start in range(0, N_RESAMPLES, rows)
     ]
     ends: FloatArray = np.quantile(
-        np.concatenate(means), [(1 - level) / 2, (1 + level) / 2], axis=0
+        np.concatenate(means), [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0
     )
     return ends
 

@@ -4,8 +4,15 @@ In comes a path, and a point cloud or a triangle mesh goes out; or the reverse. 
 together, such as posed range scans, are read as one scan.
 """
 
+from pcretrieve.formats.files import (
+    ScanLike,
+    as_scan,
+    located,
+    read_scan,
+    write_cloud,
+    write_mesh,
+)
 from pcretrieve.formats.format import Extra, Format, Part, RawScan
-from pcretrieve.formats.read import ScanLike, as_scan, located, read_scan
 from pcretrieve.formats.registry import (
     ScanPath,
     is_scan,
@@ -13,7 +20,6 @@ from pcretrieve.formats.registry import (
     missing_extra,
     parts_of,
 )
-from pcretrieve.formats.write import write_cloud, write_mesh, write_signatures
 
 __all__ = [
     "Extra",
@@ -31,5 +37,4 @@ __all__ = [
     "read_scan",
     "write_cloud",
     "write_mesh",
-    "write_signatures",
 ]

@@ -220,20 +220,14 @@ def _transform(node: Any) -> FloatArray:
     """The (4, 4) transform from the frame of a node to that of its parent: M T R S."""
     import trimesh
 
-    matrix = (
-        np.array(node.get("matrix", np.eye(4).ravel()), dtype=np.float64).reshape(4, 4).T
-    )
-    if "translation" in node:
-        translation = np.eye(4)
-        translation[:3, 3] = node["translation"]
-        matrix = matrix @ translation
-    if "rotation" in node:
-        x, y, z, w = node["rotation"]
-        rotation: Any = trimesh.transformations
-        matrix = matrix @ rotation.quaternion_matrix([w, x, y, z])
-    if "scale" in node:
-        matrix = matrix @ np.diag([*node["scale"], 1.0])
-    return np.asarray(matrix)
+    transformations: Any = trimesh.transformations
+    matrix = np.array(node.get("matrix", np.eye(4)), dtype=np.float64).reshape(4, 4).T
+    translation = np.eye(4)
+    translation[:3, 3] = node.get("translation", 0)
+    x, y, z, w = node.get("rotation", (0, 0, 0, 1))
+    rotation = transformations.quaternion_matrix([w, x, y, z])
+    scale = np.diag([*node.get("scale", (1, 1, 1)), 1.0])
+    return np.asarray(matrix @ translation @ rotation @ scale)
 
 
 def _accessors(tree: Any, mesh: int) -> list[int]:

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcretrieve.formats.format import (
     Cut,
@@ -29,7 +28,7 @@ from pcretrieve.formats.format import (
     numbers_in,
     text_lines,
 )
-from pcretrieve.values import FloatArray, TriangleMesh, unit_of
+from pcretrieve.values import FloatArray, TriangleMesh, unit_of, welded
 from pcretrieve.values.files import check_members, opened_archive
 
 # Largest vertex number of an OBJ file; more than any file has.
@@ -154,44 +153,6 @@ def read_stl(path: Path) -> RawScan:
         raise Cut("it ends in the middle of a triangle")
     points = corners.reshape(-1, 3).astype(np.float64)
     return RawScan(points, np.arange(len(points)).reshape(-1, 3))
-
-
-def welded(
-    points: NDArray[Any], faces: NDArray[np.integer]
-) -> tuple[NDArray[Any], NDArray[np.integer]]:
-    """Merge the vertices that coincide at the ends of open edges, which have one face.
-
-    STL repeats the vertices of each triangle, other formats those at seams of normals and textures. Vertices
-    that coincide without such an edge in common are of parts that touch, and stay apart.
-    """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    n = len(points)
-    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=-1) @ (
-        n,
-        1,
-    )  # (m, 3), one number for each edge
-    edges, use = np.unique(sides, return_counts=True)
-    ends = np.column_stack(np.divmod(edges[use == 1], n))  # (s, 2)
-    if not len(ends):
-        return points, faces
-    order = np.lexsort(points.T)
-    place = np.empty(n, dtype=np.int64)
-    place[order] = (
-        np.cumsum(np.diff(points[order], axis=0, prepend=np.nan).any(axis=1)) - 1
-    )
-    at = place[ends]  # (s, 2)
-    _, edge = np.unique(np.sort(at, axis=1) @ (n, 1), return_inverse=True)  # (s,)
-    # A graph of the vertices, and of the two ends of each edge in space, which are theirs.
-    end = n + 2 * edge[:, None] + (at == at.max(axis=1, keepdims=True))  # (s, 2)
-    pairs, size = (ends.ravel(), end.ravel()), int(end.max()) + 1
-    graph = coo_array((np.ones(ends.size, np.int8), pairs), shape=(size, size))
-    merged = connected_components(graph, directed=False)[1][
-        :n
-    ]  # (n,), numbered in the order of the file
-    first = np.flatnonzero(np.diff(np.maximum.accumulate(merged), prepend=-1))
-    return points[first], merged[faces]
 
 
 # --- scenes -----------------------------------------------------------------------------------------------

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from ipaddress import ip_address
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TypeAlias
+from typing import Any
 
 from pcretrieve.errors import InputError, PcretrieveError, ScanReadError, ShapeError
-from pcretrieve.formats.registry import FILE, ScanPath, parts_of
+from pcretrieve.formats.registry import ScanPath, parts_of
 
 # Largest size of a file that is copied for one command; bytes.
 LARGEST = 1 << 32
@@ -29,23 +29,6 @@ MOST_LISTED = 200_000
 
 # Protocols of URLs. For others, fsspec would load code that nobody has checked, and connect anywhere.
 PROTOCOLS = ("http", "https", "s3", "file")
-
-#: Whether scans are fetched whose URLs are stored in a catalogue, or what decides that, given their hosts.
-Remote: TypeAlias = bool | Callable[[Sequence[str]], bool]
-
-
-def check_remote(scans: Iterable[ScanPath], remote: Remote, location: str) -> None:
-    """Check that the URLs among the scans of a catalogue, which may be somebody else's, may be fetched."""
-    urls = [scan.url for scan in scans if scan.url is not None]
-    # Not parsed, because parsers differ in what they take for the host.
-    hosts = {
-        "/".join(url.split("/", 3)[:3]) for url in urls if url.partition(":")[0] != FILE
-    }
-    if hosts and not (remote(sorted(hosts)) if callable(remote) else remote):
-        raise InputError(
-            f"{location} names scans at {', '.join(sorted(hosts))}, which are not fetched unasked, because "
-            "it may name any address: give --remote (in Python remote=True) if you trust it"
-        )
 
 
 def remote_files(url: str) -> list[ScanPath]:

@@ -12,13 +12,13 @@ import os
 import re
 import stat
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 from pcretrieve.errors import (
     InputError,
@@ -30,7 +30,7 @@ from pcretrieve.errors import (
 from pcretrieve.formats import Part, ScanPath, is_scan, members_of, parts_of
 from pcretrieve.formats.format import no_parts
 from pcretrieve.formats.identity import printable
-from pcretrieve.formats.registry import FORMATS, instead, suffixes
+from pcretrieve.formats.registry import FILE, FORMATS, instead, suffixes
 from pcretrieve.formats.remote import remote_files
 from pcretrieve.formats.text import is_table
 from pcretrieve.ingestion.pool import Worker, alone, in_processes
@@ -54,6 +54,10 @@ LISTING_MEMORY = 1.0
 # Number of bytes at the beginning and at the end of a file that choose its shard. All tasks read these bytes
 # of all files, but only one task reads the rest of a file.
 END = 4096
+
+
+#: Whether scans are fetched whose URLs are stored in a catalogue, or what decides that, given their hosts.
+Remote: TypeAlias = bool | Callable[[Sequence[str]], bool]
 
 
 def discover(
@@ -133,6 +137,20 @@ def scans_of(shard: str | None, scans: Sequence[ScanPath]) -> Sequence[ScanPath]
         for scan in scans
         if int.from_bytes(_shard_key(scan), "big") % n == number - 1
     ]
+
+
+def check_remote(scans: Iterable[ScanPath], remote: Remote, location: str) -> None:
+    """Check that the URLs among the scans of a catalogue, which may be somebody else's, may be fetched."""
+    urls = [scan.url for scan in scans if scan.url is not None]
+    # Not parsed, because parsers differ in what they take for the host.
+    hosts = {
+        "/".join(url.split("/", 3)[:3]) for url in urls if url.partition(":")[0] != FILE
+    }
+    if hosts and not (remote(sorted(hosts)) if callable(remote) else remote):
+        raise InputError(
+            f"{location} names scans at {', '.join(sorted(hosts))}, which are not fetched unasked, because "
+            "it may name any address: give --remote (in Python remote=True) if you trust it"
+        )
 
 
 def unread_files(paths: Iterable[Path]) -> str:

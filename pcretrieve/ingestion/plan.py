@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, TimeoutError
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -19,7 +19,7 @@ from threading import Semaphore, Thread
 from typing import Any
 
 from pcretrieve import __version__
-from pcretrieve.catalogue import Catalogue, Record
+from pcretrieve.catalogue import Catalogue, CatalogueLike, Record
 from pcretrieve.errors import (
     BenchmarkError,
     PcretrieveError,
@@ -31,8 +31,8 @@ from pcretrieve.errors import (
 )
 from pcretrieve.formats import ScanPath
 from pcretrieve.formats.identity import file_hash, printable, scan_hash, stamp_of
-from pcretrieve.ingestion.discover import shape_ids
-from pcretrieve.ingestion.labels import match_labels
+from pcretrieve.ingestion.discover import scans_of, shape_ids
+from pcretrieve.ingestion.labels import discover_labelled, match_labels
 from pcretrieve.ingestion.pool import Executor, alone, in_processes
 
 logger = logging.getLogger(__name__)
@@ -84,12 +84,45 @@ class Processing:
     retries: int = 0
     max_failures: int | None = None
     on_shape: Callable[[Record], None] = lambda record: None
-    label_file: str | Path | None = None
 
     @property
     def limits(self) -> dict[str, Any]:
         """Those of an executor."""
         return {"workers": self.workers, "timeout": self.timeout, "memory": self.memory}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Intake:
+    """The scans that were found for an ingest, and their classes.
+
+    part: the scans of the shard that is processed, or all.
+    label_file: where the labels are from, for messages.
+    """
+
+    scans: Sequence[ScanPath]
+    part: Sequence[ScanPath]
+    labels: Mapping[str, str] = field(default_factory=dict)
+    label_file: str | Path | None = None
+
+    @classmethod
+    def found(
+        cls,
+        paths: str | Path | Sequence[str | Path],
+        labels: str | Path | Mapping[str, str] | None,
+        catalogue: CatalogueLike,
+        shard: str | None,
+        limits: Mapping[str, Any],
+    ) -> Intake:
+        """What the arguments of `ingest` name."""
+        file = labels if isinstance(labels, (str, Path)) else None
+        scans, found = discover_labelled(
+            [paths] if isinstance(paths, (str, Path)) else paths,
+            file,
+            [catalogue] if isinstance(catalogue, (str, Path)) else [],
+            limits,
+        )
+        given = labels if isinstance(labels, Mapping) else found
+        return cls(scans, scans_of(shard, scans), given, file)
 
 
 @dataclass(slots=True, eq=False)
@@ -137,23 +170,16 @@ class Plan:
 class Planner:
     """Decides what must be done with each scan, file by file, and writes nothing.
 
-    part: the scans of the shard that is processed; by default all. `names` are theirs.
+    names: of the scans of the shard that is processed.
     """
 
     def __init__(
-        self,
-        scans: Sequence[ScanPath],
-        records: Sequence[Record],
-        how: Processing,
-        labels: Mapping[str, str] | None = None,
-        part: Collection[ScanPath] | None = None,
+        self, intake: Intake, records: Sequence[Record], how: Processing
     ) -> None:
-        labels = labels or {}
-        self.files = {printable(scan): scan for scan in scans}
-        chosen = None if part is None else {*part}
-        self.names = [
-            name for name, scan in self.files.items() if chosen is None or scan in chosen
-        ]
+        labels = intake.labels
+        self.files = {printable(scan): scan for scan in intake.scans}
+        chosen = {*intake.part}
+        self.names = [name for name, scan in self.files.items() if scan in chosen]
         n_threads = how.workers or len(os.sched_getaffinity(0))
         self.contents = Contents(self.files, n_threads, how.timeout, records)
         self._retry_failed = how.retry_failed
@@ -162,7 +188,7 @@ class Planner:
         matched, unknown = match_labels(
             labels, {self._ids[name]: name for name in self.files}
         )
-        _check_labels(matched, unknown, how, self.files, records)
+        _check_labels(matched, unknown, intake, self.files, records)
         self._labels = {
             name: matched[self._ids[name]]
             for name in self.files
@@ -274,7 +300,7 @@ class Planner:
 def _check_labels(
     matched: Mapping[str, str],
     unknown: Sequence[str],
-    how: Processing,
+    intake: Intake,
     names: Iterable[str],
     records: Sequence[Record],
 ) -> None:
@@ -282,10 +308,10 @@ def _check_labels(
     is_lost = (
         unknown and not matched and {record.id for record in records}.isdisjoint(unknown)
     )
-    if is_lost and how.label_file is not None:
+    if is_lost and intake.label_file is not None:
         meant = did_you_mean(Path(unknown[0]).name, (Path(name).name for name in names))
         raise BenchmarkError(
-            f"{how.label_file} must name scans, but its {len(unknown)} names are not among them, such as "
+            f"{intake.label_file} must name scans, but its {len(unknown)} names are not among them, such as "
             f"{unknown[0]!r}{meant}"
         )
 

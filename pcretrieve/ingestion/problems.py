@@ -14,8 +14,8 @@ from sqlite3 import sqlite_version
 
 from pcretrieve.errors import PcretrieveError, ScanReadError
 from pcretrieve.formats import ScanPath, parts_of
+from pcretrieve.formats.files import check_output
 from pcretrieve.formats.identity import content_hash
-from pcretrieve.formats.write import check_output
 from pcretrieve.ingestion.plan import versions
 from pcretrieve.ingestion.pool import alone
 from pcretrieve.options import OptionsLike, PipelineOptions, describe_options

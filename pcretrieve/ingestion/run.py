@@ -7,8 +7,8 @@ import math
 import os
 import statistics
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, nullcontext, suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,11 +17,15 @@ from pcretrieve.catalogue import Catalogue, CatalogueLike, Content, Record
 from pcretrieve.errors import InputError, PcretrieveError
 from pcretrieve.formats import ScanPath
 from pcretrieve.formats.identity import printable
-from pcretrieve.formats.remote import Remote, check_remote
 from pcretrieve.ingestion.attempts import Attempt, Work, next_attempt
-from pcretrieve.ingestion.discover import Look, discover, looked_into, scans_of
-from pcretrieve.ingestion.labels import discover_labelled
-from pcretrieve.ingestion.plan import Plan, Planner, Processing, failed
+from pcretrieve.ingestion.discover import (
+    Look,
+    Remote,
+    check_remote,
+    discover,
+    looked_into,
+)
+from pcretrieve.ingestion.plan import Intake, Plan, Planner, Processing, failed
 from pcretrieve.ingestion.pool import Executor, Worker, in_processes, remove_abandoned
 from pcretrieve.ingestion.progress import Progress
 from pcretrieve.options import OptionsLike, PipelineOptions
@@ -147,40 +151,19 @@ def ingest(
     PcretrieveError
         If `max_failures` scans have failed.
     """
-    file = labels if isinstance(labels, (str, Path)) else None
     how = Processing(
-        workers,
-        timeout,
-        memory,
-        executor,
-        retry_failed,
-        retries,
-        max_failures,
-        on_shape,
-        file,
+        workers, timeout, memory, executor, retry_failed, retries, max_failures, on_shape
     )
-    scans, names = discover_labelled(
-        [paths] if isinstance(paths, (str, Path)) else paths,
-        file,
-        [catalogue] if isinstance(catalogue, (str, Path)) else [],
-        how.limits,
-    )
+    intake = Intake.found(paths, labels, catalogue, shard, how.limits)
     chosen = None if options is None else PipelineOptions.of(options)
-    classes = labels if isinstance(labels, Mapping) else names
-    part = scans_of(shard, scans)
-    on_start(len(part))
-    is_path = isinstance(catalogue, (str, Path)) and "://" not in str(catalogue)
-    is_new = is_path and not Path(str(catalogue)).exists()
-    if is_new or dry_run:
-        with nullcontext() if is_new else Catalogue.opened(catalogue, chosen) as known:
-            # Checks the labels, before a catalogue is made.
-            planner = Planner(
-                scans, [] if known is None else known.records(), how, classes, part
-            )
+    on_start(len(intake.part))
+    if dry_run or _is_new(catalogue):
+        # Checks the labels too, before a catalogue is made.
+        planner = _planner(intake, catalogue, chosen, how)
         if dry_run:
             return _planned(planner, on_shape)
     with Catalogue.opened(catalogue, chosen, create=True) as store:
-        return process_scans(scans, store, how, labels=classes, part=part)
+        return process_scans(intake, store, how)
 
 
 def retry(
@@ -245,7 +228,7 @@ def retry(
             )
         check_remote(scans, remote, store.location)
         on_start(len(scans))
-        return process_scans(scans, store, how)
+        return process_scans(Intake(scans, scans), store, how)
 
 
 def watch(
@@ -301,23 +284,16 @@ def watch(
     with closing(arrivals), Catalogue.opened(catalogue, chosen, create=True) as store:
         while True:
             if scans := discover(arrivals.look(), limits=how.limits):
-                yield process_scans(scans, store, how)
+                yield process_scans(Intake(scans, scans), store, how)
             else:
                 time.sleep(interval)
 
 
-def process_scans(
-    scans: Sequence[ScanPath],
-    catalogue: Catalogue,
-    how: Processing,
-    *,
-    labels: Mapping[str, str] | None = None,
-    part: Collection[ScanPath] | None = None,
-) -> Summary:
+def process_scans(intake: Intake, catalogue: Catalogue, how: Processing) -> Summary:
     """Process scans, those of a shard or all, and store each result, or failure, as soon as it is there."""
     remove_abandoned()  # also where nothing is left to do after a kill
     records = catalogue.rows.origins()
-    planner = Planner(scans, records, how, labels, part)
+    planner = Planner(intake, records, how)
     with closing(planner.contents):
         if changed := planner.changed(records):
             catalogue.rows.revise(removed=changed)
@@ -430,6 +406,25 @@ class _Run:
                 "(--max-failures); look at the reasons, and start the ingest again: it goes on with the "
                 "other scans"
             )
+
+
+def _is_new(catalogue: CatalogueLike) -> bool:
+    """Whether there is no file of a catalogue yet."""
+    is_path = isinstance(catalogue, (str, Path)) and "://" not in str(catalogue)
+    return is_path and not Path(str(catalogue)).exists()
+
+
+def _planner(
+    intake: Intake,
+    catalogue: CatalogueLike,
+    options: PipelineOptions | None,
+    how: Processing,
+) -> Planner:
+    """The planner of an ingest into a catalogue, which is not made if there is none."""
+    if _is_new(catalogue):
+        return Planner(intake, [], how)
+    with Catalogue.opened(catalogue, options) as store:
+        return Planner(intake, store.records(), how)
 
 
 def _planned(planner: Planner, on_shape: Callable[[Record], None]) -> Summary:

@@ -10,8 +10,8 @@ from typing import Any, Literal, NamedTuple, TypeVar
 
 from pcretrieve.errors import InputError, PcretrieveError, ShapeError, Stage
 from pcretrieve.formats import ScanPath
+from pcretrieve.formats.files import check_output
 from pcretrieve.formats.identity import printable
-from pcretrieve.formats.write import check_output
 from pcretrieve.ingestion.discover import discover, shape_ids
 from pcretrieve.ingestion.pool import in_processes
 from pcretrieve.values.files import check_no_links, make_folder
@@ -76,23 +76,18 @@ def map_scans(
     InputError
         If a path does not exist or names no scans, or the output cannot be written or is among the scans.
     """
-    given = [
-        Path(path) for path in ([paths] if isinstance(paths, (str, Path)) else paths)
-    ]
     limits: dict[str, Any] = {"workers": workers, "timeout": timeout, "memory": memory}
+    given = [paths] if isinstance(paths, (str, Path)) else paths
     scans = discover(given, limits=limits)
-    files = (
-        [None] * len(scans)
-        if output is None
-        else _files(given, scans, Path(output), suffix, kind)
-    )
-    tasks = [_Task(scan, file) for scan, file in zip(scans, files, strict=True)]
+    if output is None:
+        tasks = [_Task(scan, None) for scan in scans]
+    else:
+        tasks = _writing([*map(Path, given)], scans, Path(output), suffix, kind)
     on_start(len(tasks))
     finished: dict[_Task, Found | ShapeError] = {}
     remaining = iter(tasks)
     upcoming = next(remaining, None)
-    running = in_processes(_Applied(function), tasks, **limits)
-    with closing(running):
+    with closing(in_processes(_Applied(function), tasks, **limits)) as running:
         for task, outcome in running:
             if isinstance(outcome, PcretrieveError):
                 if not isinstance(outcome, ShapeError):
@@ -124,14 +119,14 @@ class _Applied:
         )
 
 
-def _files(
+def _writing(
     paths: Sequence[Path],
     scans: Sequence[ScanPath],
     output: Path,
     suffix: str,
     kind: Any,
-) -> list[Path | None]:
-    """The file of each scan, in a folder that is made, or the file of the only one."""
+) -> list[_Task]:
+    """Each scan with its file, in a folder that is made, or the only one with the file."""
     folders = [path for path in paths if path.is_dir()]
     if not folders and len(scans) > 1:
         raise InputError(
@@ -139,7 +134,7 @@ def _files(
         )
     if not folders:
         check_output(output, [scan.file for scan in scans], kind)
-        return [output]
+        return [_Task(scans[0], output)]
     for folder in folders:
         if output.resolve().is_relative_to(folder.resolve()):
             raise InputError(
@@ -147,6 +142,6 @@ def _files(
             )
     make_folder(output)
     names = shape_ids({printable(scan): scan for scan in scans}, {}).values()
-    files: list[Path | None] = [output / f"{name}{suffix}" for name in names]
-    check_no_links(filter(None, files))
-    return files
+    files = [output / f"{name}{suffix}" for name in names]
+    check_no_links(files)
+    return list(map(_Task, scans, files))

@@ -1,10 +1,22 @@
-"""Files of range scans → views, with the poses in a ``.conf`` file or in a trajectory → one cloud."""
+"""Files of range scans → views, with the poses in a ``.conf`` file or in a trajectory → one cloud.
+
+A trajectory has the layout of the TUM RGB-D benchmark [1]_: the folder of the images, ``depth``, lies beside
+the list ``depth.txt`` of times and images, and beside the poses in ``groundtruth.txt``: a time, a translation
+and a quaternion in each line, ``t tx ty tz qx qy qz qw``. The benchmark's tool ``associate.py`` joins lines
+of both in ``associations.txt``.
+
+References
+----------
+.. [1] J. Sturm, N. Engelhard, F. Endres, W. Burgard and D. Cremers, "A benchmark for the evaluation of RGB-D
+   SLAM systems", IROS 2012.
+"""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,9 +30,9 @@ from pcretrieve.formats import (
     parts_of,
     write_cloud,
 )
-from pcretrieve.formats.conf import image_poses, trajectory_file
+from pcretrieve.formats.files import check_output
+from pcretrieve.formats.format import check_file, text_lines
 from pcretrieve.formats.identity import printable
-from pcretrieve.formats.write import check_output
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.pool import alone
 from pcretrieve.options import MergeOptions, OptionsLike, PipelineOptions
@@ -29,6 +41,14 @@ from pcretrieve.values import FloatArray, PointCloud
 from pcretrieve.values.conversion import as_cloud
 
 logger = logging.getLogger(__name__)
+
+# Files of a folder with poses, the first of which is read, and lists of images with their times.
+TRAJECTORIES = ("groundtruth.txt", "associations.txt")
+LISTS = ("depth.txt", "associations.txt")
+# Numbers of a pose of a trajectory: a time, a translation and a quaternion.
+N_NUMBERS = 8
+# Largest time between an image and its pose, as in associate.py; s.
+MOST_SECONDS = 0.02
 
 
 class Views(NamedTuple):
@@ -152,3 +172,82 @@ def read_views(paths: Sequence[str | Path]) -> Views:
         }
         poses = None if len(sensors) == 1 else np.tile(np.eye(4), (len(clouds), 1, 1))
     return Views(clouds, poses)
+
+
+# --- trajectories -----------------------------------------------------------------------------------------
+
+
+def trajectory_file(images: Sequence[Path]) -> Path | None:
+    """The file with the poses of images."""
+    folders = {image.absolute().parent for image in images}
+    if len(folders) != 1:
+        return None
+    (folder,) = folders
+    if folder.name != "depth":
+        return None
+    files = [folder.parent / name for name in TRAJECTORIES]
+    # Associations of colour with depth images, of four words, have no poses.
+    return next(
+        (file for file in files if file.is_file() and any(map(_has_pose, _lines(file)))),
+        None,
+    )
+
+
+def image_poses(images: Sequence[Path], file: Path) -> list[FloatArray | None]:
+    """The (4, 4) pose of each image at the nearest time, from the frame of the camera to a common frame; m.
+
+    None if that is more than `MOST_SECONDS` away, or the time of the image is not known.
+    """
+    from scipy.spatial.transform import Rotation
+
+    lines = [line[-N_NUMBERS:] for line in _lines(file) if _has_pose(line)]
+    numbers = np.array([[_number(word) for word in line] for line in lines])  # (k, 8)
+    if not (np.isfinite(numbers).all() and numbers[:, 4:].any(axis=1).all()):
+        raise ScanReadError(
+            f"the lines of {file.name} must end in `t tx ty tz qx qy qz qw`, eight finite numbers with a "
+            "quaternion that is not zero"
+        )
+    poses = np.tile(np.eye(4), (len(numbers), 1, 1))
+    poses[:, :3, :3] = Rotation.from_quat(numbers[:, 4:]).as_matrix()
+    poses[:, :3, 3] = numbers[:, 1:4]
+    times = _times(file.parent)
+    found: list[FloatArray | None] = []
+    for image in images:
+        time = times.get(image.absolute(), _number(image.stem))
+        nearest = int(abs(numbers[:, 0] - time).argmin()) if np.isfinite(time) else 0
+        found.append(
+            poses[nearest] if abs(numbers[nearest, 0] - time) <= MOST_SECONDS else None
+        )
+    return found
+
+
+def _times(folder: Path) -> dict[Path, float]:
+    """The times of images: of the words ``time name`` in the lines of the lists of a folder."""
+    return {
+        folder / image: _number(time)
+        for name in LISTS
+        if (folder / name).is_file()
+        for line in _lines(folder / name)
+        for time, image in pairwise(line)
+        if not np.isfinite(_number(image))
+    }
+
+
+def _lines(file: Path) -> list[list[str]]:
+    """The words of the lines of a text file that are not comments."""
+    check_file(file)
+    lines = (line.replace(",", " ").split() for line in text_lines(file))
+    return [words for words in lines if words and not words[0].startswith("#")]
+
+
+def _has_pose(words: Sequence[str]) -> bool:
+    """Whether a line has a pose, alone or after the time and the name of an image."""
+    return len(words) in (N_NUMBERS, N_NUMBERS + 2)
+
+
+def _number(word: str) -> float:
+    """The number of a word; NaN if it is none."""
+    try:
+        return float(word)
+    except ValueError:
+        return float("nan")

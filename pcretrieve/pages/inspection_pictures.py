@@ -149,32 +149,11 @@ class _Views:
             for corner in ((-1, -1), (-1, 1), (1, -1), (1, 1))
         ]
         shown = np.concatenate([scan.points[near], corners])
-        pictures = []
-        for camera, body in zip(
-            cameras_framing(shown, [one.axes for one in self.cameras]),
-            self.cameras,
-            strict=True,
-        ):
-            picture = Image.new("RGBA", (PICTURE_PIXELS, PICTURE_PIXELS))
-            for chosen, colour in (
-                (self.it.cut_away, CUT_AWAY),
-                (self.it.dropped, DROPPED),
-            ):
-                seen = camera.seen(thinned(scan.points[chosen]))[:, :2]  # (k, 2)
-                seen /= np.maximum(
-                    abs(seen).max(axis=1, keepdims=True) / (1 - REMOVED_WIDTH), 1
-                )
-                at_edge = camera.centre + camera.half * seen @ camera.axes[:2]
-                picture.alpha_composite(self._removed(at_edge, colour, camera))
-            picture.alpha_composite(self._kept(scan, camera))
-            across, up = camera.seen(body.centre[None])[0, :2]
-            x, y, half = across + 1, 1 - up, body.half / camera.half
-            box = [
-                PICTURE_PIXELS / 2 * part
-                for part in (x - half, y - half, x + half, y + half)
-            ]
-            ImageDraw.Draw(picture).rectangle(box, outline=rgb(FRAME))
-            pictures.append(picture)
+        around = cameras_framing(shown, [one.axes for one in self.cameras])
+        pictures = [
+            self._framed(scan, camera, body)
+            for camera, body in zip(around, self.cameras, strict=True)
+        ]
         key = [self._key_of_kept(scan)]
         key += [(CUT_AWAY, f"{self.n_cut:,} cut away")] if self.n_cut else []
         key += (
@@ -190,6 +169,28 @@ class _Views:
             else ""
         )
         return Row(f"All points that were read{far}", key, pictures)
+
+    def _framed(self, scan: PointCloud, camera: Camera, body: Camera) -> Image.Image:
+        """All points as a camera sees them, with the frame of what the camera of the body sees."""
+        picture = Image.new("RGBA", (PICTURE_PIXELS, PICTURE_PIXELS))
+        for chosen, colour in (
+            (self.it.cut_away, CUT_AWAY),
+            (self.it.dropped, DROPPED),
+        ):
+            seen = camera.seen(thinned(scan.points[chosen]))[:, :2]  # (k, 2)
+            seen /= np.maximum(
+                abs(seen).max(axis=1, keepdims=True) / (1 - REMOVED_WIDTH), 1
+            )
+            at_edge = camera.centre + camera.half * seen @ camera.axes[:2]
+            picture.alpha_composite(self._removed(at_edge, colour, camera))
+        picture.alpha_composite(self._kept(scan, camera))
+        across, up = camera.seen(body.centre[None])[0, :2]
+        x, y, half = across + 1, 1 - up, body.half / camera.half
+        box = [
+            PICTURE_PIXELS / 2 * part for part in (x - half, y - half, x + half, y + half)
+        ]
+        ImageDraw.Draw(picture).rectangle(box, outline=rgb(FRAME))
+        return picture
 
     def points_of_the_body(self, scan: PointCloud) -> Row:
         dropped = scan.points[self.it.dropped]

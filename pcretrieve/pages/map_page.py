@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve import Catalogue, PipelineOptions, index, places
-from pcretrieve.errors import InputError
+from pcretrieve import Catalogue, InputError, PipelineOptions, index, places
 from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import encoded, write_page
 from pcretrieve.pages.thumbnails import Thumbnails

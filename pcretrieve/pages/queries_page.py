@@ -5,7 +5,7 @@ It is one self-contained HTML file: pictures are inlined, and the page makes no 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -69,44 +69,44 @@ def query_page(
     with pr.Catalogue.opened(catalogue) as store:
         chosen = pr.PipelineOptions.of(options, store.options)
         many = [queries] if isinstance(queries, (str, Path)) else [*queries]
-        files = [
-            Path(one) for one in (store.location, *many) if isinstance(one, (str, Path))
-        ]
-        check_target(Path(path), files)
+        named = (one for one in (store.location, *many) if isinstance(one, (str, Path)))
+        check_target(Path(path), [*map(Path, named)])
         thumbnails = Thumbnails(store, up)
         pairs = [_paired(store, one) for one in many if isinstance(one, tuple)]
         alone = [one for one in many if not isinstance(one, tuple)]
         asked |= {"options": chosen, "has_pictures": True, "up": thumbnails.up}
-        what, outcomes = (
-            "pairs" if pairs else "queries",
-            pairs + list(pr.search_many(store, alone, **asked)),
-        )
-        matrix, labels, least = (
-            asked.get(name) for name in ("matrix", "labels", "min_score")
-        )
-        panels = [
-            {"name": name} | _panel(store, one, thumbnails)
-            for name, one in outcomes
-            if isinstance(one, pr.Answer)
-        ]
-        failures = [
-            (name, one) for name, one in outcomes if isinstance(one, pr.ShapeError)
-        ]
+        outcomes = pairs + list(pr.search_many(store, alone, **asked))
+        compared = {
+            name: asked[name]
+            for name in ("matrix", "labels", "min_score")
+            if name in asked
+        }
         written = write_page(
             path,
             "query.html",
-            title=Path(outcomes[0][0]).name
-            if len(outcomes) == 1
-            else f"{len(outcomes)} {what}",
+            title=_title(outcomes, "pairs" if pairs else "queries"),
             catalogue=Path(store.location).name,
-            panels=panels,
-            failures=failures,
-            settings=settings_in_words(store, chosen, matrix, labels, least),
+            panels=[
+                {"name": name} | _panel(store, one, thumbnails)
+                for name, one in outcomes
+                if isinstance(one, pr.Answer)
+            ],
+            failures=[
+                (name, one) for name, one in outcomes if isinstance(one, pr.ShapeError)
+            ],
+            settings=settings_in_words(store, chosen, **compared),
             version=pr.__version__,
         )
         for name, outcome in outcomes:
             on_answer(name, outcome)
         return written
+
+
+def _title(outcomes: Sequence[tuple[str, object]], what: str) -> str:
+    """The name of the only query, or how many there are."""
+    if len(outcomes) == 1:
+        return Path(outcomes[0][0]).name
+    return f"{len(outcomes)} {what}"
 
 
 def _paired(catalogue: pr.Catalogue, pair: Pair) -> tuple[str, pr.Answer]:

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 import pcretrieve as pr
-from pcretrieve.errors import InputError
 from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import write_page
 from pcretrieve.pages.map_page import map_drawing, map_pictures
@@ -73,6 +73,68 @@ class _Panel(NamedTuple):
     score: float | None
 
 
+class _Evaluated(NamedTuple):
+    """Average precision by query, the measures, and those of another result, as the template shows them."""
+
+    precision: dict[str, float]
+    measures: dict[str, Any] | None = None
+    comparison: dict[str, Any] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ranked:
+    """A catalogue whose shapes are queries: how they are ranked, their records, and the sizes of classes."""
+
+    catalogue: pr.Catalogue
+    options: pr.PipelineOptions
+    ranking: pr.SignatureIndex | pr.DistanceMatrix
+    records: Mapping[str, pr.Record]
+    sizes: Mapping[str, int]
+    thumbnails: Thumbnails
+
+    @classmethod
+    def of(
+        cls,
+        catalogue: pr.Catalogue,
+        options: pr.PipelineOptions,
+        matrix: pr.DistanceMatrix | None,
+        thumbnails: Thumbnails,
+    ) -> _Ranked:
+        ranking = pr.index(catalogue, options=options) if matrix is None else matrix
+        records = {record.id: record for record in catalogue.rows.several(ranking.ids)}
+        if unknown := set(ranking.ids) - records.keys():
+            raise catalogue.rows.unknown(min(unknown))
+        labels = (record.label for record in records.values())
+        sizes = Counter(label for label in labels if label is not None)
+        return cls(catalogue, options, ranking, records, sizes, thumbnails)
+
+    def card(self, shape_id: str) -> _Card:
+        """A shape with its picture."""
+        record = self.records[shape_id]
+        return _Card(record, self.thumbnails.of(self.catalogue, record))
+
+    def results(self, shape_id: str, k: int) -> list[_Card]:
+        """The `k` shapes nearest to a shape of the gallery."""
+        if isinstance(self.ranking, pr.SignatureIndex):
+            rerank = self.options.retrieval.rerank
+            near = self.ranking.ranked(shape_id, k + 1, rerank=rerank)
+        else:
+            near = self.ranking.nearest(shape_id, k + 1)
+        hits = zip(near.ids, near.distances.tolist(), strict=True)
+        found = [hit for hit in hits if hit[0] != shape_id][:k]
+        cards = [self.card(name)._replace(distance=gap) for name, gap in found]
+        return _judged(self.records[shape_id].label, cards, self.sizes)
+
+    def drawing(self) -> dict[str, object] | None:
+        """The map; None for distances without coordinates, or of too many shapes."""
+        if not isinstance(self.ranking, pr.SignatureIndex):
+            return None
+        if len(self.ranking) > MOST_MAPPED:
+            return None
+        places = pr.places(self.catalogue, options=self.options)
+        return map_drawing(self.ranking.ids, self.catalogue, places)
+
+
 def report(
     catalogue: pr.Catalogue | str | Path,
     path: str | Path,
@@ -128,71 +190,69 @@ def report(
             if matrix is None
             else chosen.changed(retrieval={"rerank": "none"})
         )
-        ranking = pr.index(store, options=chosen) if matrix is None else matrix
-        records = {record.id: record for record in store.rows.several(ranking.ids)}
-        if unknown := set(ranking.ids) - records.keys():
-            raise store.rows.unknown(min(unknown))
-        sizes = Counter(
-            record.label for record in records.values() if record.label is not None
-        )
-        measured, comparison, precision = None, None, {}
-        if any(size > 1 for size in sizes.values()):
-            evaluated = pr.evaluate(store, options=chosen, matrix=matrix)
-            measured, scores = _measured(evaluated), evaluated.scores
-            comparison = (
-                None if versus is None else _compared(pr.compare(versus, evaluated))
-            )
-            precision = dict(zip(scores.ids, scores.ap.tolist(), strict=True))
-        elif versus is not None:
-            raise InputError(
-                f"no class in {store.location} has two shapes: there are no measures to compare"
-            )
+        ranked = _Ranked.of(store, chosen, matrix, Thumbnails(store, up, PIXELS))
+        measured = _evaluated(ranked, matrix, versus)
         # The worst first, then those that have no average precision.
-        queries = sorted(ranking.ids, key=lambda shape_id: precision.get(shape_id, 2.0))
-        facts = {"classes": str(len(sizes))} | settings_in_words(store, chosen, matrix)
+        queries = sorted(
+            ranked.ranking.ids, key=lambda name: measured.precision.get(name, 2.0)
+        )
+        facts = {"classes": str(len(ranked.sizes))}
+        facts |= settings_in_words(store, chosen, matrix)
         if len(queries) > n_queries:
             facts["queries"] = (
                 f"the {n_queries} with the lowest average precision of {len(queries)}"
             )
-        thumbnails = Thumbnails(store, up, PIXELS)
-        panels = []
-        for one in queries[:n_queries]:
-            hits = _near(ranking, one, k, chosen.retrieval.rerank)
-            found = [
-                (records[name], thumbnails.of(store, records[name]), gap)
-                for name, gap in hits
-            ]
-            query = _Card(records[one], thumbnails.of(store, records[one]))
-            panels.append(
-                _Panel(
-                    query, _judged(query.record.label, found, sizes), precision.get(one)
-                )
-            )
-        drawing = None
-        if isinstance(ranking, pr.SignatureIndex) and len(ranking) <= MOST_MAPPED:
-            drawing = map_drawing(ranking.ids, store, pr.places(store, options=chosen))
-        cards = [card for panel in panels for card in (panel.query, *panel.results)]
-        shown = dict.fromkeys(card.picture for card in cards if card.picture is not None)
+        panels = [
+            _Panel(ranked.card(one), ranked.results(one, k), measured.precision.get(one))
+            for one in queries[:n_queries]
+        ]
         return write_page(
             path,
             "report.html",
             title=f"Retrieval in {Path(store.location).name}",
             facts=facts,
-            panels=panels,
-            judged=any(card.relevant is not None for card in cards),
-            anchors={
-                panel.query.record.id: f"q{number}" for number, panel in enumerate(panels)
-            },
-            pictures={picture: number for number, picture in enumerate(shown)},
-            measured=measured,
-            comparison=comparison,
+            **_shown(panels),
+            measured=measured.measures,
+            comparison=measured.comparison,
             compared_with=Path(
                 versus.location if isinstance(versus, pr.Catalogue) else str(versus)
             ).name,
-            drawing=drawing,
-            map_pictures=map_pictures(store, ranking.ids, thumbnails),
+            drawing=ranked.drawing(),
+            map_pictures=map_pictures(store, ranked.ranking.ids, ranked.thumbnails),
             failures=store.records(status="failed"),
         )
+
+
+def _evaluated(
+    ranked: _Ranked,
+    matrix: pr.DistanceMatrix | None,
+    versus: str | Path | pr.Catalogue | None,
+) -> _Evaluated:
+    """The measures of a catalogue, if a class has two shapes, and those of another result beside them."""
+    if any(size > 1 for size in ranked.sizes.values()):
+        found = pr.evaluate(ranked.catalogue, options=ranked.options, matrix=matrix)
+        comparison = None if versus is None else _compared(pr.compare(versus, found))
+        precision = dict(zip(found.scores.ids, found.scores.ap.tolist(), strict=True))
+        return _Evaluated(precision, _measured(found), comparison)
+    if versus is not None:
+        raise pr.InputError(
+            f"no class in {ranked.catalogue.location} has two shapes: there are no measures to compare"
+        )
+    return _Evaluated({})
+
+
+def _shown(panels: list[_Panel]) -> dict[str, Any]:
+    """The queries as the template shows them: each picture once, and each query at its anchor."""
+    cards = [card for panel in panels for card in (panel.query, *panel.results)]
+    pictures = dict.fromkeys(card.picture for card in cards if card.picture is not None)
+    return {
+        "panels": panels,
+        "judged": any(card.relevant is not None for card in cards),
+        "anchors": {
+            panel.query.record.id: f"q{number}" for number, panel in enumerate(panels)
+        },
+        "pictures": {picture: number for number, picture in enumerate(pictures)},
+    }
 
 
 def _measured(found: pr.Evaluation) -> dict[str, Any]:
@@ -236,30 +296,16 @@ def _compared(found: pr.Comparison) -> dict[str, Any]:
     return {"of": found, "rows": rows, "changes": changes}
 
 
-def _near(
-    ranking: pr.SignatureIndex | pr.DistanceMatrix, shape_id: str, k: int, rerank: str
-) -> list[tuple[str, float]]:
-    """The `k` shapes nearest to a shape of the gallery, and their distances."""
-    if isinstance(ranking, pr.SignatureIndex):
-        near = ranking.ranked(shape_id, k + 1, rerank=rerank)
-    else:
-        near = ranking.nearest(shape_id, k + 1)
-    hits = zip(near.ids, near.distances.tolist(), strict=True)
-    return [hit for hit in hits if hit[0] != shape_id][:k]
-
-
 def _judged(
-    label: str | None,
-    found: list[tuple[pr.Record, bytes | None, float]],
-    sizes: Mapping[str, int],
+    label: str | None, found: list[_Card], sizes: Mapping[str, int]
 ) -> list[_Card]:
-    """The results of a query of a class; `sizes` of the classes."""
+    """The results of a query of a class, and whether each is right; `sizes` of the classes."""
     n_others = 0 if label is None else sizes[label] - 1
     cards = []
-    for rank, (record, picture, gap) in enumerate(found, start=1):
-        relevant = None
-        if label is not None and record.label is not None:
+    for rank, card in enumerate(found, start=1):
+        other, relevant = card.record.label, None
+        if label is not None and other is not None:
             # After as many results as the class has other shapes, those of other classes are not wrong.
-            relevant = record.label == label or (False if rank <= n_others else None)
-        cards.append(_Card(record, picture, gap, relevant))
+            relevant = other == label or (False if rank <= n_others else None)
+        cards.append(card._replace(relevant=relevant))
     return cards

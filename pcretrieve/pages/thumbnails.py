@@ -8,10 +8,9 @@ from threading import Lock
 
 import numpy as np
 
-from pcretrieve import Catalogue, Record
+from pcretrieve import Catalogue, Record, ShapeError
 from pcretrieve.draw.axes import body_axes, upward
-from pcretrieve.draw.thumbnail import THUMBNAIL_PIXELS, resized
-from pcretrieve.errors import ShapeError
+from pcretrieve.draw.pictures import THUMBNAIL_PIXELS, resized
 from pcretrieve.values import FloatArray
 
 # Largest number of thumbnails in memory, of about 7 kB each.

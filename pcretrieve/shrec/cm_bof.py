@@ -73,12 +73,11 @@ def geodesic_distances(mesh: TriangleMesh) -> FloatArray:
             stage=Stage.SIGNATURE,
         )
     ends, lengths = _links(mesh)
-    low, high = np.sort(ends, axis=1).T
-    order = np.lexsort((lengths, high, low))
-    low, high, lengths = low[order], high[order], lengths[order]
     # The shortest of the links between two vertices, since a sparse matrix would add them up.
-    first = np.diff(low * n + high, prepend=-1) > 0
-    graph = coo_array((lengths[first], (low[first], high[first])), shape=(n, n)).tocsr()
+    order = np.argsort(lengths, kind="stable")
+    _, first = np.unique(np.sort(ends[order], axis=1), axis=0, return_index=True)
+    kept = order[first]
+    graph = coo_array((lengths[kept], ends[kept].T), shape=(n, n)).tocsr()
     distances = dijkstra(graph, directed=False)
     if apart := int(np.isinf(distances[0]).sum()):
         raise DegenerateMeshError(
@@ -90,29 +89,20 @@ def geodesic_distances(mesh: TriangleMesh) -> FloatArray:
 
 
 def _links(mesh: TriangleMesh) -> tuple[NDArray[np.int64], FloatArray]:
-    """Ends (l, 2) and lengths (l,) of edges, once for each face, and of diagonals of adjacent faces."""
-    faces, vertices = mesh.faces.astype(np.int64), mesh.vertices
-    edges = np.sort(
-        np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1
-    )
-    opposite = np.concatenate([faces[:, 2], faces[:, 0], faces[:, 1]])  # (3m,)
-    order = np.lexsort((edges[:, 1], edges[:, 0]))
-    edges, opposite = edges[order], opposite[order]
-    twice = np.flatnonzero((edges[1:] == edges[:-1]).all(axis=1))
-    start = vertices[edges[twice, 0]]
-    along = vertices[edges[twice, 1]] - start
-    length = np.linalg.norm(along, axis=1)  # (t,)
-    twice, start, along, length = (
-        kept[length > 0] for kept in (twice, start, along, length)
-    )
-    across = np.column_stack([opposite[twice], opposite[twice + 1]])  # (t, 2)
+    """Ends (l, 2) and lengths (l,) of edges, and of diagonals of adjacent faces."""
+    surface, vertices = mesh.to_trimesh(), mesh.vertices
+    start, end = vertices[surface.face_adjacency_edges].swapaxes(0, 1)
+    length = np.linalg.norm(end - start, axis=1)  # (t,)
+    has_length = length > 0
+    across = surface.face_adjacency_unshared[has_length]  # (t, 2)
+    start, along, length = (kept[has_length] for kept in (start, end - start, length))
     inside, diagonals = _diagonals(vertices[across] - start[:, np.newaxis], along, length)
     inside &= across[:, 0] != across[:, 1]
-    sides = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
     # A link of length 0 would be none: scipy leaves zeros of sparse matrices out of a graph.
     smallest = np.finfo(np.float64).eps * mesh.diagonal
+    sides = surface.edges_unique_length
     lengths = np.maximum(np.concatenate([sides, diagonals[inside]]), smallest)
-    return np.concatenate([edges, across[inside]]), lengths
+    return np.concatenate([surface.edges_unique, across[inside]]), lengths
 
 
 def _diagonals(

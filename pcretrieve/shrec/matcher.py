@@ -11,11 +11,10 @@ import numpy as np
 from scipy.spatial.distance import cityblock
 
 from pcretrieve.errors import OptionError, PcretrieveError, ShapeError, Stage
-from pcretrieve.retrieval.distances import DistanceMatrix
 from pcretrieve.shrec.cm_bof import clock_distance, view_descriptors, view_words
 from pcretrieve.shrec.heat import heat_distance, heat_points, heat_set, word_frequencies
 from pcretrieve.shrec.meshsift import match_distance, mesh_features
-from pcretrieve.values import Need, Shape
+from pcretrieve.values import FloatArray, Need, Shape
 
 _log = logging.getLogger(__name__)
 
@@ -88,8 +87,8 @@ def match_all(
     matcher: Matcher,
     ids: Iterable[str],
     shape_of: Callable[[str], Shape],
-) -> DistanceMatrix:
-    """All distances between some shapes by a matcher; shapes to which it cannot be applied are left out."""
+) -> tuple[tuple[str, ...], FloatArray]:
+    """The ids and all distances (N, N) of some shapes, without those to which a matcher cannot be applied."""
     features: dict[str, Any] = {}
     for shape_id in ids:
         try:
@@ -113,7 +112,7 @@ def match_all(
         if matcher.symmetric:
             distances[start:, row] = distances[row, start:]
         _log.info("compared with all: %d of %d shapes", row + 1, len(compared))
-    return DistanceMatrix(tuple(features), distances)
+    return tuple(features), distances
 
 
 def _called(name: str, function: Callable[..., Any], *arguments: Any) -> Any:

@@ -261,12 +261,7 @@ def levels(mesh: TriangleMesh) -> list[Level]:
     links = adjacency(mesh)
     average = links + diags_array(np.ones(len(mesh.vertices)))
     average = diags_array(1 / average.sum(axis=1)) @ average
-    starts = np.repeat(np.arange(len(mesh.vertices)), np.diff(links.indptr))
-    edge = float(
-        np.linalg.norm(
-            mesh.vertices[starts] - mesh.vertices[links.indices], axis=1
-        ).mean()
-    )
+    edge = float(edge_graph(mesh).data.mean())
     made = []
     smooth, done = mesh.vertices, 0
     for n in N_AVERAGINGS:

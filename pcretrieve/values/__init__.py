@@ -21,13 +21,29 @@ from pcretrieve.arrays import (
 )
 from pcretrieve.arrays.open3d import RayScene
 from pcretrieve.values.base import METRES, UNIT, SizeUnit, unit_of
-from pcretrieve.values.geometry import PointCloud, Step, TriangleMesh
-from pcretrieve.values.shapes import Failure, Grade, GradeName, Need, Shape, Surface
+from pcretrieve.values.geometry import (
+    SENSOR_DISTANCE,
+    PointCloud,
+    Step,
+    TriangleMesh,
+    welded,
+)
+from pcretrieve.values.shapes import (
+    Eigenpairs,
+    Failure,
+    Grade,
+    GradeName,
+    LaplaceBeltrami,
+    ModalSpectrum,
+    Need,
+    Shape,
+    Surface,
+)
 from pcretrieve.values.signatures import Metric, Neighbors, Signature, SignatureTable
-from pcretrieve.values.spectra import Eigenpairs, LaplaceBeltrami, ModalSpectrum
 
 __all__ = [
     "METRES",
+    "SENSOR_DISTANCE",
     "UNIT",
     "UPWARD",
     "Eigenpairs",
@@ -57,4 +73,5 @@ __all__ = [
     "tangent_axes",
     "unit_of",
     "unit_vectors",
+    "welded",
 ]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.arrays import FloatArray, IntArray, bounding_diagonal
+from pcretrieve.arrays import FloatArray, IntArray, area_vectors, bounding_diagonal
 from pcretrieve.errors import InputError
 from pcretrieve.values.base import Value, numbers
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
     from typing_extensions import Self
 
-    from pcretrieve.draw.thumbnail import Thumbnail
+    from pcretrieve.draw.pictures import Thumbnail
 
 # Smallest ratio of the area of a face to the square of its longest edge. Below it cotangents of the angles
 # exceed 1e8, and rounding errors of the stiffness matrix reach the size of its small eigenvalues.
@@ -150,7 +150,7 @@ class PointCloud(_Processed):
         return f"PointCloud({', '.join(parts)}; diagonal {self.diagonal:.4g} file units)"
 
     def _repr_html_(self) -> str:
-        from pcretrieve.draw.thumbnail import cloud_thumbnail, picture_html
+        from pcretrieve.draw.pictures import cloud_thumbnail, picture_html
 
         return picture_html(
             cloud_thumbnail(self.points) if len(self.points) else None, repr(self)
@@ -216,11 +216,7 @@ class TriangleMesh(_Processed):
 
         The area vectors of a closed surface sum up to zero.
         """
-        a, b, c = self.corners.swapaxes(0, 1)
-        (x, y, z), (u, v, w) = b - a, c - a
-        return np.asarray(
-            np.column_stack([y * w - z * v, z * u - x * w, x * v - y * u]) / 2
-        )
+        return area_vectors(self.vertices, self.faces)
 
     @property
     def face_areas(self) -> FloatArray:
@@ -252,15 +248,10 @@ class TriangleMesh(_Processed):
     @property
     def euler_characteristic(self) -> int:
         """V − E + F, without unreferenced vertices: 2 for a sphere, 0 for a torus."""
-        ends = self.faces.astype(np.int64), self.faces[:, [1, 2, 0]]  # (m, 3) each
-        # One number for each unordered pair of vertices, sorted; (3m,).
-        edges = np.sort(
-            np.minimum(*ends) * len(self.vertices) + np.maximum(*ends), axis=None
-        )
-        n_edges = np.count_nonzero(np.diff(edges, prepend=-1))
-        return int(np.count_nonzero(np.bincount(self.faces.ravel())) - n_edges) + len(
-            self.faces
-        )
+        ends = np.sort(self.faces[:, [[0, 1], [1, 2], [2, 0]]], axis=-1)  # (m, 3, 2)
+        edges = ends @ np.array([len(self.vertices), 1])  # one number for each edge
+        n_vertices, n_edges = len(np.unique(self.faces)), len(np.unique(edges))
+        return n_vertices - n_edges + len(self.faces)
 
     def to_open3d(self, *, tensor: bool = False) -> Any:
         """An ``open3d.geometry.TriangleMesh``, or ``open3d.t``'s, with the same vertices and faces."""
@@ -286,7 +277,7 @@ class TriangleMesh(_Processed):
         up: (3,), or an axis such as ``-y``; by default that of the ground, or else found by the form.
         """
         from pcretrieve.draw.axes import upward
-        from pcretrieve.draw.thumbnail import thumbnail
+        from pcretrieve.draw.pictures import thumbnail
 
         chosen = upward(up) if isinstance(up, str) else up
         return thumbnail(
@@ -298,7 +289,7 @@ class TriangleMesh(_Processed):
         return f"TriangleMesh({size}; area {self.area:.4g} file units²)"
 
     def _repr_html_(self) -> str:
-        from pcretrieve.draw.thumbnail import picture_html
+        from pcretrieve.draw.pictures import picture_html
 
         drawn = self.thumbnail()
         return picture_html(None if drawn is None else drawn.png, repr(self))
@@ -339,3 +330,41 @@ def edge_graph(mesh: TriangleMesh) -> csr_array:
         np.linalg.norm(mesh.vertices[starts] - mesh.vertices[ends], axis=1), least
     )
     return links.tocsr()
+
+
+def welded(
+    points: NDArray[Any], faces: NDArray[np.integer]
+) -> tuple[NDArray[Any], NDArray[np.integer]]:
+    """Merge the vertices that coincide at the ends of open edges, which have one face.
+
+    STL repeats the vertices of each triangle, other formats those at seams of normals and textures. Vertices
+    that coincide without such an edge in common are of parts that touch, and stay apart.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    n = len(points)
+    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=-1) @ (
+        n,
+        1,
+    )  # (m, 3), one number for each edge
+    edges, use = np.unique(sides, return_counts=True)
+    ends = np.column_stack(np.divmod(edges[use == 1], n))  # (s, 2)
+    if not len(ends):
+        return points, faces
+    order = np.lexsort(points.T)
+    place = np.empty(n, dtype=np.int64)
+    place[order] = (
+        np.cumsum(np.diff(points[order], axis=0, prepend=np.nan).any(axis=1)) - 1
+    )
+    at = place[ends]  # (s, 2)
+    _, edge = np.unique(np.sort(at, axis=1) @ (n, 1), return_inverse=True)  # (s,)
+    # A graph of the vertices, and of the two ends of each edge in space, which are theirs.
+    end = n + 2 * edge[:, None] + (at == at.max(axis=1, keepdims=True))  # (s, 2)
+    pairs, size = (ends.ravel(), end.ravel()), int(end.max()) + 1
+    graph = coo_array((np.ones(ends.size, np.int8), pairs), shape=(size, size))
+    merged = connected_components(graph, directed=False)[1][
+        :n
+    ]  # (n,), numbered in the order of the file
+    first = np.flatnonzero(np.diff(np.maximum.accumulate(merged), prepend=-1))
+    return points[first], merged[faces]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 from pcretrieve.arrays import FloatArray
 from pcretrieve.errors import InputError
 from pcretrieve.values.base import SizeUnit, Value, check_type
+from pcretrieve.values.files import csv_text, parquet_bytes, write_file
 
 # How the values of two signatures are compared: by their logarithms, for positive values; as they are, for
 # any; or as histograms, whose bins are not negative.
@@ -20,6 +23,9 @@ Metric = Literal["logarithms", "values", "histograms"]
 # Values of a signature that its representation shows, and neighbours that a notebook shows with pictures.
 N_SHOWN = 3
 N_PICTURED = 10
+
+# Suffixes of files of signatures.
+SUFFIXES = (".npz", ".parquet", ".csv")
 
 # Coordinates of a signature by its metric, of whose differences distances are functions.
 COORDINATES: dict[str, Callable[..., FloatArray]]
@@ -196,6 +202,52 @@ def _check_metric(values: FloatArray, metric: Metric) -> None:
         raise InputError(f"the bins of a histogram must not be negative, got {smallest}")
 
 
+def write_signatures(table: SignatureTable, path: str | Path) -> None:
+    """Write the signatures of many shapes with their ids and classes, in one atomic step.
+
+    Parameters
+    ----------
+    table : SignatureTable
+        The signatures.
+    path : str or Path
+        The file. ``.npz`` holds the arrays ``ids``, ``labels`` (empty where unknown), ``values`` (N, L),
+        ``kind``, ``digest`` and ``unit`` (empty if no value depends on the size), none of them pickled.
+        ``.parquet`` (the extra ``tables``) and ``.csv`` have the columns ``id``, ``label``, ``v1`` ...
+        ``vL``; Parquet keeps ``kind``, ``digest`` and ``unit`` as metadata.
+
+    Raises
+    ------
+    InputError
+        If the suffix is not one of ``.npz .parquet .csv``, a package is missing, or the file cannot be
+        written.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(
+            f"a file of signatures must end in one of {' '.join(SUFFIXES)}, got {path.name}"
+        )
+    if suffix == ".parquet":
+        made_by = {"kind": table.kind, "digest": table.digest, "unit": table.unit or ""}
+        data = parquet_bytes(table.columns(), made_by)
+    elif suffix == ".npz":
+        file = io.BytesIO()
+        np.savez(
+            file,
+            ids=np.array(table.ids, dtype=np.str_),
+            labels=np.array([label or "" for label in table.labels], dtype=np.str_),
+            values=table.values,
+            kind=np.array(table.kind),
+            digest=np.array(table.digest),
+            unit=np.array(table.unit or ""),
+        )
+        data = file.getvalue()
+    else:
+        columns = table.columns()
+        data = csv_text((*columns,), zip(*columns.values(), strict=True)).encode("utf-8")
+    write_file(path, data)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Neighbors(Value):
     """The nearest neighbours of one query.
@@ -249,7 +301,7 @@ class Neighbors(Value):
         return f"Neighbors({found})"
 
     def _repr_html_(self) -> str:
-        from pcretrieve.draw.thumbnail import picture_html
+        from pcretrieve.draw.pictures import picture_html
 
         pictures = (
             self.pictures(self.ids[:N_PICTURED]) if self.pictures else [None] * len(self)

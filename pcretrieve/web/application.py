@@ -160,6 +160,14 @@ class Site:
             raise Refused("this server takes no scans: it was started with --read-only")
         return self.given_jobs
 
+    def close(self) -> None:
+        """End all threads and processes."""
+        if self.given_jobs is not None:
+            self.given_jobs.close()
+        self.maps.close()
+        for readers in (self.searching, self.listing, self.drawing):
+            readers.close()
+
     @property
     def keeps_scans(self) -> bool:
         """Whether uploaded scans can be kept."""

@@ -6,7 +6,7 @@ import re
 import secrets
 import socket
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -146,7 +146,8 @@ def opened_site(
             index(store, options=chosen)
         title, thumbnails = Path(store.location).name, Thumbnails(store, up)
         scanned = store.options.model_copy(update={"signature": chosen.signature})
-    location, jobs, collection = str(catalogue), None, None
+    location = str(catalogue)
+    jobs = collection = None
     if keep is not None:
         collection = Collection(location, Path(keep).absolute(), timeout, memory)
     if not read_only:
@@ -159,18 +160,20 @@ def opened_site(
             thumbnails=thumbnails,
             collection=collection,
         )
-    searching, listing, drawing = (Readers(location, n) for n in (1, 1, N_DRAWING))
-    maps = Maps(location, chosen)
-    try:
-        yield Site(
-            searching, listing, drawing, title, chosen, jobs, most_bytes, thumbnails, maps
+    with closing(
+        Site(
+            searching=Readers(location, 1),
+            listing=Readers(location, 1),
+            drawing=Readers(location, N_DRAWING),
+            title=title,
+            options=chosen,
+            given_jobs=jobs,
+            most_bytes=most_bytes,
+            thumbnails=thumbnails,
+            maps=Maps(location, chosen),
         )
-    finally:
-        if jobs is not None:
-            jobs.close()
-        maps.close()
-        for readers in (searching, listing, drawing):
-            readers.close()
+    ) as site:
+        yield site
 
 
 def _listening(port: int) -> socket.socket:

@@ -292,7 +292,8 @@ def test_a_matcher_makes_a_matrix_that_ranks(eggs: Path, tmp_path: Path) -> None
     made = pr.matrix(catalogue, matcher="heat-hausdorff")
     pr.write_matrix(made, path)
     with pr.Catalogue(catalogue) as store:
-        expected = match_all(MATCHERS["heat-hausdorff"], made.ids, store.shape)
+        matched = match_all(MATCHERS["heat-hausdorff"], made.ids, store.shape)
+        expected = pr.DistanceMatrix(*matched)
     assert pr.read_matrix(path) == replace(made, labels=()) == expected
     assert made.labels == tuple(f"kind{shape_id[0]}" for shape_id in made.ids)
     found = result("evaluate", "-c", catalogue, "--matrix", path)

@@ -12,7 +12,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 from shapes import cube, icosphere, joined
 
-from pcretrieve.draw import axes as draw_axes, thumbnail as drawing
+from pcretrieve.draw import axes as draw_axes, pictures as drawing
 from pcretrieve.draw.pictures import MARGIN
 from pcretrieve.values import FloatArray, Step, TriangleMesh
 

@@ -371,9 +371,9 @@ def test_results_of_other_shapes_or_classes() -> None:
 
 def test_the_interval_agrees_with_that_of_scipy() -> None:
     values = np.random.default_rng(0).beta(5, 1, size=(200, 2))
-    low, high = bootstrap_interval(values, level=0.9)
+    low, high = bootstrap_interval(values)
     expected = bootstrap(
-        (values,), np.mean, confidence_level=0.9, method="percentile", rng=1
+        (values,), np.mean, confidence_level=0.95, method="percentile", rng=1
     )
     ends = expected.confidence_interval
     assert (

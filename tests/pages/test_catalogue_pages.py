@@ -29,7 +29,7 @@ from pcretrieve import (
 )
 from pcretrieve.errors import InputError
 from pcretrieve.evaluation import evaluate
-from pcretrieve.pages.retrieval_page import _judged
+from pcretrieve.pages.retrieval_page import _Card, _judged
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -309,9 +309,7 @@ def test_results_after_as_many_as_the_class_has_are_not_wrong() -> None:
         return Record("a", "/a.off", "", label)
 
     labels = ("kind0", "kind1", "kind1", None, "kind0", "kind1")
-    found: list[tuple[Record, bytes | None, float]] = [
-        (record(label), None, 0.1) for label in labels
-    ]
+    found = [_Card(record(label), None, 0.1) for label in labels]
     judged = _judged("kind0", found, {"kind0": 3, "kind1": 3})
     assert [card.relevant for card in judged] == [True, False, None, None, True, None]
     assert {card.relevant for card in _judged(None, found, {"kind0": 3})} == {None}

@@ -18,7 +18,7 @@ from PIL import Image
 
 import pcretrieve as pr
 from pcretrieve import Catalogue, PipelineOptions
-from pcretrieve.draw.thumbnail import THUMBNAIL_PIXELS, Thumbnail, thumbnail
+from pcretrieve.draw.pictures import THUMBNAIL_PIXELS, Thumbnail, thumbnail
 from pcretrieve.errors import OptionError
 from pcretrieve.formats import ScanPath, write_mesh
 from pcretrieve.ingestion.attempts import content_of
@@ -64,7 +64,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[object]:
         ups.append(more["up"])
         return thumbnail(*mesh, **more)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("pcretrieve.draw.thumbnail.thumbnail", counted)
+    monkeypatch.setattr("pcretrieve.draw.pictures.thumbnail", counted)
     return ups
 
 

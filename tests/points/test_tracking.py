@@ -20,7 +20,7 @@ import pcretrieve
 from pcretrieve import PointCloud, TriangleMesh
 from pcretrieve.arrays.open3d import RayScene
 from pcretrieve.errors import ScanReadError
-from pcretrieve.formats.conf import image_poses, trajectory_file
+from pcretrieve.ingestion.views import image_poses, trajectory_file
 from pcretrieve.options import MergeOptions, PipelineOptions, ScanOptions
 from pcretrieve.points.register import merge_views
 from pcretrieve.points.register.alignment import moved

@@ -100,7 +100,8 @@ LACKING = Matcher("lacking", lambda shape: shape.area, lacking, needs=(), symmet
 
 
 def matched(matcher: Matcher) -> DistanceMatrix:
-    return match_all(matcher, AREAS, lambda name: Shape((Surface(AREAS[name]),)))
+    found = match_all(matcher, AREAS, lambda name: Shape((Surface(AREAS[name]),)))
+    return DistanceMatrix(*found)
 
 
 def test_each_distance_is_that_of_the_matcher_from_the_query() -> None:

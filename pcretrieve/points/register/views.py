@@ -20,8 +20,7 @@ from pcretrieve.points.crop import (
     kept_points,
 )
 from pcretrieve.points.normals import estimate_normals
-from pcretrieve.values import FloatArray, PointCloud, bounding_diagonal
-from pcretrieve.values.geometry import SENSOR_DISTANCE
+from pcretrieve.values import SENSOR_DISTANCE, FloatArray, PointCloud, bounding_diagonal
 
 # Fewest neighbours for a normal; a view must have more points.
 NORMAL_NEIGHBORS = 16

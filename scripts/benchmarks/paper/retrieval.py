@@ -240,14 +240,14 @@ def _matched(catalogue: Catalogue, system: System) -> Rankings:
     """Rank all pairs; shapes without features count as misses."""
     matcher = MATCHERS[system.method]
     ids = signatures(catalogue).ids
-    matrix = match_all(
+    names, distances = match_all(
         matcher, ids, lambda shape_id: catalogue.shape(shape_id, matcher.needs)
     )
     classes = {record.id: record.label for record in catalogue.records()}
-    labels = [classes.pop(shape_id) for shape_id in matrix.ids]
-    block = DistanceBlock(np.arange(len(matrix)), matrix.values)
-    everything = Subset(np.arange(len(matrix)), [block])
-    return rank_subsets([everything], matrix.ids, labels, failed=classes)[0]
+    labels = [classes.pop(shape_id) for shape_id in names]
+    block = DistanceBlock(np.arange(len(names)), distances)
+    everything = Subset(np.arange(len(names)), [block])
+    return rank_subsets([everything], names, labels, failed=classes)[0]
 
 
 def _row(system: System, ranked: Rankings, published: Sequence[float] | None) -> str:

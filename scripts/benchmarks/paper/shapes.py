@@ -15,7 +15,7 @@ from benchmarks.paper.spectra import unit_area_spectrum
 from benchmarks.sets import read_mesh, spread, vertex_normals
 from benchmarks.strip import TILE, captioned
 from pcretrieve.descriptors import describe
-from pcretrieve.draw.thumbnail import thumbnail
+from pcretrieve.draw.pictures import thumbnail
 from pcretrieve.errors import BenchmarkError, PcretrieveError
 from pcretrieve.evaluation.measures import evaluate_rankings
 from pcretrieve.evaluation.rankings import Subset, rank_subsets

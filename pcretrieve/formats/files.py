@@ -1,23 +1,32 @@
-"""A file, or geometry of another package → a point cloud or a mesh with checked arrays."""
+"""A file, or geometry of another package → a point cloud or a mesh with checked arrays; and the reverse."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.errors import ScanReadError
+from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.formats.format import RawScan
-from pcretrieve.formats.meshes import welded
-from pcretrieve.formats.registry import ScanPath, read_raw
+from pcretrieve.formats.registry import FORMATS, ScanPath, read_raw
 from pcretrieve.formats.remote import local_copy
-from pcretrieve.values import METRES, UNIT, FloatArray, PointCloud, Step, TriangleMesh
+from pcretrieve.values import (
+    METRES,
+    UNIT,
+    FloatArray,
+    PointCloud,
+    Step,
+    TriangleMesh,
+    welded,
+)
 from pcretrieve.values.base import UNIT_KEPT, UNIT_TAKEN, check_type
-from pcretrieve.values.conversion import GeometryLike, as_geometry
+from pcretrieve.values.conversion import GeometryLike, as_cloud, as_geometry, as_mesh
+from pcretrieve.values.files import check_target, write_file
 
 #: A file, or what can be converted to a point cloud or a surface.
 ScanLike: TypeAlias = "str | Path | ScanPath | GeometryLike"
@@ -202,3 +211,85 @@ def _finite_viewpoints(viewpoints: FloatArray, notes: list[str]) -> FloatArray |
         f"{LARGEST_COORDINATE:g}"
     )
     return None
+
+
+# --- writing ----------------------------------------------------------------------------------------------
+
+Kind = Literal["point", "mesh"]
+
+
+def write_cloud(cloud: GeometryLike, path: str | Path) -> None:
+    """Write points with their normals and the positions of their sensors, in one atomic step.
+
+    Parameters
+    ----------
+    cloud : GeometryLike
+        The points; their unit is that of the file.
+    path : str or Path
+        The file. ``.ply`` (double precision) and ``.pcd`` (single precision) store the position of the sensor
+        of each point in fields ``vp_x vp_y vp_z``, as PCL's PointWithViewpoint. ``.xyzn`` stores points and
+        normals with nine digits. An existing file is replaced.
+
+    Raises
+    ------
+    InputError
+        If no format of the suffix stores point clouds, it is ``.xyzn`` and the points have no normals, or the
+        file cannot be written.
+    """
+    _write(as_cloud(cloud), Path(path), "point")
+
+
+def write_mesh(mesh: GeometryLike, path: str | Path) -> None:
+    """Write a mesh, in one atomic step.
+
+    Parameters
+    ----------
+    mesh : GeometryLike
+        The mesh, of this package or another (see `as_mesh`); its unit is that of the file.
+    path : str or Path
+        The file, with one of the suffixes ``.ply .obj .off .stl .glb``. An existing file is replaced.
+
+    Raises
+    ------
+    InputError
+        If no format of the suffix stores meshes, or the file cannot be written.
+    """
+    _write(as_mesh(mesh), Path(path), "mesh")
+
+
+def check_output(
+    path: Path, sources: Sequence[Path] = (), kind: Kind | None = None
+) -> None:
+    """Check, before a long computation, that its result can be written."""
+    if kind is not None:
+        _writer(path, kind)
+    check_target(path, sources)
+
+
+def _write(value: PointCloud | TriangleMesh, path: Path, kind: Kind) -> None:
+    suffix, write = path.suffix.lower(), _writer(path, kind)
+    try:
+        data = write(value)
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:
+        if suffix in FORMATS.own:
+            raise
+        raise InputError(
+            f"{FORMATS.called(suffix)} failed, {type(error).__name__}: {error}"
+        ) from error
+    write_file(path, data)
+
+
+def _writer(path: Path, kind: Kind) -> Callable[[Any], bytes]:
+    """The function that makes the content of a file; InputError if there is none."""
+    suffix, name = path.suffix.lower(), "write_cloud" if kind == "point" else "write_mesh"
+    write: Callable[[Any], bytes] | None = None
+    if suffix in FORMATS.names.all():
+        write = getattr(FORMATS[suffix], name)
+    if write is None:
+        known = " ".join(
+            suffix for suffix, found in FORMATS.own.items() if getattr(found, name)
+        )
+        raise InputError(f"a {kind} file must end in one of {known}, got {path.name}")
+    return write
