@@ -11,12 +11,15 @@ that cannot be imported disables its own names only. The names of pcretrieve's o
 
 from __future__ import annotations
 
+import ast
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from inspect import cleandoc
+from itertools import pairwise
 from typing import Generic, TypeVar
 
 from pcretrieve.errors import InputError, OptionError, ShapeError, did_you_mean
@@ -189,3 +192,20 @@ def _points(group: str, path: tuple[str, ...]) -> Mapping[str, EntryPoint]:
     """The entry points of a group by name, read once for each `path`: reading them takes milliseconds."""
     # Of two packages that add the same name, the first on the path is taken, as by the import system.
     return {point.name: point for point in reversed(tuple(entry_points(group=group)))}
+
+
+def option_texts(source: str) -> dict[str, tuple[str, str]]:
+    """Text and default of each option in the source of its table, by names such as signature.scale.
+
+    Help needs them without an import of the options, whose types take long to make.
+    """
+    found = {}
+    for table in ast.parse(source).body:
+        if isinstance(table, ast.ClassDef):
+            name = table.name.removesuffix("Options").lower()
+            for field, text in pairwise(table.body):
+                if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
+                    default = ast.unparse(field.value or text).strip("'")
+                    words = cleandoc(ast.literal_eval(text.value))
+                    found[f"{name}.{ast.unparse(field.target)}"] = words, default
+    return found

@@ -263,6 +263,23 @@ def test_the_command_line_calls_the_front_door() -> None:
         ), face
 
 
+def test_commands_say_what_they_take() -> None:
+    """A dictionary of options would hide from mypy what reaches the library. Only click gets one."""
+    taking = {
+        f"{path.stem}.{each.name}"
+        for path in sources()
+        if room(path) == "cli"
+        for each in functions(path)
+        if each.args.kwarg is not None
+    }
+    assert taking == {
+        "main.__init__",
+        "options.__init__",
+        "options.argument",
+        "options.option",
+    }
+
+
 def test_what_is_heavy_is_imported_when_it_is_used() -> None:
     for path in sources():
         at_once = {

@@ -7,16 +7,38 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import datetime, timedelta
 from functools import partial
+from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import click
 
 import pcretrieve as pr
-from pcretrieve.cli import options as opt, output as out
 from pcretrieve.cli.messages import Progress, may, say, shown_path, without_password
+from pcretrieve.cli.options import (
+    CATALOGUE,
+    COMPARISON,
+    COUNT,
+    NUMBER,
+    Comparison,
+    argument,
+    catalogue_option,
+    command,
+    complete_ids,
+    opened,
+    option,
+    refuse,
+)
+from pcretrieve.cli.output import (
+    EXIT_ERROR,
+    Columns,
+    Result,
+    print_text,
+    write_lines,
+    write_steps,
+    write_table,
+    write_words,
+)
 from pcretrieve.errors import InputError
-from pcretrieve.values.files import check_no_links, make_folder
 
 MIB = 1 << 20
 
@@ -34,13 +56,16 @@ COLUMNS = {
 }
 
 
-@opt.command("list")
-@opt.catalogue_option
-@opt.option("--failed", "Only shapes that failed, with the reason.")
-@opt.option("--incomplete", "Only poor and incomplete scans, with the reasons.")
-@opt.option("--limit N", "List at most N shapes.", opt.COUNT)
-@opt.option("--offset N", "Skip N shapes.", opt.NUMBER, default=0)
-def list_command(catalogue: str, failed: bool, **chosen: Any) -> out.Result:
+@command("list")
+def list_command(
+    catalogue: str = catalogue_option,
+    failed: bool = option("--failed", "Only shapes that failed, with the reason."),
+    incomplete: bool = option(
+        "--incomplete", "Only poor and incomplete scans, with the reasons."
+    ),
+    limit: int | None = option("--limit N", "List at most N shapes.", COUNT),
+    offset: int = option("--offset N", "Skip N shapes.", NUMBER, default=0),
+) -> Result:
     """List shapes: id, grade, class, Euler characteristic, seconds, path.
 
     The grade is good, poor, incomplete or failed; done means that it is not known.
@@ -48,17 +73,21 @@ def list_command(catalogue: str, failed: bool, **chosen: Any) -> out.Result:
     \b
     pcretrieve list --catalogue bodies.sqlite --failed
     """
-    store = opt.opened(catalogue, any_numbers=True)
-    pages = store.rows.pages(status="failed" if failed else None, **chosen)
-    records = (record for page in pages for record in page)
-
-    which = "failed" if failed else "incomplete" if chosen["incomplete"] else "stored"
+    store = opened(catalogue, any_numbers=True)
+    pages = store.rows.pages(
+        status="failed" if failed else None,
+        incomplete=incomplete,
+        offset=offset,
+        limit=limit,
+    )
+    records = chain.from_iterable(pages)
+    which = "failed" if failed else "incomplete" if incomplete else "stored"
 
     def show() -> None:
         counts: Counter[str] = Counter()
         row = partial(_row, columns=COLUMNS[which], counts=counts)
-        if not out.write_table(COLUMNS[which], map(row, records)):
-            after = f" after the first {chosen['offset']}" if chosen["offset"] else ""
+        if not write_table(COLUMNS[which], map(row, records)):
+            after = f" after the first {offset}" if offset else ""
             say(f"no shape is {which} in {catalogue}{after}")
         if which == "stored" and counts:
             found = ", ".join(f"{n} {name}" for name, n in sorted(counts.items()))
@@ -66,14 +95,14 @@ def list_command(catalogue: str, failed: bool, **chosen: Any) -> out.Result:
                 f"{found}; for reasons: {', '.join(f'--{name}' for name in sorted(counts))}"
             )
 
-    return out.Result(map(_facts, records), show=show)
+    return Result(map(_facts, records), show=show)
 
 
 def _facts(record: pr.Record) -> dict[str, object]:
     return asdict(record) | {"seconds": round(record.seconds, 3)}
 
 
-def _row(record: pr.Record, columns: out.Columns, counts: Counter[str]) -> list[str]:
+def _row(record: pr.Record, columns: Columns, counts: Counter[str]) -> list[str]:
     """The cells of a shape; shapes that have reasons are counted by the option that lists them."""
     if record.status == "failed" or record.is_incomplete:
         counts["failed" if record.status == "failed" else "incomplete"] += 1
@@ -92,18 +121,19 @@ def _row(record: pr.Record, columns: out.Columns, counts: Counter[str]) -> list[
     return [cells[name] for name in columns]
 
 
-@opt.command("show")
-@click.argument("shape_id", metavar="ID", shell_complete=opt.complete_ids)
-@opt.catalogue_option
-def show_command(shape_id: str, catalogue: str) -> out.Result:
+@command("show")
+def show_command(
+    shape_id: str = argument("ID", shell_complete=complete_ids),
+    catalogue: str = catalogue_option,
+) -> Result:
     """Show how a shape was made: its file, each step, and the size of what is stored.
 
     \b
     pcretrieve show cat0 --catalogue bodies.sqlite
     """
-    store = opt.opened(catalogue, any_numbers=True)
+    store = opened(catalogue, any_numbers=True)
     record, stored = store.record(shape_id), store.rows.stored_bytes(shape_id)
-    return out.Result(
+    return Result(
         _facts(record) | {"stored_bytes": stored}, show=lambda: _show(record, stored)
     )
 
@@ -127,28 +157,25 @@ def _show(record: pr.Record, stored: dict[str, int]) -> None:
             f"{sum(stored.values()) / 1000:.1f} kB" + (f": {parts}" if parts else ""),
         )
     )
-    out.write_table({"": "text", " ": "words"}, rows)
-    out.print_text("")
-    out.write_steps(record.steps)
+    write_table({"": "text", " ": "words"}, rows)
+    print_text("")
+    write_steps(record.steps)
 
 
-@opt.command("remove")
-@click.argument("shape_ids", nargs=-1, metavar="[ID]...", shell_complete=opt.complete_ids)
-@opt.catalogue_option
-@opt.option(
-    "--before DATE",
-    "Remove the shapes that were stored before this day, such as 2026-01-31 (UTC).",
-    click.DateTime(("%Y-%m-%d",)),
-)
-@opt.option("--dry-run", "Show what would be removed, and remove nothing.")
-@opt.option("--yes", "Remove several shapes without a question.")
+@command("remove")
 def remove_command(
-    shape_ids: tuple[str, ...],
-    catalogue: str,
-    before: datetime | None,
-    dry_run: bool,
-    yes: bool,
-) -> out.Result:
+    shape_ids: tuple[str, ...] = argument("[ID]...", shell_complete=complete_ids),
+    catalogue: str = catalogue_option,
+    before: datetime | None = option(
+        "--before DATE",
+        "Remove the shapes that were stored before this day, such as 2026-01-31 (UTC).",
+        click.DateTime(("%Y-%m-%d",)),
+    ),
+    dry_run: bool = option(
+        "--dry-run", "Show what would be removed, and remove nothing."
+    ),
+    yes: bool = option("--yes", "Remove several shapes without a question."),
+) -> Result:
     """Remove shapes from a catalogue, and their bytes from its file. The scans stay where they are.
 
     On a terminal, several shapes are removed after a question only.
@@ -173,7 +200,7 @@ def remove_command(
             say(
                 f"would remove {len(chosen)} from {catalogue}: {', '.join(chosen) or 'none'}"
             )
-            return out.Result({"chosen": [*chosen], "removed": []})
+            return Result({"chosen": [*chosen], "removed": []})
         if len(chosen) > 1 and not yes and not may(question, otherwise=True):
             raise InputError("nothing was removed; --yes removes without a question")
         if chosen:
@@ -185,18 +212,18 @@ def remove_command(
         scans = f"their {len(files)} scans, and copies" if files else "copies"
         server = "" if is_file else ", and PostgreSQL keeps the bytes until VACUUM"
         say(f"not removed: {scans} elsewhere, such as backups, exports and pages{server}")
-    return out.Result({"chosen": [*chosen], "removed": [*chosen], "files": files})
+    return Result({"chosen": [*chosen], "removed": [*chosen], "files": files})
 
 
-@opt.command("merge")
-@click.argument("parts", nargs=-1, required=True, type=opt.CATALOGUE, metavar="PART...")
-@opt.option(
-    "--output -o FILE|URL",
-    "Store the shapes in this catalogue, which may have shapes already.",
-    opt.CATALOGUE,
-    required=True,
-)
-def merge_command(parts: tuple[str, ...], output: str) -> out.Result:
+@command("merge")
+def merge_command(
+    parts: tuple[str, ...] = argument("PART...", CATALOGUE, required=True),
+    output: str = option(
+        "--output -o FILE|URL",
+        "Store the shapes in this catalogue, which may have shapes already.",
+        CATALOGUE,
+    ),
+) -> Result:
     """Store the shapes of several catalogues in one.
 
     PART is a file or a URL, such as the catalogue of one task of a job array (`ingest --shard`). All parts
@@ -208,25 +235,27 @@ def merge_command(parts: tuple[str, ...], output: str) -> out.Result:
     """
     merged = pr.merge_catalogues(parts, output)
     say(f"{merged.n_added} added, {merged.n_held} known already: {output}")
-    return out.Result(asdict(merged))
+    return Result(asdict(merged))
 
 
-@opt.command("check")
-@opt.catalogue_option
-@opt.option(
-    "--sample N",
-    "Compute N signatures again, from stored surfaces or unchanged files.",
-    opt.NUMBER,
-    default=10,
-)
-@opt.option(
-    "--repair",
-    "Remove damaged shapes, to be ingested again, damaged indexes, and rows without a shape.",
-)
-@opt.option(
-    "--remote", "Fetch scans at URLs that the catalogue names, without a question."
-)
-def check_command(catalogue: str, sample: int, repair: bool, remote: bool) -> out.Result:
+@command("check")
+def check_command(
+    catalogue: str = catalogue_option,
+    sample: int = option(
+        "--sample N",
+        "Compute N signatures again, from stored surfaces or unchanged files.",
+        NUMBER,
+        default=10,
+    ),
+    repair: bool = option(
+        "--repair",
+        "Remove damaged shapes, to be ingested again, damaged indexes, and rows without a shape.",
+    ),
+    remote: bool = option(
+        "--remote",
+        "Fetch scans at URLs that the catalogue names, without a question.",
+    ),
+) -> Result:
     """Check a catalogue for damage: its file, each record, all arrays, and some signatures.
 
     The exit code is 1 if damage is left.
@@ -250,8 +279,8 @@ def check_command(catalogue: str, sample: int, repair: bool, remote: bool) -> ou
         "is_whole": result.is_whole,
     } | asdict(result)
     show = partial(_write_check, catalogue, result)
-    return out.Result(
-        document, options, show, failed=not result.is_whole, exit_code=out.EXIT_ERROR
+    return Result(
+        document, options, show, failed=not result.is_whole, exit_code=EXIT_ERROR
     )
 
 
@@ -261,7 +290,7 @@ def _may_fetch(hosts: Sequence[str]) -> bool:
 
 
 def _write_check(catalogue: str, result: pr.Check) -> None:
-    out.write_table(
+    write_table(
         {"SHAPE": "text", "REPAIR": "text", "DEFECT": "words"},
         (
             (one.shape_id or "-", one.repair or "not repaired", one.message)
@@ -276,7 +305,7 @@ def _write_check(catalogue: str, result: pr.Check) -> None:
         len(result.defects),
         sum(defect.repair is None for defect in result.defects),
     )
-    out.write_words(
+    write_words(
         f"{catalogue}: {result.n_shapes} shapes, {result.n_failed} failed, {result.n_recomputed} signatures "
         f"computed again, {n_defects} defects"
         + (f", {n_left} not repaired" if n_left else "")
@@ -284,14 +313,15 @@ def _write_check(catalogue: str, result: pr.Check) -> None:
     )
 
 
-@opt.command("backup")
-@click.argument("catalogue", type=opt.CATALOGUE)
-@click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
-@opt.option(
-    "--without-names",
-    "To give the catalogue away: ids are numbers; no paths, classes, times, notes or failures.",
-)
-def backup_command(catalogue: str, file: Path, without_names: bool) -> out.Result:
+@command("backup")
+def backup_command(
+    catalogue: str = argument("CATALOGUE", CATALOGUE),
+    file: Path = argument("FILE", click.Path(dir_okay=False, path_type=Path)),
+    without_names: bool = option(
+        "--without-names",
+        "To give the catalogue away: ids are numbers; no paths, classes, times, notes or failures.",
+    ),
+) -> Result:
     """Copy a catalogue to one file, while others may use it.
 
     The copy is a catalogue itself, in SQLite. For large databases `pg_dump` is faster.
@@ -302,28 +332,24 @@ def backup_command(catalogue: str, file: Path, without_names: bool) -> out.Resul
     say(f"copying {catalogue}")
     size = pr.backup(catalogue, file, names=not without_names)
     say(f"{size / MIB:.1f} MiB: {file}")
-    return out.Result({"file": str(file), "bytes": size})
+    return Result({"file": str(file), "bytes": size})
 
 
-@opt.command("export")
-@click.argument("shape_ids", nargs=-1, metavar="[ID]...")
-@opt.catalogue_option
-@opt.option(
-    "--output -o PATH",
-    "Write a mesh of one shape (.ply .obj .off .stl .glb), a folder of meshes, or a file of "
-    "signatures (.npz .parquet .csv).",
-    opt.PATH,
-    required=True,
-)
-@opt.option("--signatures", "Write signatures, ids and classes, not meshes.")
-@opt.comparison_options
+@command("export")
 def export_command(
-    shape_ids: tuple[str, ...],
-    catalogue: str,
-    output: Path,
-    signatures: bool,
-    **comparison: Any,
-) -> out.Result:
+    *,
+    shape_ids: tuple[str, ...] = argument("[ID]..."),
+    catalogue: str = catalogue_option,
+    output: Path = option(
+        "--output -o PATH",
+        "Write a mesh of one shape (.ply .obj .off .stl .glb), a folder of meshes, or a file of "
+        "signatures (.npz .parquet .csv).",
+    ),
+    signatures: bool = option(
+        "--signatures", "Write signatures, ids and classes, not meshes."
+    ),
+    comparison: Comparison,
+) -> Result:
     """Write meshes or signatures of a catalogue to files.
 
     \b
@@ -332,12 +358,10 @@ def export_command(
     pcretrieve catalogue export --signatures -c bodies.sqlite -o bodies.parquet
     """
     if not signatures:
-        opt.refuse(
-            "meshes have no such options, which are for --signatures", *opt.COMPARISON
-        )
-    store = opt.opened(catalogue, any_numbers=not signatures)
-    options = opt.compared(store, comparison)
-    if signatures:
+        refuse("meshes have no such options, which are for --signatures", *COMPARISON)
+    store = opened(catalogue, any_numbers=not signatures)
+    options = comparison.options(store.options) if signatures else None
+    if options is not None:
         table = pr.signatures(store, options=options)
         pr.write_signatures(table.select(shape_ids) if shape_ids else table, output)
         files = [output]
@@ -345,14 +369,16 @@ def export_command(
         files = _export_meshes(store, shape_ids, output)
         if output.is_dir():
             say(f"wrote {len(files)} meshes to {output}")
-    show = partial(out.write_lines, *map(str, files))
-    return out.Result({"files": files}, options if signatures else None, show)
+    show = partial(write_lines, *map(str, files))
+    return Result({"files": files}, options, show)
 
 
 def _export_meshes(
     store: pr.Catalogue, shape_ids: tuple[str, ...], output: Path
 ) -> list[Path]:
     """Write a mesh of one shape, or a folder of meshes; nothing, if one of the meshes is missing."""
+    from pcretrieve.values.files import check_no_links, make_folder
+
     if len(shape_ids) == 1 and output.suffix and not output.is_dir():
         pr.write_mesh(store.mesh(shape_ids[0]), output)
         return [output]

@@ -13,8 +13,26 @@ from typing import Any
 import click
 
 import pcretrieve as pr
-from pcretrieve.cli import options as opt, output as out
 from pcretrieve.cli.messages import say, shown_path
+from pcretrieve.cli.options import (
+    CATALOGUE,
+    CATALOGUE_VARIABLE,
+    COUNT,
+    Axis,
+    Comparison,
+    catalogue_option,
+    command,
+    matrix_option,
+    option,
+    read_distances,
+    up_option,
+    verbose_option,
+)
+from pcretrieve.cli.output import (
+    Result,
+    write_lines,
+    write_table,
+)
 
 # The columns of rows of measures, and of what they are the measures of.
 COLUMNS = dict.fromkeys(("NN", "FT", "ST", "E", "DCG", "mAP"), "number")
@@ -24,34 +42,33 @@ FALSE_MATCH_RATES = (0.01, 0.001)
 RARE = ("ST", "E")  # of papers, not needed to judge a collection
 
 
-@opt.command("evaluate")
-@opt.option(
-    "--catalogue -c FILE|URL",
-    f"The catalogue; not with --matrix and --labels.  [env var: {opt.CATALOGUE_VARIABLE}]",
-    opt.CATALOGUE,
-)
-@opt.labels_option
-@opt.matrix_option
-@opt.option("--good-only", "Ask for good scans only; the others stay in the gallery.")
-@opt.option(
-    "--per-class", "Add the means of each class, and which classes are confused with it."
-)
-@opt.option(
-    "--csv FOLDER",
-    "Write queries.csv, classes.csv, confusion.csv, precision_recall.csv and det.csv to a folder.",
-    opt.PATH,
-    into="folder",
-)
-@opt.verbose_option
-@opt.comparison_options
+@command("evaluate")
 def evaluate_command(
-    catalogue: str | None,
-    labels: str | None,
-    per_class: bool,
-    folder: Path | None,
-    is_verbose: bool,
-    **values: Any,
-) -> out.Result:
+    *,
+    catalogue: str | None = option(
+        "--catalogue -c FILE|URL",
+        f"The catalogue; not with --matrix and --labels.  [env var: {CATALOGUE_VARIABLE}]",
+        CATALOGUE,
+    ),
+    labels: str | None = option(
+        "--labels CSV|LAYOUT",
+        "Use these classes, not the stored ones; see `ingest --help`.",
+    ),
+    file: Path | None = matrix_option,
+    good_only: bool = option(
+        "--good-only", "Ask for good scans only; the others stay in the gallery."
+    ),
+    per_class: bool = option(
+        "--per-class",
+        "Add the means of each class, and which classes are confused with it.",
+    ),
+    folder: Path | None = option(
+        "--csv FOLDER",
+        "Write queries.csv, classes.csv, confusion.csv, precision_recall.csv and det.csv to a folder.",
+    ),
+    is_verbose: bool = verbose_option,
+    comparison: Comparison,
+) -> Result:
     """Measure how well scans of one class find each other.
 
     Each shape is a query in all others; shapes that failed count as misses. The measures are nearest
@@ -64,16 +81,12 @@ def evaluate_command(
     pcretrieve evaluate --catalogue shrec11.sqlite --labels shrec11
     pcretrieve evaluate --matrix run1.txt --labels shrec11.cla
     """
-    file, rerank, good_only = values["matrix"], values["rerank"], values["good_only"]
-    matrix = opt.read_distances(
-        values, *(name for name in opt.COMPARISON if name != "rerank")
-    )
+    matrix = read_distances(file, used="rerank")
     options = None
     if catalogue is None and (matrix is None or labels is None):
-        catalogue = os.environ.get(opt.CATALOGUE_VARIABLE) or None
+        catalogue = os.environ.get(CATALOGUE_VARIABLE) or None
     if catalogue is not None:
-        store = opt.opened(catalogue)
-        options = opt.compared(store, values)
+        store, options = comparison.opened(catalogue)
         found = pr.evaluate(
             store, options=options, labels=labels, matrix=matrix, good_only=good_only
         )
@@ -82,8 +95,8 @@ def evaluate_command(
     elif good_only:
         raise click.UsageError("--good-only needs --catalogue, which has the grades")
     else:
-        found = pr.evaluate(matrix, options=opt.changes(values), labels=labels)
-    how = _how(found, options, file, rerank)
+        found = pr.evaluate(matrix, options=comparison.options(), labels=labels)
+    how = _how(found, options, file, comparison.rerank)
     if rates := found.verification:
         how["equal_error_rate"] = rates.equal_error
         how["missed_at"] = {str(rate): rates.missed(rate) for rate in FALSE_MATCH_RATES}
@@ -91,7 +104,7 @@ def evaluate_command(
         found.write(folder)
         say(f"queries, classes, confusion, precision_recall, det: .csv files in {folder}")
     show = partial(_write_evaluation, found, how, per_class, is_verbose)
-    return out.Result(_evaluation_document(found, how, per_class), options, show)
+    return Result(_evaluation_document(found, how, per_class), options, show)
 
 
 def _how(
@@ -121,7 +134,6 @@ def _evaluation_document(
 ) -> dict[str, object]:
     """The JSON document of an evaluation."""
     low, high = found.interval.tolist()
-    macro = found.macro
     document: dict[str, object] = {
         part.name: getattr(found, part.name) for part in fields(pr.RetrievalMeasures)
     }
@@ -131,7 +143,7 @@ def _evaluation_document(
         "low": _named(low),
         "high": _named(high),
     }
-    document["macro"] = {name: getattr(macro, name) for name in MEASURES}
+    document["macro"] = _named(getattr(found.macro, name) for name in MEASURES)
     if per_class:
         document["classes"] = [
             {"label": one.label, "n_queries": one.n_queries}
@@ -184,7 +196,7 @@ def _write_evaluation(
     }
     kept = [name in columns for name in COLUMNS]
     rows = _rows(found, str(how["rerank"]), per_class)
-    out.write_table(columns, (tuple(compress(row, kept)) for row in rows))
+    write_table(columns, (tuple(compress(row, kept)) for row in rows))
     rankings, whitening = found.ranked.rankings, found.ranked.whitening
     by = f"scale {how['scale']}" if "scale" in how else f"distances of {how['matrix']}"
     if how.get("size_weight"):
@@ -206,20 +218,21 @@ def _write_evaluation(
         say(f"whitening: {whitening}")
 
 
-def _numbers(values: Iterable[float], form: str = ".4f") -> list[str]:
+def _numbers(values: Iterable[float]) -> list[str]:
     """The measures of a row below `COLUMNS`."""
-    return [format(value, form) for value in values]
+    return [f"{value:.4f}" for value in values]
 
 
-@opt.command("calibrate")
-@opt.catalogue_option
-@opt.option(
-    "--output -o FILE", "Write this file, such as metric.npz.", opt.PATH, required=True
-)
-@opt.on_catalogue
+@command("calibrate")
 def calibrate_command(
-    store: pr.Catalogue, options: pr.PipelineOptions, output: Path
-) -> out.Result:
+    *,
+    catalogue: str = catalogue_option,
+    output: Path = option(
+        "--output -o FILE",
+        "Write this file, such as metric.npz.",
+    ),
+    comparison: Comparison,
+) -> Result:
     """Learn from labelled scans which differences to ignore.
 
     Scan some bodies several times, in the way you will scan later: three people in ten poses will do. Use the
@@ -232,36 +245,36 @@ def calibrate_command(
     pcretrieve query --catalogue bodies.sqlite new_scan.ply --whitening metric.npz
     pcretrieve lab calibrate -c three.sqlite --method dl-supervised -o atoms.toml
     """
+    store, options = comparison.opened(catalogue)
     learnt = pr.calibrate(store, output, options=options)
     kind, reason = "config", "atoms of dl-supervised"
     if isinstance(learnt, pr.Whitening):
         kind, reason = "whitening", learnt.reason
     say(f"{output}: {reason}; use it by --{kind}")
-    return out.Result({kind: str(output), "reason": reason}, options)
+    return Result({kind: str(output), "reason": reason}, options)
 
 
-@opt.command("report")
-@opt.catalogue_option
-@opt.option("--output -o PAGE", "Write this HTML page.", opt.PATH, required=True)
-@opt.option(
-    "--queries N",
-    "Show at most N queries, the worst first.",
-    opt.COUNT,
-    into="n_queries",
-    default=1000,
-)
-@opt.option("-k N", "Number of results of each query.", opt.COUNT, into="k", default=5)
-@opt.option(
-    "--versus RESULT",
-    "Compare with another result, query by query: queries.csv of `evaluate --csv`, or a catalogue.",
-    opt.CATALOGUE,
-)
-@opt.up_option
-@opt.matrix_option
-@opt.on_catalogue
+@command("report")
 def report_command(
-    store: pr.Catalogue, options: pr.PipelineOptions, output: Path, **shown: Any
-) -> out.Result:
+    *,
+    catalogue: str = catalogue_option,
+    output: Path = option("--output -o PAGE", "Write this HTML page."),
+    n_queries: int = option(
+        "--queries N",
+        "Show at most N queries, the worst first.",
+        COUNT,
+        default=1000,
+    ),
+    k: int = option("-k N", "Number of results of each query.", COUNT, default=5),
+    versus: str | None = option(
+        "--versus RESULT",
+        "Compare with another result, query by query: queries.csv of `evaluate --csv`, or a catalogue.",
+        CATALOGUE,
+    ),
+    up: Axis | None = up_option,
+    file: Path | None = matrix_option,
+    comparison: Comparison,
+) -> Result:
     """Write an HTML page of all queries with their results and measures, the worst first.
 
     The page has bars of the classes, mix-ups, a map, and the scans that failed. You can search and sort it
@@ -272,7 +285,16 @@ def report_command(
     pcretrieve evaluate --catalogue bodies.sqlite --whitening none --csv none/
     pcretrieve report -c bodies.sqlite --versus none/queries.csv -o bodies.html
     """
-    page = pr.report(store, output, options=options, **shown)
-    return out.Result(
-        {"page": page}, options, lambda: out.write_lines(shown_path(str(page)))
+    matrix = read_distances(file)
+    store, options = comparison.opened(catalogue)
+    page = pr.report(
+        store,
+        output,
+        options=options,
+        n_queries=n_queries,
+        k=k,
+        matrix=matrix,
+        versus=versus,
+        up=up,
     )
+    return Result({"page": page}, options, lambda: write_lines(shown_path(str(page))))

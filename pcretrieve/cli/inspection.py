@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,47 +10,58 @@ from typing import Any
 import click
 
 import pcretrieve as pr
-from pcretrieve.cli import options as opt, output as out
 from pcretrieve.cli.messages import say, shown_path
+from pcretrieve.cli.options import (
+    NUMBER,
+    Limits,
+    Processes,
+    ScanSettings,
+    SurfaceSettings,
+    argument,
+    command,
+    option,
+)
+from pcretrieve.cli.output import (
+    Result,
+    write_lines,
+    write_table,
+)
 from pcretrieve.cli.scans import each_scan
 
 # What JSON has of an inspection, beside the files and the signature.
 FOUND = (
-    *(
-        "outcome",
-        "summary",
-        "grade",
-        "checks",
-        "cuts",
-        "bridges",
-        "rescan_errors",
-        "rescan_error",
-    ),
-    *("failure", "steps"),
+    "outcome",
+    "summary",
+    "grade",
+    "checks",
+    "cuts",
+    "bridges",
+    "rescan_errors",
+    "rescan_error",
+    "failure",
+    "steps",
 )
 
 
-@opt.command("inspect")
-@click.argument("scan", type=opt.PATH, metavar="SCAN|FOLDER")
-@opt.option(
-    "--output -o PAGE|FOLDER",
-    "Write this HTML page; for a folder of scans, a folder.  [default: the scan's name with .html, here]",
-    opt.PATH,
-)
-@opt.option("--png FILE", "Write all pictures to one PNG file too.", opt.PATH)
-@opt.option(
-    "--rescans N",
-    "Simulate so many rescans, of nine tenths of the points, for the error bar of the signature.",
-    opt.NUMBER,
-    into="n_rescans",
-    default=4,
-)
-@opt.config_option
-@opt.surface_option
-@opt.process_options
+@command("inspect")
 def inspect_command(
-    scan: Path, output: Path | None, png: Path | None, **run: Any
-) -> out.Result:
+    *,
+    scan: Path = argument("SCAN|FOLDER"),
+    output: Path | None = option(
+        "--output -o PAGE|FOLDER",
+        "Write this HTML page; for a folder of scans, a folder.  "
+        "[default: the scan's name with .html, here]",
+    ),
+    png: Path | None = option("--png FILE", "Write all pictures to one PNG file too."),
+    n_rescans: int = option(
+        "--rescans N",
+        "Simulate so many rescans, of nine tenths of the points, for the error bar of the signature.",
+        NUMBER,
+        default=4,
+    ),
+    settings: SurfaceSettings,
+    run: Processes,
+) -> Result:
     """Show what is wrong with a scan, and what to do about it, on an HTML page.
 
     The page shows points, normals and surface from all sides and in 3D; points that were removed; gaps that
@@ -66,15 +78,20 @@ def inspect_command(
         raise click.UsageError(
             "name a folder for the pages of the scans with -o, and leave out --png"
         )
-    options = opt.load_options(run)
-    asked = {"options": options, "n_rescans": run.pop("n_rescans"), "png": png}
-    run |= {
-        "output": output or Path(scan.stem + ".html"),
-        "suffix": ".html",
-        "is_alone": is_alone,
-    }
-    run["timeout"] *= 1 + asked["n_rescans"]
-    found = list(each_scan("inspect", partial(_inspected, **asked), scan, **run))
+    options = settings.options()
+    # A rescan takes as long as the scan.
+    run = replace(run, timeout=run.timeout * (1 + n_rescans))
+    found = list(
+        each_scan(
+            "inspect",
+            partial(_inspected, options, n_rescans, png),
+            scan,
+            run,
+            output=output or Path(scan.stem + ".html"),
+            suffix=".html",
+            is_alone=is_alone,
+        )
+    )
     if is_alone:
         _say_checks(found[0])
 
@@ -82,38 +99,44 @@ def inspect_command(
         for one in found:
             if "page" in one:
                 words = "" if is_alone else f"  {one['outcome']}  {one['summary']}"
-                out.write_lines(shown_path(one["page"]) + words)
+                write_lines(shown_path(one["page"]) + words)
 
     failed = any("page" not in one or one["failure"] is not None for one in found)
-    return out.Result(found[0] if is_alone else found, options, show, failed)
+    return Result(found[0] if is_alone else found, options, show, failed)
 
 
-def _inspected(scan: Path, page: Path, **asked: Any) -> dict[str, Any]:
+def _inspected(
+    options: pr.PipelineOptions, n_rescans: int, png: Path | None, scan: Path, page: Path
+) -> dict[str, Any]:
     """Inspect a scan in a worker process, which writes the page. Returns what JSON has of it."""
-    found = pr.inspect(scan, page=page, **asked)
+    found = pr.inspect(scan, options, n_rescans=n_rescans, page=page, png=png)
     signature = None if found.signature is None else found.signature.values
-    written = {"page": str(page.absolute()), "png": asked["png"], "signature": signature}
+    written = {"page": str(page.absolute()), "png": png, "signature": signature}
     return written | {name: getattr(found, name) for name in FOUND}
 
 
 def _say_checks(found: dict[str, Any]) -> None:
+    rows = []
     for check in found["checks"]:
         advice = "" if check.outcome == "passed" else f": {check.words}"
-        say(f"{check.outcome:<6}  {check.name:<16}  {check.shown}{advice}", indent=26)
+        rows.append((check.outcome, check.name, check.shown + advice))
+    write_table({"": "text", " ": "text", "  ": "words"}, rows, err=True)
     if found["grade"] is not None:
         say(f"The scan is {found['grade']}.")
     say(found["summary"])
 
 
-@opt.command("report-problem")
-@click.argument("scan", type=opt.PATH, metavar="SCAN")
-@opt.option("--output -o ZIP", "Write this file.  [default: SCAN-problem.zip]", opt.PATH)
-@opt.option("--with-scan", "Pack the scan too.")
-@opt.settings_options
-@opt.limit_options
+@command("report-problem")
 def report_problem_command(
-    scan: Path, output: Path | None, with_scan: bool, **limits: Any
-) -> out.Result:
+    *,
+    scan: Path = argument("SCAN"),
+    output: Path | None = option(
+        "--output -o ZIP", "Write this file.  [default: SCAN-problem.zip]"
+    ),
+    with_scan: bool = option("--with-scan", "Pack the scan too."),
+    settings: ScanSettings,
+    limits: Limits,
+) -> Result:
     """Pack one file to send to us when a scan fails. It does not contain the scan.
 
     The scan is processed once more. The ZIP file has versions, settings, the error, the log, and name, size,
@@ -122,9 +145,16 @@ def report_problem_command(
     \b
     pcretrieve lab report-problem scan.ply
     """
-    options = opt.load_options(limits)
+    options = settings.options()
     output = output or Path(f"{scan.stem}-problem.zip")
-    found = pr.report_problem(scan, output, options, with_scan=with_scan, **limits)
+    found = pr.report_problem(
+        scan,
+        output,
+        options,
+        with_scan=with_scan,
+        timeout=limits.timeout,
+        memory=limits.memory,
+    )
     failure = found["failure"]
     if isinstance(failure, dict):
         say(f"failed in {failure['stage']}: {failure['message']}")
@@ -136,8 +166,8 @@ def report_problem_command(
     say(
         f"attach this file to your report; it has {'the' if with_scan else 'no'} points of the scan"
     )
-    return out.Result(
+    return Result(
         {"file": output, "failure": failure},
         options,
-        lambda: out.write_lines(str(output)),
+        lambda: write_lines(str(output)),
     )

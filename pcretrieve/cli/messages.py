@@ -10,18 +10,20 @@ import shutil
 import sys
 import textwrap
 import time
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from threading import Event, RLock, Thread
-from typing import TYPE_CHECKING, Any, TextIO
+from threading import RLock, Timer
+from typing import TYPE_CHECKING, TextIO
 
 import click
 
 from pcretrieve.errors import InputError
 
 if TYPE_CHECKING:
-    from tqdm import tqdm
+    from rich.live import Live
+    from rich.table import Table
+    from rich.text import Text
 
     import pcretrieve as pr
     from pcretrieve.values import Failure
@@ -53,11 +55,12 @@ NEXT_WORD = 1.0
 # Least time between two lines of progress where standard error is no terminal; seconds.
 LINE_INTERVAL = 60.0
 
-_answered = (
-    Event()
-)  # results or progress are shown, and the line of waiting is not needed any more
-_waiting: list[Thread] = []
+# The line at the bottom of the terminal, below which no message is printed, and the lock of both.
+_bottom: list[Live] = []
 _writing = RLock()
+
+# What ends the line of waiting.
+_waiting: list[ExitStack] = []
 
 
 def escaped(text: str) -> str:
@@ -75,7 +78,7 @@ def shown_path(path: str) -> str:
     return path.removeprefix(f"{Path.cwd()}{os.sep}")
 
 
-def broken(text: str, stream: TextIO, indent: int = 0) -> str:
+def broken(text: str, stream: TextIO) -> str:
     """A line broken between words, as a terminal shows it; the line itself, if the stream is none."""
     width = shutil.get_terminal_size().columns
     if not stream.isatty() or len(text) <= width:
@@ -84,23 +87,32 @@ def broken(text: str, stream: TextIO, indent: int = 0) -> str:
     return textwrap.fill(
         text,
         width,
-        subsequent_indent=" " * indent,
         break_long_words=False,
         break_on_hyphens=False,
     )
 
 
-def say(message: str, *, indent: int | None = 0) -> None:
-    """Print a message for users on standard error; the command goes on if that cannot be written."""
+def say(message: str, *, is_broken: bool = True) -> None:
+    """Print a message for users on standard error."""
     text = escaped(without_password(message))
-    if indent is not None:
-        text = broken(text, sys.stderr, indent)
+    if is_broken:
+        text = broken(text, sys.stderr)
     for word in WARNING_WORDS:
         if text.startswith(word) and not os.environ.get("NO_COLOR"):
             text = click.style(word, fg="red") + text.removeprefix(word)
+    tell(text)
+
+
+def tell(text: str) -> None:
+    """Print text on standard error as it is; the command goes on if that cannot be written."""
     try:
-        with _between_bars():
-            click.echo(text, err=True)  # without colours, if that is no terminal
+        with _writing:
+            if _bottom:
+                from rich.text import Text
+
+                _bottom[-1].console.print(Text.from_ansi(text), soft_wrap=True)
+            else:
+                click.echo(text, err=True)  # without colours, if that is no terminal
     except OSError:
         silence(sys.stderr)
 
@@ -110,8 +122,14 @@ def may(question: str, *, otherwise: bool) -> bool:
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return otherwise
     stop_waiting()
-    with _between_bars():
-        return click.confirm(escaped(without_password(question)), err=True)
+    with _writing:
+        for line in _bottom:
+            line.stop()
+        try:
+            return click.confirm(escaped(without_password(question)), err=True)
+        finally:
+            for line in _bottom:
+                line.start()
 
 
 def silence(stream: TextIO) -> None:
@@ -192,53 +210,70 @@ def log_to(path: Path) -> None:
 # --- waiting and progress ------------------------------------------------------------------------------
 
 
+@contextmanager
+def _at_bottom(line: Callable[[], Text | Table], *, stays: bool) -> Iterator[None]:
+    """Show a line at the bottom of the terminal, below messages, and leave it there at the end or not."""
+    from rich.console import Console
+    from rich.live import Live
+
+    class Terminal(Console):
+        def show_cursor(self, show: bool = True) -> bool:
+            """Leave the cursor as it is: a process that is killed would not show it again."""
+            return False
+
+    live = Live(
+        get_renderable=line,
+        console=Terminal(stderr=True),
+        refresh_per_second=1 / NEXT_WORD,
+        transient=not stays,
+        redirect_stdout=False,
+        redirect_stderr=False,
+    )
+    with _writing:
+        live.start(refresh=True)
+        _bottom.append(live)
+    try:
+        yield
+    finally:
+        with _writing, suppress(OSError):  # the terminal may be closed
+            _bottom.remove(live)
+            live.stop()
+
+
 def tell_of_waiting(command: str) -> None:
-    """Show what a command does in a line of the terminal, if there is one, until `stop_waiting` is called."""
-    if sys.stderr.isatty():
-        _answered.clear()
-        _waiting.append(Thread(target=_tell, args=(command,), daemon=True))
-        _waiting[-1].start()
+    """Show what a command does in a line of the terminal, if there is one, until `stop_waiting` is called.
+
+    The line has the latest message of the library, and for how long the command has been at work.
+    """
+    if not sys.stderr.isatty():
+        return
+    latest, started, end = _Latest(logging.INFO), time.monotonic(), ExitStack()
+
+    def line() -> Text:
+        from rich.text import Text
+
+        seconds = time.monotonic() - started
+        words = escaped(f"{command}: {latest.message}, {seconds:.0f} s")
+        return Text(words, no_wrap=True, overflow="ellipsis")
+
+    def show() -> None:
+        with _writing:
+            if end in _waiting:
+                end.enter_context(_at_bottom(line, stays=False))
+
+    end.enter_context(_heard(latest))
+    timer = Timer(FIRST_WORD, show)
+    timer.daemon = True
+    end.callback(timer.cancel)
+    _waiting.append(end)
+    timer.start()
 
 
 def stop_waiting() -> None:
     """Show no more of it: the command shows results or progress, or has ended."""
-    _answered.set()
-    while _waiting:
-        _waiting.pop().join(NEXT_WORD)  # it clears the line
-
-
-def _tell(command: str) -> None:
-    """Show the latest message, and for how long the command has been at work."""
-    started, latest = time.monotonic(), _Latest(logging.INFO)
-    with _heard(latest):
-        if _answered.wait(FIRST_WORD):
-            return
-        with (
-            suppress(OSError),
-            bar(bar_format="{desc}", leave=False) as line,
-        ):  # the terminal may be closed
-            while not _answered.is_set():
-                text = f"{command}: {latest.message}, {time.monotonic() - started:.0f} s"
-                printable = "".join(sign if sign.isprintable() else "?" for sign in text)
-                line.set_description_str(
-                    printable[: shutil.get_terminal_size().columns - 1]
-                )
-                _answered.wait(NEXT_WORD)
-
-
-def bar(**settings: Any) -> tqdm[Any]:
-    """A bar of tqdm on standard error, without the lock between processes, which would start another one."""
-    from tqdm import tqdm
-
-    tqdm.set_lock(_writing)
-    size = shutil.get_terminal_size()  # also where the terminal does not know its size
-    return tqdm(ncols=size.columns - 1, nrows=size.lines, **settings)
-
-
-def _between_bars() -> AbstractContextManager[Any]:
-    """Clear the bars and lines that are shown, and show them again below what is printed meanwhile."""
-    module = sys.modules.get("tqdm")
-    return module.tqdm.external_write_mode(file=sys.stderr) if module else nullcontext()
+    with _writing:
+        while _waiting:
+            _waiting.pop().close()
 
 
 class Progress:
@@ -247,22 +282,21 @@ class Progress:
     def __init__(self, command: str, mode: str = "bar") -> None:
         self._command, self._mode = command, mode
         self._n_done = self._n_failed = self._total = 0
-        self._bar: tqdm[Any] | None = None
+        self._end = ExitStack()
         self._started = self._said = time.monotonic()
 
     def __enter__(self) -> Progress:
         return self
 
     def __exit__(self, *error: object) -> None:
-        if self._bar is not None:
-            self._bar.close()
+        self._end.close()
 
     def start(self, total: int) -> None:
         """Show that so many scans will be finished."""
         self._total = total
         stop_waiting()
         if self._mode == "bar" and sys.stderr.isatty():
-            self._bar = bar(total=total, unit="scan", desc=self._command)
+            self._end.enter_context(_at_bottom(self._bar, stays=True))
         elif self._mode == "bar":
             say(f"{self._command}: {total} scans")
 
@@ -276,24 +310,32 @@ class Progress:
                 "failures": self._n_failed,
                 "total": self._total,
             }
-            say(json.dumps(facts | counts, ensure_ascii=False), indent=None)
+            say(json.dumps(facts | counts, ensure_ascii=False), is_broken=False)
         elif failure is not None:
             say(failure)
-        if self._bar is not None:
-            self._bar.set_postfix(failed=self._n_failed, refresh=False)
-            self._bar.update()
-        elif (
-            self._mode == "bar"
-            and self._total
-            and time.monotonic() - self._said >= LINE_INTERVAL
-        ):
-            self._said = time.monotonic()
-            seconds = self._said - self._started
-            left = duration(seconds / self._n_done * (self._total - self._n_done))
-            say(
-                f"{self._command}: {self._n_done} of {self._total} scans, {self._n_failed} failed, after "
-                f"{duration(seconds)}, {left} left"
-            )
+        now = time.monotonic()
+        is_log = self._mode == "bar" and self._total and not sys.stderr.isatty()
+        if is_log and now - self._said >= LINE_INTERVAL:
+            self._said = now
+            say(f"{self._command}: {self._words()}")
+
+    def _words(self) -> str:
+        """How many scans are finished, after what time, and how long the others will take."""
+        seconds = time.monotonic() - self._started
+        words = f"{self._n_done} of {self._total} scans, {self._n_failed} failed, after {duration(seconds)}"
+        if 0 < self._n_done < self._total:
+            left = seconds / self._n_done * (self._total - self._n_done)
+            words += f", {duration(left)} left"
+        return words
+
+    def _bar(self) -> Table:
+        from rich.progress_bar import ProgressBar
+        from rich.table import Column, Table
+
+        line = Table.grid("", "", Column(no_wrap=True), padding=(0, 1))
+        bar = ProgressBar(self._total, self._n_done)
+        line.add_row(self._command, bar, self._words())
+        return line
 
 
 def duration(seconds: float) -> str:

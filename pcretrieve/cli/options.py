@@ -1,4 +1,16 @@
-"""Options that several commands share, what a shell completes, and the command that prints all options.
+"""How commands declare their options, those that several share, and what a shell completes.
+
+The parameters of a function are those of its command: each has its option as its default. Options that go
+together are a group, a frozen dataclass, which a function gets and passes on whole::
+
+    @dataclass(frozen=True)
+    class Limits:
+        timeout: float = option("--timeout SECONDS", "Give up then.", SECONDS, default=600)
+
+    @command("inspect")
+    def inspect_command(*, scan: Path = argument("SCAN"), limits: Limits) -> Result: ...
+
+The type says whether an option is a flag, takes a path or one of some words, and whether it must be given.
 
 `--help` of a command fits a screen: it only names rare options, which `--help-all` explains.
 """
@@ -7,10 +19,15 @@ from __future__ import annotations
 
 import os
 import textwrap
-from collections.abc import Callable, Iterable
-from functools import partial, wraps
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, is_dataclass
+from functools import cache, partial
+from importlib.resources import files
+from inspect import signature
 from pathlib import Path
-from typing import Any, TypeVar
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import click
 from click.shell_completion import CompletionItem
@@ -27,9 +44,7 @@ from pcretrieve.cli.output import (
     prints_json,
 )
 from pcretrieve.errors import PcretrieveError
-from pcretrieve.plugins import DESCRIPTOR_NAMES, METHODS
-
-Decorated = TypeVar("Decorated", bound=Callable[..., Any])
+from pcretrieve.plugins import DESCRIPTOR_NAMES, METHODS, option_texts
 
 #: The environment variable that names the catalogue of commands without ``--catalogue``.
 CATALOGUE_VARIABLE = "PCRETRIEVE_CATALOGUE"
@@ -39,40 +54,142 @@ ALL = "pcretrieve.help_all"
 
 LABEL = "label="
 
-# The names of `comparison_options`.
-SIGNATURE_FLAGS = ("method", "n_values", "scale", "size_weight")
-RETRIEVAL_FLAGS = ("distance", "whitening", "rerank")
-COMPARISON = ("config", *SIGNATURE_FLAGS, *RETRIEVAL_FLAGS)
-
 MATCHERS = ("heat-hausdorff", "hks-bow-gallery", "mds-cm-bof", "meshsift")
-WHITENING_NAMES = (
-    "auto",
-    "unsupervised",
-    "none",
-    "people",
-    "neighbours",
-    "pca",
-    "within-class",
-)
 
-# What messages call the values of these types.
-KINDS = {click.IntRange: "whole number", click.FloatRange: "number"}
+# The tables of options by which shapes are compared. A catalogue has its own, and few people set others.
+COMPARED = ("signature", "retrieval")
+
+#: The type of an option that names a catalogue: a string, because a path would lose a slash of a URL.
+CATALOGUE = click.Path()
+PATH = click.Path(path_type=Path)
+
+
+class WholeNumber(click.IntRange):
+    """A whole number, which messages call so."""
+
+    name = "whole number"
+
+
+class Number(click.FloatRange):
+    """A number, which messages call so."""
+
+    name = "number"
+
+
+COUNT = WholeNumber(min=1)
+NUMBER = WholeNumber(min=0)
+SECONDS = Number(min=1)
+GIBIBYTES = Number(min=0.5)
 
 
 class Option(click.Option):
-    """An option; a rare one is explained by ``--help-all`` only."""
+    """An option; a rare one is explained by ``--help-all`` only.
 
-    def __init__(self, *args: Any, rare: bool = False, **kwargs: Any) -> None:
+    sets: the option of the pipeline that it sets, such as signature.scale, and whose text it has.
+    """
+
+    def __init__(
+        self, *args: Any, rare: bool = False, sets: str = "", **kwargs: Any
+    ) -> None:
         super().__init__(*args, **kwargs)
-        self.is_rare = rare
+        self.is_rare = rare or sets.startswith(COMPARED)
+        self.sets, self.text = sets, self.help
 
     def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
         """Name and text of the option; nothing for a rare one in ``--help``."""
-        return (
-            None
-            if self.is_rare and not ctx.meta.get(ALL)
-            else super().get_help_record(ctx)
+        if self.is_rare and not ctx.meta.get(ALL):
+            return None
+        if self.sets:
+            text, default = _texts()[self.sets]
+            stored = ", or the catalogue's" if self.is_rare else ""
+            said = f"{text} {self.text}".rstrip()
+            self.help = f"{said}  [default: {default}{stored}]"
+        return super().get_help_record(ctx)
+
+
+@cache
+def _texts() -> dict[str, tuple[str, str]]:
+    """Text and default of each option of the pipeline, read without an import of them, which takes .2 s."""
+    tables = files("pcretrieve") / "options" / "tables.py"
+    return option_texts(tables.read_text(encoding="utf-8"))
+
+
+def option(spec: str, text: str = "", kind: Any = None, **settings: Any) -> Any:
+    """Declare an option, as the default of a parameter.
+
+    spec: the names, and what stands for the value in the help, as in ``--output -o FILE``; a flag has none.
+    kind: a type of click, where the type of the parameter does not say all.
+    settings: those of `Option`.
+    """
+    words = spec.split()
+    names = [word for word in words if word.startswith("-")]
+    metavar = " ".join(words[len(names) :]) or None
+
+    def made(name: str, hint: Any) -> Option:
+        type_, may_lack = _type(hint)
+        is_flag = type_ is bool
+        own: dict[str, Any] = {"default": None} if may_lack else {}
+        own["required"] = not (may_lack or is_flag or "default" in settings)
+        return Option(
+            [*names, name],
+            type=kind or type_,
+            metavar=metavar,
+            help=text,
+            is_flag=is_flag or None,
+            **{"show_default": True} | own | settings,
         )
+
+    return made
+
+
+#: Declares an option that only ``--help-all`` explains.
+rare_option = partial(option, rare=True)
+
+
+def argument(metavar: str, kind: Any = None, **settings: Any) -> Any:
+    """Declare an argument, as the default of a parameter; settings: those of click."""
+
+    def made(name: str, hint: Any) -> click.Argument:
+        nargs = -1 if get_origin(hint) is tuple else 1
+        type_ = kind or _type(hint)[0]
+        return click.Argument(
+            [name], metavar=metavar, type=type_, nargs=nargs, **settings
+        )
+
+    return made
+
+
+def _type(hint: Any) -> tuple[Any, bool]:
+    """The type of click for the values of a type, each of several, and whether there may be none."""
+    may_lack = get_origin(hint) in (Union, UnionType)
+    (type_,) = {*(get_args(hint) if may_lack else [hint])} - {NoneType}
+    if get_origin(type_) is Literal:
+        return click.Choice(get_args(type_)), may_lack
+    if get_origin(type_) in (tuple, list):
+        type_ = get_args(type_)[0]
+    return PATH if type_ is Path else type_, may_lack
+
+
+def declared(holder: Any) -> Iterator[click.Parameter]:
+    """The parameters of click of a function or of a group, in their order, groups opened."""
+    hints = get_type_hints(holder)
+    for name, parameter in signature(holder).parameters.items():
+        if is_dataclass(hints[name]):
+            yield from declared(hints[name])
+        else:
+            yield parameter.default(name, hints[name])
+
+
+def _called(holder: Any, values: Mapping[str, Any]) -> Any:
+    """Call a function, or make a group, with the values of its parameters."""
+    hints = get_type_hints(holder)
+    hints.pop("return", None)
+    return holder(
+        **{
+            name: _called(hint, values) if is_dataclass(hint) else values[name]
+            for name, hint in hints.items()
+        }
+    )
 
 
 class Command(click.Command):
@@ -80,6 +197,7 @@ class Command(click.Command):
 
     def __init__(self, *args: Any, has_json: bool = True, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
+        self.params += [*declared(self.callback)]
         self.params += [_JSON, _JSON_LINES] * has_json
         self._rare = [
             one.opts[0] for one in self.params if isinstance(one, Option) and one.is_rare
@@ -108,10 +226,8 @@ class Command(click.Command):
                 raise
             except click.UsageError as error:
                 stray = [word for word in given if word.endswith(".sqlite")]
-                takes_one = {"-c", "--catalogue"} & {
-                    name for one in self.params for name in one.opts
-                }
-                if stray and takes_one and not takes_one & {*given}:
+                takes_one = any("-c" in one.opts for one in self.params)
+                if stray and takes_one and not {"-c", "--catalogue"} & {*given}:
                     raise click.UsageError(
                         f"write -c before a catalogue: -c {stray[0]}", ctx
                     ) from error
@@ -123,7 +239,7 @@ class Command(click.Command):
 
         with errors_as_json(ctx, prints_json()):
             tuned_process()
-            result = super().invoke(ctx)
+            result = ctx.invoke(_called, self.callback, ctx.params)
             if isinstance(result, Result):
                 print_result(result)
                 if result.failed:
@@ -134,41 +250,6 @@ class Command(click.Command):
 command = partial(click.command, cls=Command)
 
 
-def option(
-    spec: str, text: str, kind: Any = None, *, into: str = "", **settings: Any
-) -> Callable[[Decorated], Decorated]:
-    """Add an option to a command.
-
-    spec: the names, and what stands for the value in the help, as in ``--output -o FILE``; a flag has none.
-    kind: a type of click, or the values of a choice.
-    into: the name of the parameter, if it is another one.
-    """
-    words = spec.split()
-    names = [word for word in words if word.startswith("-")]
-    metavar = " ".join(words[len(names) :]) or None
-    is_flag = kind is None and metavar is None
-    settings.setdefault(
-        "show_default", settings.get("default") is not None and not is_flag
-    )
-    chosen = click.Choice(kind) if isinstance(kind, tuple) else kind
-    if type(kind) in KINDS:
-        kind.name = KINDS[type(kind)]
-    names += [into] if into else []
-    return click.option(
-        *names,
-        cls=Option,
-        type=chosen,
-        metavar=metavar,
-        is_flag=is_flag or None,
-        help=text,
-        **settings,
-    )
-
-
-#: An option that only ``--help-all`` explains.
-rare_option = partial(option, rare=True)
-
-
 def _show_all(context: click.Context, parameter: click.Parameter, is_given: bool) -> None:
     if is_given and not context.resilient_parsing:
         context.meta[ALL] = True
@@ -176,39 +257,30 @@ def _show_all(context: click.Context, parameter: click.Parameter, is_given: bool
         context.exit()
 
 
-_JSON = click.Option(
-    [JSON_FLAG],
-    is_flag=True,
+_JSON = option(
+    JSON_FLAG, "Print one JSON document.", expose_value=False, callback=choose_json
+)("json", bool)
+_JSON_LINES = rare_option(
+    JSON_LINES_FLAG,
+    "Print each element of the result as a line of JSON, as soon as it is known.",
     expose_value=False,
     callback=choose_json,
-    help="Print one JSON document.",
-)
-_JSON_LINES = Option(
-    [JSON_LINES_FLAG],
-    rare=True,
-    is_flag=True,
-    expose_value=False,
-    callback=choose_json,
-    help="Print each element of the result as a line of JSON, as soon as it is known.",
-)
-_HELP_ALL = click.Option(
-    ["--help-all"],
-    is_flag=True,
+)("json_lines", bool)
+_HELP_ALL = option(
+    "--help-all",
+    "Show all options.",
     is_eager=True,
     expose_value=False,
     callback=_show_all,
-    help="Show all options.",
-)
+)("help_all", bool)
 
 
 # --- completion by the shell ---------------------------------------------------------------------------
 
-Completion = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
-
 
 def _completion(
     names: Callable[[click.Context], Iterable[str]], *, or_files: bool = False
-) -> Completion:
+) -> Callable[..., list[CompletionItem]]:
     """What completes one of these names; if none begins with what is typed, a file."""
 
     def complete(
@@ -256,181 +328,180 @@ complete_methods = _completion(lambda context: DESCRIPTOR_NAMES.all())
 
 def classes_of(
     context: click.Context, parameter: click.Parameter, conditions: tuple[str, ...]
-) -> list[str]:
-    """The classes of conditions ``label=CLASS`` on the shapes that are searched."""
+) -> list[str] | None:
+    """The classes of conditions ``label=CLASS`` on the shapes that are searched; None for all."""
     for condition in conditions:
         if not condition.startswith(LABEL):
             raise click.BadParameter(
                 f"must be label=CLASS, got {condition!r}", context, parameter
             )
-    return [condition.removeprefix(LABEL) for condition in conditions]
+    return [condition.removeprefix(LABEL) for condition in conditions] or None
 
 
 # --- options of many commands --------------------------------------------------------------------------
 
-#: The type of an option that names a catalogue: a string, because a path would lose a slash of a URL.
-CATALOGUE = click.Path()
-PATH = click.Path(path_type=Path)
-COUNT = click.IntRange(min=1)
-NUMBER = click.IntRange(min=0)
+Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
+Unit = Literal["um", "mm", "cm", "dm", "m", "km", "in", "ft"]
 
 catalogue_option = option(
     "--catalogue -c FILE|URL",
     "The catalogue.",
     CATALOGUE,
-    required=True,
     envvar=CATALOGUE_VARIABLE,
     show_envvar=True,
 )
-workers_option = option(
-    "--workers N", "Scans at a time.", COUNT, show_default="one per core"
-)
-progress_option = rare_option(
-    "--progress",
-    "Show a bar (a line a minute in a log file), one line of JSON for each scan, or nothing.",
-    ("bar", "json", "none"),
-    default="bar",
-)
 verbose_option = option(
-    "--verbose -v", "Print how shapes were compared, and all measures.", into="is_verbose"
-)
-labels_option = option(
-    "--labels CSV|LAYOUT", "Use these classes, not the stored ones; see `ingest --help`."
+    "--verbose -v", "Print how shapes were compared, and all measures."
 )
 up_option = rare_option(
     "--up",
     "Turn pictures so that this axis of the files points up.  [default: found for each shape]",
-    ("x", "-x", "y", "-y", "z", "-z"),
+)
+matrix_option = rare_option(
+    "--matrix FILE",
+    "Rank by the distances in this file, which `write_matrix` in Python writes.",
 )
 config_option = option(
     "--config TOML|PRESET",
-    "Settings: a file made by `pcretrieve lab options`, or body-scanner, handheld, depth-camera, clean-mesh.",
-    PATH,
+    "Settings: a file made by `pcretrieve lab options`, or body-scanner, handheld, depth-camera, "
+    "clean-mesh.",
     shell_complete=complete_presets,
 )
-surface_option = option(
-    "--surface WHICH",
-    "Meshes to rebuild: auto (those with holes or defects), reconstruct (all), keep (none).",
-    ("auto", "reconstruct", "keep"),
-)
-unit_option = option(
-    "--unit UNIT",
-    "Unit of files that name none: um mm cm dm m km in ft.",
-    ("um", "mm", "cm", "dm", "m", "km", "in", "ft"),
-)
+unit_option = option("--unit UNIT", sets="scan.unit")
 
 
-def limit_options(
-    command: Decorated,
-    *,
-    unit: str = "scan",
-    time: float = 600,
-    memory: float | None = None,
-) -> Decorated:
-    """Options that limit time and memory of the processes in which a command works."""
-    seconds, space = click.FloatRange(min=1), click.FloatRange(min=0.5)
-    text = "Give a worker process no more memory than this."
-    command = rare_option("--memory GIB", text, space, default=memory)(command)
-    text = f"Give up after this time for each {unit}."
-    return rare_option("--timeout SECONDS", text, seconds, default=time)(command)
+@dataclass(frozen=True)
+class Limits:
+    """The limits of the processes in which a command works: seconds, and GiB."""
+
+    timeout: float = rare_option(
+        "--timeout SECONDS",
+        "Give up after this time for each scan.",
+        SECONDS,
+        default=600,
+    )
+    memory: float | None = rare_option(
+        "--memory GIB", "Give a worker process no more memory than this.", GIBIBYTES
+    )
 
 
-def process_options(command: Decorated) -> Decorated:
-    """Options of commands that work on many scans in processes."""
-    return workers_option(limit_options(progress_option(command)))
+@dataclass(frozen=True)
+class Processes(Limits):
+    """The processes that work on many scans, and what is shown meanwhile."""
+
+    workers: int | None = option(
+        "--workers N", "Scans at a time.", COUNT, show_default="one per core"
+    )
+    progress: Literal["bar", "json", "none"] = rare_option(
+        "--progress",
+        "Show a bar (a line a minute in a log file), one line of JSON for each scan, or nothing.",
+        default="bar",
+    )
 
 
-def settings_options(command: Decorated) -> Decorated:
-    """Options that determine how scans are read and reconstructed; `load_options` takes their values."""
-    return config_option(surface_option(unit_option(command)))
+@dataclass(frozen=True)
+class Settings:
+    """A configuration, and options of the pipeline that are given beside it."""
+
+    config: Path | None = config_option
+
+    def options(self, base: pr.PipelineOptions | None = None) -> pr.PipelineOptions:
+        """The options of a catalogue, or the defaults, with what was given."""
+        return pr.PipelineOptions.of(self.config, base).changed(**self.changes())
+
+    def changes(self) -> dict[str, dict[str, object]]:
+        """The options that were given, by table."""
+        tables: dict[str, dict[str, object]] = defaultdict(dict)
+        for one in declared(type(self)):
+            value = getattr(self, str(one.name))
+            if isinstance(one, Option) and one.sets and value is not None:
+                table, _, name = one.sets.partition(".")
+                tables[table][name] = value
+        return tables
 
 
-def load_options(values: dict[str, Any]) -> pr.PipelineOptions:
-    """Take ``--config``, ``--surface`` and ``--unit`` from the values of a command."""
-    given = {
-        "surface": {"mode": values.pop("surface", None)},
-        "scan": {"unit": values.pop("unit", None)},
-    }
-    changed = {
-        table: chosen for table, chosen in given.items() if None not in chosen.values()
-    }
-    return pr.PipelineOptions.of(values.pop("config")).changed(**changed)
+@dataclass(frozen=True)
+class SurfaceSettings(Settings):
+    """How surfaces are reconstructed."""
+
+    surface: Literal["auto", "reconstruct", "keep"] | None = option(
+        "--surface WHICH", sets="surface.mode"
+    )
+
+
+@dataclass(frozen=True)
+class ScanSettings(SurfaceSettings):
+    """How scans are read and reconstructed."""
+
+    unit: Unit | None = unit_option
 
 
 # --- options of commands that compare shapes -----------------------------------------------------------
 
-matrix_option = rare_option(
-    "--matrix FILE",
-    "Rank by the distances in this file, which `write_matrix` in Python writes.",
-    PATH,
-)
-method_option = rare_option(
-    "--method NAME",
-    f"Descriptor, or several joined by +: {', '.join(METHODS)}.  [default: hapt+r-bihdm, or the catalogue's]",
-    shell_complete=complete_methods,
-)
-n_values_option = rare_option(
-    "--n-values L",
-    "Number of values of the descriptor.  [default: 23, or the catalogue's]",
-    COUNT,
-)
-scale_option = rare_option(
-    "--scale",
-    "Divide values by the area of the surface (area), by the first value (relative), or leave them, so that "
-    "they depend on the size of bodies (absolute).  [default: area, or the catalogue's]",
-    ("area", "relative", "absolute"),
-)
-size_weight_option = rare_option(
-    "--size-weight W",
-    "Weight of the size of bodies beside their form; 6 is best for people. All files need known units, or "
-    "the same one.  [default: 0, or the catalogue's]",
-    click.FloatRange(min=0, max=20),
-)
-_overlay_option = rare_option(
-    "--config TOML|PRESET",
-    "Settings in place of the catalogue's: a file with the tables [signature] and [retrieval], or a preset.",
-    PATH,
-    shell_complete=complete_presets,
-)
-_rerank_option = rare_option(
-    "--rerank",
-    "Sort the first hundred results again by the neighbours that two shapes share, but keep the first.  "
-    "[default: none, or the catalogue's]",
-    ("none", "k-reciprocal"),
-)
-_whitening_option = rare_option(
-    "--whitening NAME|FILE",
-    "Differences that count less: those between scans of one person (people), near shapes (neighbours), "
-    "within classes (within-class), between all shapes (pca), those in a FILE of `calibrate`, or none. auto "
-    "is people for scans of people; else within-class if there are enough labels, else neighbours; "
-    "unsupervised is auto without labels, as in `evaluate`.  [default: auto, or the catalogue's]",
-)
-_distance_option = rare_option(
-    "--distance",
-    "Euclidean distance of log-signatures (log), or D1 or D2 of the paper.  [default: log, or the "
-    "catalogue's]",
-    ("log", "d1", "d2"),
-)
+
+@dataclass(frozen=True)
+class SignatureSettings(Settings):
+    """The descriptor by which shapes are compared."""
+
+    method: str | None = option(
+        "--method NAME",
+        f"Names: {', '.join(METHODS)}.",
+        sets="signature.method",
+        shell_complete=complete_methods,
+    )
+    n_values: int | None = option("--n-values L", sets="signature.n_values")
+    scale: Literal["area", "relative", "absolute"] | None = option(
+        "--scale", sets="signature.scale"
+    )
+    size_weight: float | None = option("--size-weight W", sets="signature.size_weight")
 
 
-def comparison_options(command: Decorated) -> Decorated:
-    """Add the options that determine how shapes are compared; `opened` takes their values."""
-    command = size_weight_option(_overlay_option(command))
-    command = method_option(n_values_option(scale_option(command)))
-    return _distance_option(_whitening_option(_rerank_option(command)))
+@dataclass(frozen=True)
+class Comparison(SignatureSettings):
+    """How shapes are compared: what is given in place of the options of a catalogue."""
 
+    distance: Literal["log", "d1", "d2"] | None = option(
+        "--distance", sets="retrieval.distance"
+    )
+    whitening: str | None = option(
+        "--whitening NAME|FILE",
+        "Or a FILE of `lab calibrate`.",
+        sets="retrieval.whitening",
+    )
+    rerank: Literal["none", "k-reciprocal"] | None = option(
+        "--rerank", sets="retrieval.rerank"
+    )
+    config: Path | None = rare_option(
+        "--config TOML|PRESET",
+        "Settings in place of the catalogue's: a file with [signature] and [retrieval], or a preset.",
+        shell_complete=complete_presets,
+    )
 
-def on_catalogue(command: Callable[..., Result]) -> Callable[..., Result]:
-    """Add the same, and give a command the opened catalogue, the options, and the distances of a matrix."""
+    def changes(self) -> dict[str, dict[str, object]]:
+        """The same; a whitening by name replaces a file that the configuration names, and vice versa."""
+        from pcretrieve.options import WhiteningKind
 
-    @wraps(command)
-    def opening(catalogue: str, **values: Any) -> Result:
-        if "matrix" in values:
-            values["matrix"] = read_distances(values, *COMPARISON)
+        if self.method in MATCHERS:
+            raise click.UsageError(
+                f"{self.method} compares pairs of surfaces, and has no signatures: write its distances "
+                f"in Python by pr.write_matrix(pr.matrix(CATALOGUE, matcher={self.method!r}), FILE), and "
+                "give --matrix FILE"
+            )
+        changed = super().changes()
+        if self.whitening in get_args(WhiteningKind):
+            changed["retrieval"]["calibration"] = None
+        elif self.whitening is not None:
+            changed["retrieval"]["calibration"] = changed["retrieval"].pop("whitening")
+        return changed
+
+    def opened(self, catalogue: str) -> tuple[pr.Catalogue, pr.PipelineOptions]:
+        """A catalogue, and the options with which its shapes are compared."""
         store = opened(catalogue)
-        return command(store, compared(store, values), **values)
+        return store, self.options(store.options)
 
-    return comparison_options(opening)
+
+# The names of the options of a comparison.
+COMPARISON = [str(one.name) for one in declared(Comparison)]
 
 
 def opened(catalogue: str, *, any_numbers: bool = False) -> pr.Catalogue:
@@ -440,43 +511,15 @@ def opened(catalogue: str, *, any_numbers: bool = False) -> pr.Catalogue:
     )
 
 
-def compared(store: pr.Catalogue, values: dict[str, Any]) -> pr.PipelineOptions:
-    """The options with which a command compares shapes, taken from its values."""
-    return pr.PipelineOptions.of(values.pop("config"), store.options).changed(
-        **changes(values)
-    )
+def read_distances(file: Path | None, *, used: str = "") -> pr.DistanceMatrix | None:
+    """The distances of ``--matrix``, in place of what the options of a comparison determine.
 
-
-def changes(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """The changed options of a comparison by table, taken from the values of a command."""
-    signature, retrieval = (
-        taken(values, *SIGNATURE_FLAGS),
-        taken(values, *RETRIEVAL_FLAGS),
-    )
-    if (method := signature.get("method")) in MATCHERS:
-        raise click.UsageError(
-            f"{method} compares pairs of surfaces, and has no signatures: write its distances in Python by "
-            f"pr.write_matrix(pr.matrix(CATALOGUE, matcher={method!r}), FILE), and give --matrix FILE"
-        )
-    # A whitening by name replaces a file that the configuration names, and vice versa.
-    if "whitening" in retrieval:
-        is_name = retrieval["whitening"] in WHITENING_NAMES
-        retrieval["calibration"] = None if is_name else retrieval.pop("whitening")
-    return {"signature": signature, "retrieval": retrieval}
-
-
-def taken(values: dict[str, Any], *names: str) -> dict[str, Any]:
-    """Take some options from the values of a command, those that were given."""
-    found = {name: values.pop(name) for name in names}
-    return {name: value for name, value in found.items() if value is not None}
-
-
-def read_distances(values: dict[str, Any], *others: str) -> pr.DistanceMatrix | None:
-    """The distances of ``--matrix``, in place of what other options determine."""
-    if values["matrix"] is None:
+    used: the name of the option of a comparison that is used beside a matrix.
+    """
+    if file is None:
         return None
-    refuse("a matrix holds distances already", *others)
-    return pr.read_matrix(values["matrix"])
+    refuse("a matrix holds distances already", *(n for n in COMPARISON if n != used))
+    return pr.read_matrix(file)
 
 
 def refuse(reason: str, *names: str) -> None:
@@ -489,8 +532,7 @@ def refuse(reason: str, *names: str) -> None:
 
 
 @command("options")
-@config_option
-def options_command(**values: Any) -> Result:
+def options_command(settings: Settings) -> Result:
     """Print all settings of the pipeline with their units, as TOML for --config.
 
     \b
@@ -498,5 +540,5 @@ def options_command(**values: Any) -> Result:
     """
     from pcretrieve.options import describe_options
 
-    options = load_options(values)
+    options = settings.options()
     return Result(None, options, lambda: print_text(describe_options(options)))

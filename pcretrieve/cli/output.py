@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
-from unicodedata import combining, east_asian_width
 
 import click
 
@@ -22,6 +21,7 @@ from pcretrieve.cli.messages import (
     broken,
     escaped,
     stop_waiting,
+    tell,
     without_password,
 )
 from pcretrieve.errors import OptionError, PcretrieveError
@@ -57,10 +57,10 @@ LEAST_WORDS = 24
 COLOURS = {"poor": "yellow", "incomplete": "yellow", "failed": "red"}
 
 
-def print_text(text: str, *, nl: bool = True, color: bool | None = None) -> None:
+def print_text(text: str) -> None:
     """Print the text of a result."""
     stop_waiting()
-    click.echo(text, nl=nl, color=color)
+    click.echo(text)
 
 
 def write_lines(*texts: str) -> None:
@@ -77,45 +77,44 @@ def write_words(text: str) -> None:
 def write_csv(text: str) -> None:
     """Print the text of a CSV file: as it is for a program, escaped for a terminal."""
     shown = text.translate(ESCAPES_IN_JSON) if sys.stdout.isatty() else text
-    print_text(
-        shown, nl=False, color=True
-    )  # otherwise click removes what looks like codes of a terminal
+    stop_waiting()
+    # In colour, or click removes what looks like codes of a terminal.
+    click.echo(shown, nl=False, color=True)
 
 
 # The headings of a table, each with the kind of its cells: text, number, path, or in the last column words.
 Columns = Mapping[str, str]
 
 
-def write_table(columns: Columns, rows: Iterable[Sequence[str]]) -> int:
+def write_table(
+    columns: Columns, rows: Iterable[Sequence[str]], *, err: bool = False
+) -> int:
     """Print a table with headings, on a terminal as wide as it is; nothing, if there are no rows.
 
-    A narrow terminal gets no files, and broken sentences; ids are never cut, because people copy them.
+    A narrow terminal gets no files, and broken sentences; ids are never cut, because people copy them. Not by
+    the tables of rich, which take two minutes for 100,000 rows, and print none before they have all.
     """
-    limit = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-    kinds, widths = [*columns.values()], [0] * len(columns)
+    stream, write = (sys.stderr, tell) if err else (sys.stdout, print_text)
+    limit = shutil.get_terminal_size().columns if stream.isatty() else None
+    heading, kinds, widths = [*columns], [*columns.values()], [0] * len(columns)
     remaining, n_rows = iter(rows), 0
     while block := list(islice(remaining, BLOCK)):
         cells = [[escaped(cell) for cell in row] for row in block]
+        if not n_rows and any(name.strip() for name in heading):
+            cells.insert(0, heading)
         # Later rows of long tables are at least as wide as the first ones.
         widths = [
             max(widest, *map(_width, column))
-            for widest, column in zip(
-                widths, zip(columns, *cells, strict=True), strict=True
-            )
+            for widest, column in zip(widths, zip(*cells, strict=True), strict=True)
         ]
         least = sum(widths) + len(GAP) * (len(widths) - 1)
         if kinds[-1] == "words":
             least -= max(0, widths[-1] - LEAST_WORDS)
         left_out = "path" if limit is not None and least > limit else None
-        if not n_rows and any(heading.strip() for heading in columns):
-            cells.insert(0, [*columns])
-        for number, row in enumerate(cells, n_rows):
-            parts = [
-                part
-                for part in zip(kinds, widths, row, strict=True)
-                if part[0] != left_out
-            ]
-            print_text(_line(parts, limit, is_heading=not number and row == [*columns]))
+        for row in cells:
+            parts = zip(kinds, widths, row, strict=True)
+            shown = [part for part in parts if part[0] != left_out]
+            write(_line(shown, limit, is_heading=row is heading))
         n_rows += len(block)
     return n_rows
 
@@ -161,10 +160,9 @@ def _width(text: str) -> int:
     """The number of columns of a terminal that a text takes."""
     if text.isascii():
         return len(text)
-    return sum(
-        0 if combining(sign) else 2 if east_asian_width(sign) in "WF" else 1
-        for sign in text
-    )
+    from rich.cells import cell_len
+
+    return cell_len(text)
 
 
 # --- results and documents -----------------------------------------------------------------------------

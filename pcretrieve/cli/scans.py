@@ -6,18 +6,41 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 
 import pcretrieve as pr
-from pcretrieve.cli import options as opt, output as out
 from pcretrieve.cli.messages import Progress, escaped, failure_line, say, shown_path
+from pcretrieve.cli.options import (
+    CATALOGUE,
+    Limits,
+    Processes,
+    ScanSettings,
+    Settings,
+    SignatureSettings,
+    SurfaceSettings,
+    argument,
+    command,
+    opened,
+    option,
+    refuse,
+)
+from pcretrieve.cli.output import (
+    Result,
+    failure_facts,
+    print_text,
+    prints_json,
+    write_lines,
+    write_steps,
+    write_table,
+)
 from pcretrieve.errors import ShapeError
-from pcretrieve.values.files import in_order
+
+VIEWS = {"VIEW": "text", "OVERLAP": "number", "RMS": "number", "FILE": "text"}
 
 MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
 
@@ -26,16 +49,18 @@ def each_scan(
     command: str,
     function: Callable[..., dict[str, Any]],
     paths: Path | Sequence[str],
+    run: Processes,
     *,
-    progress: str | None,
+    output: Path | None = None,
+    suffix: str = "",
+    kind: Literal["mesh"] | None = None,
     is_alone: bool = False,
-    **run: Any,
 ) -> Iterator[dict[str, Any]]:
     """`map_scans` with progress, if there are several scans; the error of a scan alone is raised.
 
     Yields for JSON the path of each scan, and what the function returns of it, or its failure.
     """
-    with Progress(command, progress or "none") as shown:
+    with Progress(command, run.progress) as shown:
 
         def start(total: int) -> None:
             if total > 1:
@@ -48,49 +73,57 @@ def each_scan(
                 stem = Path(name).stem
                 facts = {"status": "failed", "seconds": 0.0, "id": stem, "path": name}
                 shown.advance(
-                    facts | out.failure_facts(outcome), failure_line(stem, outcome, name)
+                    facts | failure_facts(outcome), failure_line(stem, outcome, name)
                 )
 
         for name, outcome in pr.map_scans(
-            function, paths, on_start=start, on_scan=advance, **run
+            function,
+            paths,
+            output=output,
+            suffix=suffix,
+            kind=kind,
+            workers=run.workers,
+            timeout=run.timeout,
+            memory=run.memory,
+            on_start=start,
+            on_scan=advance,
         ):
             if is_alone and isinstance(outcome, ShapeError):
                 raise outcome
             yield {"path": name} | (
-                out.failure_facts(outcome) if isinstance(outcome, ShapeError) else outcome
+                failure_facts(outcome) if isinstance(outcome, ShapeError) else outcome
             )
 
 
 # --- merge ---------------------------------------------------------------------------------------------
 
 
-@opt.command("merge")
-@click.argument("paths", nargs=-1, metavar="VIEWS...")
-@opt.option(
-    "--output -o CLOUD",
-    "Write this point cloud: .ply, .pcd or .xyzn.",
-    opt.PATH,
-    required=True,
-)
-@opt.option(
-    "--refine/--no-refine", "Refine known poses, or use them as they are.", default=None
-)
-@opt.option(
-    "--sensor",
-    "Where the sensor is, if files do not say: far away in front, as of range scanners, or at "
-    "the origin, as of depth cameras.  [default: front]",
-    ("front", "origin"),
-)
-@opt.option("--max-range LENGTH", "Remove points farther from the sensor.", float)
-@opt.option(
-    "--background",
-    "Remove floors and walls (planes), and what is farther than the body (room).  [default: none]",
-    ("none", "planes", "room"),
-)
-@opt.option("--keep-largest", "Keep the largest piece of each view.", default=None)
-@opt.config_option
-@partial(opt.limit_options, unit="view")
-def merge_command(paths: tuple[str, ...], output: Path, **values: Any) -> out.Result:
+@dataclass(frozen=True)
+class Merging(Settings):
+    """How views are merged."""
+
+    refine: bool | None = option("--refine/--no-refine", sets="merge.refine")
+    sensor: Literal["front", "origin"] | None = option(
+        "--sensor WHERE", sets="merge.sensor"
+    )
+    background: Literal["none", "planes", "room"] | None = option(
+        "--background WHAT", sets="merge.background"
+    )
+    keep_largest: bool | None = option("--keep-largest", sets="merge.keep_largest")
+    max_range: float | None = option("--max-range LENGTH", sets="scan.max_range")
+
+
+@command("merge")
+def merge_command(
+    *,
+    paths: tuple[str, ...] = argument("VIEWS..."),
+    output: Path = option(
+        "--output -o CLOUD",
+        "Write this point cloud: .ply, .pcd or .xyzn.",
+    ),
+    merging: Merging,
+    limits: Limits,
+) -> Result:
     """Merge views of one body, taken from different sides, into one scan.
 
     VIEWS are files, folders, glob patterns, a Stanford .conf file, or a folder of the TUM RGB-D benchmark.
@@ -104,24 +137,27 @@ def merge_command(paths: tuple[str, ...], output: Path, **values: Any) -> out.Re
     """
     if not paths:
         raise click.UsageError("name at least two views, or one .conf")
+    from pcretrieve.values.files import in_order
+
     if list(paths) == sorted(paths):  # as a shell names them: frame_1, frame_10, frame_2
         paths = tuple(map(str, in_order(map(Path, paths))))
-    scan = opt.taken(values, "max_range")
-    merge = opt.taken(values, "refine", "sensor", "background", "keep_largest")
-    options = opt.load_options(values).changed(scan=scan, merge=merge)
-    merged = pr.merge_views(paths, options, output=output, **values)
+    options = merging.options()
+    merged = pr.merge_views(
+        paths, options, output=output, timeout=limits.timeout, memory=limits.memory
+    )
     (step,) = merged.cloud.provenance
     views: list[dict[str, object]] = []
-    say(f"{'view':<8}  {'overlap':>7}  {'rms':>10}  file")
+    rows = []
     for number, name in enumerate(merged.names):
-        view: dict[str, object] = {"path": name, "placed": False, "pose": None}
         overlap, rms = float(merged.shares[number]), merged.rms(number)
-        line = f"{'left out':<8}  {'-':>7}  {'-':>10}  {name}"
+        view = {"path": name, "placed": False, "pose": None}
+        row = ("left out", "-", "-", name)
         if number not in merged.left_out:
             view |= {"placed": True, "pose": merged.poses[number]}
-            line = f"{'placed':<8}  {overlap:>7.1%}  {rms:>10.3g}  {name}"
+            row = ("placed", f"{overlap:.1%}", f"{rms:.3g}", name)
         views.append(view | {"overlap": overlap, "rms": _number(rms)})
-        say(line)
+        rows.append(row)
+    write_table(VIEWS, rows, err=True)
     for note in step.notes:
         say(note)
     say(
@@ -139,7 +175,7 @@ def merge_command(paths: tuple[str, ...], output: Path, **values: Any) -> out.Re
         "notes": step.notes,
         "seconds": round(step.seconds, 3),
     }
-    return out.Result(document, options, failed=merged.left_out)
+    return Result(document, options, failed=merged.left_out)
 
 
 def _number(value: float) -> float | None:
@@ -150,26 +186,23 @@ def _number(value: float) -> float | None:
 # --- reconstruct ---------------------------------------------------------------------------------------
 
 
-@opt.command("reconstruct")
-@click.argument("scan", type=opt.PATH, metavar="SCAN|FOLDER")
-@opt.option(
-    "--output -o MESH|FOLDER",
-    f"Write this mesh ({' '.join(MESH_SUFFIXES)}); for a folder of scans, a folder.",
-    opt.PATH,
-    required=True,
-)
-@opt.option(
-    "--suffix SUFFIX",
-    "Format of the meshes of a folder of scans.  [default: .ply]",
-    MESH_SUFFIXES,
-)
-@opt.option("--report", "Print each step, with what was repaired.")
-@opt.config_option
-@opt.surface_option
-@opt.process_options
+@command("reconstruct")
 def reconstruct_command(
-    scan: Path, output: Path, suffix: str | None, report: bool, **run: Any
-) -> out.Result:
+    *,
+    scan: Path = argument("SCAN|FOLDER"),
+    output: Path = option(
+        "--output -o MESH|FOLDER",
+        f"Write this mesh ({' '.join(MESH_SUFFIXES)}); for a folder of scans, a folder.",
+    ),
+    suffix: str | None = option(
+        "--suffix SUFFIX",
+        "Format of the meshes of a folder of scans.  [default: .ply]",
+        click.Choice(MESH_SUFFIXES),
+    ),
+    report: bool = option("--report", "Print each step, with what was repaired."),
+    settings: SurfaceSettings,
+    run: Processes,
+) -> Result:
     """Turn a scan into a closed surface, and write it to a mesh file.
 
     The surface is oriented and manifold. Each scan of a folder gets a mesh of the same name.
@@ -178,20 +211,23 @@ def reconstruct_command(
     pcretrieve lab reconstruct scan.ply -o body.obj --report
     pcretrieve lab reconstruct scans/ -o meshes/ --workers 2
     """
-    options, is_alone = opt.load_options(run), not scan.is_dir()
+    options, is_alone = settings.options(), not scan.is_dir()
     if is_alone and suffix is not None:
         raise click.UsageError(
             "--suffix is for folders: give the suffix of the mesh with -o"
         )
-    run |= {
-        "output": output,
-        "suffix": suffix or ".ply",
-        "kind": "mesh",
-        "is_alone": is_alone,
-    }
     # Printed at the end, because they would break a bar.
     found = list(
-        each_scan("reconstruct", partial(_reconstructed, options=options), scan, **run)
+        each_scan(
+            "reconstruct",
+            partial(_reconstructed, options=options),
+            scan,
+            run,
+            output=output,
+            suffix=suffix or ".ply",
+            kind="mesh",
+            is_alone=is_alone,
+        )
     )
     made = [facts for facts in found if "mesh" in facts]
     if not is_alone:
@@ -202,27 +238,17 @@ def reconstruct_command(
     def show() -> None:
         for facts in made if report else ():
             if not is_alone:
-                out.write_lines(shown_path(facts["path"]))
-            out.write_steps(facts["steps"])
+                write_lines(shown_path(facts["path"]))
+            write_steps(facts["steps"])
         if is_alone:
-            facts = {
-                name: value
+            words = (
+                f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"
                 for name, value in found[0].items()
                 if name not in ("path", "steps")
-            }
-            texts = (
-                f"{value:.6g}" if isinstance(value, float) else str(value)
-                for value in facts.values()
             )
-            say(
-                "  ".join(
-                    f"{name} {text}" for name, text in zip(facts, texts, strict=True)
-                )
-            )
+            say("  ".join(words))
 
-    return out.Result(
-        found[0] if is_alone else found, options, show, len(found) - len(made)
-    )
+    return Result(found[0] if is_alone else found, options, show, len(found) - len(made))
 
 
 def _reconstructed(scan: Path, file: Path, options: pr.PipelineOptions) -> dict[str, Any]:
@@ -244,28 +270,25 @@ def _reconstructed(scan: Path, file: Path, options: pr.PipelineOptions) -> dict[
 # --- signature -----------------------------------------------------------------------------------------
 
 
-@opt.command("signature")
-@click.argument("paths", nargs=-1, metavar="[PATH|ID]...")
-@opt.option(
-    "--from-catalogue FILE|URL",
-    "Take shapes of a catalogue by id, or all of them, not scans.",
-    opt.CATALOGUE,
-)
-@opt.method_option
-@opt.n_values_option
-@opt.rare_option(
-    "--n-modes M", "Number of modes of the surface.  [default: 60]", click.IntRange(min=2)
-)
-@opt.scale_option
-@opt.size_weight_option
-@opt.settings_options
-@opt.process_options
+@dataclass(frozen=True)
+class Described(SignatureSettings, ScanSettings):
+    """The signatures that are printed."""
+
+    n_modes: int | None = option("--n-modes M", sets="signature.n_modes")
+
+
+@command("signature")
 def signature_command(
-    paths: tuple[str, ...],
-    from_catalogue: str | None,
-    progress: str | None,
-    **values: Any,
-) -> out.Result:
+    *,
+    paths: tuple[str, ...] = argument("[PATH|ID]..."),
+    catalogue: str | None = option(
+        "--from-catalogue FILE|URL",
+        "Take shapes of a catalogue by id, or all of them, not scans.",
+        CATALOGUE,
+    ),
+    described: Described,
+    run: Processes,
+) -> Result:
     """Print the signatures of scans, one line each: path, then values.
 
     With --from-catalogue, the lines begin with the id, and nothing is reconstructed again.
@@ -275,33 +298,20 @@ def signature_command(
     pcretrieve lab signature scans/ --method shape-dna --json
     pcretrieve lab signature --from-catalogue bodies.sqlite T12 T17 --method wks
     """
-    changes = {"signature": opt.taken(values, "n_modes", *opt.SIGNATURE_FLAGS)}
-    if from_catalogue is not None:
-        opt.refuse(
-            "a catalogue has options of its own",
-            "config",
-            "surface",
-            "unit",
-            "workers",
-            "memory",
-        )
-        store = opt.opened(from_catalogue)
-        options = store.options.changed(**changes)
+    if catalogue is not None:
+        own = ("config", "surface", "unit", "workers", "memory")
+        refuse("a catalogue has options of its own", *own)
+        store = opened(catalogue)
+        options = described.options(store.options)
         rows = _of_catalogue(store, paths, options)
     else:
         if not paths:
             raise click.UsageError("name at least one scan")
-        options = opt.load_options(values).changed(**changes)
+        options = described.options()
         # On a terminal, the signatures themselves show the progress, and would break a bar.
-        if progress == "bar" and not out.prints_json() and sys.stdout.isatty():
-            progress = None
-        rows = each_scan(
-            "signature",
-            partial(_described, options=options),
-            paths,
-            progress=progress,
-            **values,
-        )
+        if run.progress == "bar" and not prints_json() and sys.stdout.isatty():
+            run = replace(run, progress="none")
+        rows = each_scan("signature", partial(_described, options=options), paths, run)
     failures: list[str] = []
 
     def counted() -> Iterator[dict[str, Any]]:
@@ -314,11 +324,11 @@ def signature_command(
         for facts in counted():
             if "values" in facts:
                 name = escaped(shown_path(facts.get("id") or facts["path"]))
-                out.print_text(
+                print_text(
                     "\t".join([name, *(f"{value:.9g}" for value in facts["values"])])
                 )
 
-    return out.Result(counted(), options, show, failures)
+    return Result(counted(), options, show, failures)
 
 
 def _described(path: Path, options: pr.PipelineOptions) -> dict[str, Any]:
@@ -360,5 +370,5 @@ def _of_catalogue(
                 failure = error
         if failure is not None:
             say(failure_line(record.id, failure, record.path))
-            facts |= out.failure_facts(failure)
+            facts |= failure_facts(failure)
         yield facts

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,8 +11,41 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import pcretrieve as pr
-from pcretrieve.cli import options as opt, output as out
 from pcretrieve.cli.messages import say, shown_path
+from pcretrieve.cli.options import (
+    COUNT,
+    GIBIBYTES,
+    SECONDS,
+    Axis,
+    Comparison,
+    Limits,
+    Number,
+    Unit,
+    WholeNumber,
+    argument,
+    catalogue_option,
+    classes_of,
+    command,
+    complete_labels,
+    complete_queries,
+    matrix_option,
+    option,
+    rare_option,
+    read_distances,
+    refuse,
+    unit_option,
+    up_option,
+    verbose_option,
+)
+from pcretrieve.cli.output import (
+    Result,
+    failure_facts,
+    prints_json,
+    write_csv,
+    write_lines,
+    write_table,
+    write_words,
+)
 from pcretrieve.errors import ShapeError
 
 if TYPE_CHECKING:
@@ -27,64 +61,61 @@ COLUMNS |= {"CLASS": "text", "ID": "text", "FILE": "path"}
 SCAN = {"SCAN": "text"}
 
 # Of several queries: what is said of each, and the score of its nearest shape.
-SAID = {"SCAN": "path", "VERDICT": "text", "CLASS": "text", "SCORE": "number"}
+SAID = {"SCAN": "text", "VERDICT": "text", "CLASS": "text", "SCORE": "number"}
 
 PAIR = {"DISTANCE": "number", "LIMIT": "number", "FIRST": "text", "SECOND": "text"}
 
 
-@opt.command("query")
-@click.argument(
-    "queries",
-    nargs=-1,
-    required=True,
-    metavar="SCAN|FOLDER|ID...",
-    shell_complete=opt.complete_queries,
-)
-@opt.catalogue_option
-@opt.option("-k N", "Number of results.", opt.COUNT, into="k", default=10)
-@opt.option(
-    "--filter label=CLASS",
-    "Search this class only; give it again for more classes.",
-    str,
-    into="labels",
-    multiple=True,
-    callback=opt.classes_of,
-    shell_complete=opt.complete_labels,
-)
-@opt.rare_option("--exclude-self", "Leave stored queries out of their results.")
-@opt.option(
-    "--min-score SHARE",
-    'Hide neighbours below this score; "stranger" if none is left.',
-    click.FloatRange(0, 1),
-)
-@opt.rare_option(
-    "--false-match-rate --far RATE",
-    "Name a class only if so few pairs of two classes are as near.",
-    click.FloatRange(0, 1, min_open=True, max_open=True),
-)
-@opt.matrix_option
-@opt.on_catalogue
-@opt.unit_option
-@opt.limit_options
-@opt.rare_option("--csv", "Print one table of all results, as CSV.", into="as_csv")
-@opt.option(
-    "--html PAGE",
-    "Write an HTML page of all queries too, with pictures.",
-    opt.PATH,
-    into="page",
-)
-@opt.verbose_option
-@opt.up_option
+@dataclass(frozen=True)
+class Question:
+    """What is asked of each query."""
+
+    k: int = option("-k N", "Number of results.", COUNT, default=10)
+    labels: list[str] | None = option(
+        "--filter label=CLASS",
+        "Search this class only; give it again for more classes.",
+        str,
+        multiple=True,
+        callback=classes_of,
+        shell_complete=complete_labels,
+    )
+    exclude_self: bool = rare_option(
+        "--exclude-self", "Leave stored queries out of their results."
+    )
+    min_score: float | None = option(
+        "--min-score SHARE",
+        'Hide neighbours below this score; "stranger" if none is left.',
+        Number(0, 1),
+    )
+    false_match_rate: float | None = rare_option(
+        "--false-match-rate --far RATE",
+        "Name a class only if so few pairs of two classes are as near.",
+        Number(0, 1, min_open=True, max_open=True),
+    )
+    unit: Unit | None = unit_option
+
+
+@command("query")
 def query_command(
-    store: pr.Catalogue,
-    options: pr.PipelineOptions,
-    queries: tuple[str, ...],
-    as_csv: bool,
-    is_verbose: bool,
-    page: Path | None,
-    up: str | None,
-    **asked: Any,
-) -> out.Result:
+    *,
+    queries: tuple[str, ...] = argument(
+        "SCAN|FOLDER|ID...",
+        required=True,
+        shell_complete=complete_queries,
+    ),
+    catalogue: str = catalogue_option,
+    asked: Question,
+    file: Path | None = matrix_option,
+    comparison: Comparison,
+    limits: Limits,
+    as_csv: bool = rare_option("--csv", "Print one table of all results, as CSV."),
+    page: Path | None = option(
+        "--html PAGE",
+        "Write an HTML page of all queries too, with pictures.",
+    ),
+    is_verbose: bool = verbose_option,
+    up: Axis | None = up_option,
+) -> Result:
     """Find the shapes most similar to a scan, nearest first.
 
     A query is a scan, a folder of scans, or the id of a stored shape. The score tells how often two shapes so
@@ -96,17 +127,41 @@ def query_command(
     pcretrieve query --catalogue bodies.sqlite cat0 dog1 --filter label=cat
     pcretrieve query --catalogue bodies.sqlite new_scan.ply --html page.html
     """
-    if out.prints_json() and as_csv:
+    if prints_json() and as_csv:
         raise click.UsageError("choose one of --json and --csv")
-    asked["labels"] = asked["labels"] or None
-    if asked["matrix"] is not None:
-        opt.refuse("a matrix ranks stored shapes, and no scan is read", "unit", "memory")
-    found = pr.search_many(store, queries, options=options, **asked)
+    matrix = read_distances(file)
+    if matrix is not None:
+        refuse("a matrix ranks stored shapes, and no scan is read", "unit", "memory")
+    store, options = comparison.opened(catalogue)
+    found = pr.search_many(
+        store,
+        queries,
+        options=options,
+        matrix=matrix,
+        k=asked.k,
+        labels=asked.labels,
+        exclude_self=asked.exclude_self,
+        min_score=asked.min_score,
+        false_match_rate=asked.false_match_rate,
+        unit=asked.unit,
+        timeout=limits.timeout,
+        memory=limits.memory,
+    )
     if page is not None:
-        known: list[tuple[str, pr.Answer | ShapeError]] = []
-        asked["on_answer"] = lambda name, answer: known.append((name, answer))
-        written = pr.query_page(store, queries, page, options=options, up=up, **asked)
-        say(f"page: {shown_path(str(written))}", indent=None)
+        known: list[Outcome] = []
+        written = pr.query_page(
+            store,
+            queries,
+            page,
+            options=options,
+            up=up,
+            on_answer=lambda name, answer: known.append((name, answer)),
+            matrix=matrix,
+            timeout=limits.timeout,
+            memory=limits.memory,
+            **vars(asked),
+        )
+        say(f"page: {shown_path(str(written))}", is_broken=False)
         found = iter(known)
     is_alone = len(queries) == 1 and not Path(queries[0]).is_dir()
     failures: list[ShapeError] = []
@@ -121,15 +176,13 @@ def query_command(
                 if not isinstance(answer, ShapeError):
                     _write_answer(answer, None if is_alone else name)
         else:
-            out.write_table(SAID, map(_said, outcomes))
-        if is_verbose and asked["matrix"] is None:
+            write_table(SAID, map(_said, outcomes))
+        if is_verbose and matrix is None:
             index = pr.index(store, options=options)
             say(f"whitening: {index.whitening.reason}")
             say(f"score: {index.reason}")
 
-    return out.Result(
-        _documents(outcomes, store, options, asked["matrix"]), options, show, failures
-    )
+    return Result(_documents(outcomes, store, options, matrix), options, show, failures)
 
 
 def _told(failures: list[ShapeError], is_alone: bool, found: Outcome) -> Outcome:
@@ -163,7 +216,7 @@ def _documents(
         how = {"distance": options.retrieval.distance, "whitening": whitening}
     for name, outcome in outcomes:
         if isinstance(outcome, ShapeError):
-            yield {"query": name} | out.failure_facts(outcome)
+            yield {"query": name} | failure_facts(outcome)
         else:
             yield {"query": name} | outcome.document() | how
 
@@ -180,7 +233,7 @@ def _said(outcome: Outcome) -> tuple[str, str, str, str]:
 def _write_answer(answer: pr.Answer, name: str | None) -> None:
     """A table of the neighbours, below a line with the query if there are several, and the verdict."""
     if name is not None:
-        out.write_lines(shown_path(name))
+        write_lines(shown_path(name))
     columns = COLUMNS | (
         SCAN if any(record.is_incomplete for record in answer.records) else {}
     )
@@ -200,8 +253,8 @@ def _write_answer(answer: pr.Answer, name: str | None) -> None:
             scan,
         )
         rows.append(cells[: len(columns)])
-    out.write_table(columns, rows)
-    out.write_words(f"{answer}, because {answer.because}")
+    write_table(columns, rows)
+    write_words(f"{answer}, because {answer.because}")
 
 
 def _write_csv(outcomes: Outcomes) -> None:
@@ -212,29 +265,24 @@ def _write_csv(outcomes: Outcomes) -> None:
         (name, answer) for name, answer in outcomes if not isinstance(answer, ShapeError)
     )
     rows = (row for name, answer in answers for row in answer.table(name))
-    out.write_csv(csv_text(pr.Answer.columns, rows))
+    write_csv(csv_text(pr.Answer.columns, rows))
 
 
-@opt.command("duplicates")
-@opt.catalogue_option
-@opt.option(
-    "--threshold DISTANCE",
-    "Find pairs up to this distance.  [default: moments up to .03]",
-    click.FloatRange(min=0),
-)
-@opt.on_catalogue
-@opt.option(
-    "--html PAGE",
-    "Write an HTML page too, with both shapes of each pair.",
-    opt.PATH,
-    into="page",
-)
+@command("duplicates")
 def duplicates_command(
-    store: pr.Catalogue,
-    options: pr.PipelineOptions,
-    threshold: float | None,
-    page: Path | None,
-) -> out.Result:
+    *,
+    catalogue: str = catalogue_option,
+    threshold: float | None = option(
+        "--threshold DISTANCE",
+        "Find pairs up to this distance.  [default: moments up to .03]",
+        Number(min=0),
+    ),
+    comparison: Comparison,
+    page: Path | None = option(
+        "--html PAGE",
+        "Write an HTML page too, with both shapes of each pair.",
+    ),
+) -> Result:
     """Find copies of shapes: at another resolution, mirrored, or two scans of one body in one pose.
 
     The table has the distance, its limit and both ids, nearest first. Distances are those of the moments of
@@ -243,31 +291,33 @@ def duplicates_command(
     \b
     pcretrieve duplicates --catalogue bodies.sqlite --html pairs.html
     """
+    store, options = comparison.opened(catalogue)
     pairs = pr.duplicates(store, options=options, threshold=threshold)
     if page is not None:
         compared = options.of_copies if threshold is None else options
         written = pr.query_page(store, pairs, page, options=compared)
-        say(f"page: {shown_path(str(written))}", indent=None)
+        say(f"page: {shown_path(str(written))}", is_broken=False)
     rows = (
         (f"{one.distance:#.4g}", f"{one.limit:#.4g}", one.first, one.second)
         for one in pairs
     )
     say(f"{len(pairs)} {'pair' if len(pairs) == 1 else 'pairs'}")
-    return out.Result(
-        [pair._asdict() for pair in pairs], options, partial(out.write_table, PAIR, rows)
+    return Result(
+        [pair._asdict() for pair in pairs], options, partial(write_table, PAIR, rows)
     )
 
 
-@opt.command("map")
-@opt.catalogue_option
-@opt.option(
-    "--output -o PNG|HTML", "Write this picture or this page.", opt.PATH, required=True
-)
-@opt.up_option
-@opt.on_catalogue
+@command("map")
 def map_command(
-    store: pr.Catalogue, options: pr.PipelineOptions, output: Path, up: str | None
-) -> out.Result:
+    *,
+    catalogue: str = catalogue_option,
+    output: Path = option(
+        "--output -o PNG|HTML",
+        "Write this picture or this page.",
+    ),
+    up: Axis | None = up_option,
+    comparison: Comparison,
+) -> Result:
     """Plot a 2-D map of shapes: similar ones lie near each other.
 
     A page (.html) shows name and thumbnail of the shape under the pointer. A picture (.png) needs matplotlib.
@@ -275,33 +325,45 @@ def map_command(
     \b
     pcretrieve lab map --catalogue bodies.sqlite -o bodies.html
     """
+    store, options = comparison.opened(catalogue)
     page = pr.draw_map(store, output, options=options, up=up)
-    return out.Result(
-        {"page": page}, options, lambda: out.write_lines(shown_path(str(page)))
-    )
+    return Result({"page": page}, options, lambda: write_lines(shown_path(str(page))))
 
 
-@opt.command("serve", has_json=False)
-@opt.catalogue_option
-@opt.option(
-    "--port N",
-    "Port at 127.0.0.1; 0 for any free one.",
-    click.IntRange(0, 65535),
-    default=8765,
-)
-@opt.option("--read-only", "Take no scans from browsers.")
-@opt.option(
-    "--keep FOLDER",
-    "Let people keep their scans: files in this folder, shapes in the catalogue.",
-    click.Path(exists=True, file_okay=False, writable=True, path_type=Path),
-)
-@opt.option(
-    "--max-upload MB", "Refuse larger scans from browsers.", opt.COUNT, default=200
-)
-@partial(opt.limit_options, unit="scan from a browser", time=300, memory=4)
-@opt.up_option
-@opt.comparison_options
-def serve_command(catalogue: str, max_upload: int, **chosen: Any) -> None:
+@command("serve", has_json=False)
+def serve_command(
+    *,
+    catalogue: str = catalogue_option,
+    port: int = option(
+        "--port N",
+        "Port at 127.0.0.1; 0 for any free one.",
+        WholeNumber(0, 65535),
+        default=8765,
+    ),
+    read_only: bool = option("--read-only", "Take no scans from browsers."),
+    keep: Path | None = option(
+        "--keep FOLDER",
+        "Let people keep their scans: files in this folder, shapes in the catalogue.",
+        click.Path(exists=True, file_okay=False, writable=True, path_type=Path),
+    ),
+    max_upload: int = option(
+        "--max-upload MB", "Refuse larger scans from browsers.", COUNT, default=200
+    ),
+    timeout: float = rare_option(
+        "--timeout SECONDS",
+        "Give up after this time for each scan from a browser.",
+        SECONDS,
+        default=300,
+    ),
+    memory: float = rare_option(
+        "--memory GIB",
+        "Give the process of a scan no more memory than this.",
+        GIBIBYTES,
+        default=4,
+    ),
+    up: Axis | None = up_option,
+    comparison: Comparison,
+) -> None:
     """Show a catalogue in the browser of this computer, until Ctrl-C.
 
     Open the address that is printed. It contains a secret: whoever has it can see the shapes, and search by
@@ -312,14 +374,24 @@ def serve_command(catalogue: str, max_upload: int, **chosen: Any) -> None:
     pcretrieve serve --catalogue bodies.sqlite
     pcretrieve serve --catalogue bodies.sqlite --port 0 --keep scans/
     """
-    if chosen["read_only"] and chosen["keep"] is not None:
+    if read_only and keep is not None:
         raise click.UsageError("choose one of --read-only and --keep")
     with pr.Catalogue(catalogue) as store:
-        options = opt.compared(store, chosen)
-    chosen |= {"most_bytes": max_upload * MEGABYTE, "on_start": _say_address}
-    pr.serve(catalogue, options=options, **chosen)
+        options = comparison.options(store.options)
+    pr.serve(
+        catalogue,
+        options=options,
+        port=port,
+        read_only=read_only,
+        keep=keep,
+        most_bytes=max_upload * MEGABYTE,
+        timeout=timeout,
+        memory=memory,
+        up=up,
+        on_start=_say_address,
+    )
 
 
 def _say_address(address: str) -> None:
     say("Open the address in a browser; end the server with Ctrl-C.")
-    out.write_lines(address)
+    write_lines(address)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import json
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from inspect import cleandoc, getsource
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -24,6 +22,7 @@ from pcretrieve.options.tables import (
     SpectralOptions,
     SurfaceOptions,
 )
+from pcretrieve.plugins import option_texts
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -249,18 +248,10 @@ def _table(name: str, options: Options) -> Iterator[str]:
     yield from _comment(options.__doc__)
     yield f"[{name}]"
     # Read here, because Pydantic would read the source of all classes whenever the options are imported.
-    (body,) = (
-        each.body
-        for each in ast.parse(getsource(type(options))).body
-        if isinstance(each, ast.ClassDef)
-    )
-    texts = {
-        ast.unparse(field.target): ast.literal_eval(text.value)
-        for field, text in pairwise(body)
-        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr)
-    }
+    texts = option_texts(getsource(type(options)))
     for option in type(options).model_fields:
-        yield from _comment(texts.get(option))
+        text, _ = texts.get(f"{name}.{option}", ("", ""))
+        yield from _comment(text)
         # TOML has no null.
         value = getattr(options, option)
         yield f"# {option} =" if value is None else f"{option} = {json.dumps(value)}"

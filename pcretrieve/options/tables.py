@@ -78,13 +78,13 @@ class ScanOptions(Options):
     """Raw points → points of the body, filtered, with normals that point outwards."""
 
     unit: Literal["none", "um", "mm", "cm", "dm", "m", "km", "in", "ft"] = "none"
-    """Unit of the files whose format does not have one; they are converted to metres, as all others are.
-    none: unknown, the coordinates are not converted; of LAS files, metres."""
+    """Unit of files that name none: um mm cm dm m km in ft; coordinates become metres, as those of other
+    files. none: unknown, they stay as they are; metres in LAS files."""
     min_range: Annotated[float, Field(gt=0)] | Literal["none"] = "none"
-    """Distance from the sensor below which points are removed; unit of the file. From the origin, if the file
-    has no sensor positions."""
+    """Remove points nearer to the sensor, or to the origin if the file has no sensor positions; unit of the
+    file."""
     max_range: Annotated[float, Field(gt=0)] | Literal["none"] = "none"
-    """Distance from the sensor beyond which points are removed as background, as min_range."""
+    """Remove points farther from the sensor, or from the origin; unit of the file."""
     box: tuple[Corner, Corner] | Literal["none"] = "none"
     """Axis-aligned box outside which points are removed: [[x, y, z], [x, y, z]], its lowest and its highest
     corner; unit of the file."""
@@ -142,8 +142,7 @@ class SurfaceOptions(Options):
     """Filtered points with normals → closed surface."""
 
     mode: Literal["auto", "reconstruct", "keep"] = "auto"
-    """What is done if the input is a mesh. auto: reconstruct it unless it is closed and manifold;
-    reconstruct: always; keep: never."""
+    """Meshes to reconstruct. auto: those that are not closed and manifold; reconstruct: all; keep: none."""
     max_faces: Annotated[int, Field(ge=200)] = 200_000
     """Largest number of faces of a mesh that is used without reconstruction; a finer one is simplified to so
     many faces."""
@@ -252,20 +251,20 @@ class SignatureOptions(Options):
     """Spectrum and surface → descriptor."""
 
     method: Annotated[str, AfterValidator(_known_method)] = "hapt+r-bihdm"
-    """The descriptor; `lab signature --help-all` lists all of them. Names joined by + fuse descriptors."""
+    """The descriptor, as listed by `lab signature --help-all`. Names joined by + fuse descriptors."""
     n_values: Annotated[int, Field(ge=1, le=10_000)] = 23
     """Number L of values of the descriptor, or of each that is fused; of bags of features, of words.
     Higher values depend more on how finely a surface is triangulated."""
     n_modes: Annotated[int, Field(ge=2)] = 60
     """Number m of modes at which R-BiHDM, BiHDM, and the heat and wave kernels are truncated."""
     scale: Scale = "area"
-    """Normalisation of the values: by the area of the surface (area), by the first value of the descriptor
-    (relative, as in the papers), or none (absolute). area and relative are invariant to scaling; absolute
+    """Normalisation of the values. area: by the area of the surface; relative: by the first value of the
+    descriptor, as in the papers; absolute: none. area and relative are invariant to scaling; absolute
     compares sizes too, for files in one unit or whose units are all known. By area, rankings are better."""
     size_weight: Annotated[float, Field(ge=0, le=20)] = 0.0
     """Weight w of the size of a body relative to its form: area^w is appended to the values, if w > 0. In log
     distances, bodies whose areas differ by a factor of exp(1/w) are then 1 apart. For files in one unit or
-    whose units are all known. Gives better rankings than the scale absolute."""
+    whose units are all known. Gives better rankings than the scale absolute; 6 is best for people."""
     atoms: Atoms | None = None
     """Atoms of dl-supervised that `lab calibrate` has learned; none for the shipped ones."""
 
@@ -301,22 +300,22 @@ class RetrievalOptions(Options):
     """Signatures → ranked shapes. No stored spectrum or signature depends on these options."""
 
     distance: Literal["log", "d1", "d2"] = "log"
-    """Distance of two signatures: the Euclidean distance of their logarithms (log), or the dissimilarities D1
-    and D2 of Ye and Yu."""
+    """Distance of two signatures. log: the Euclidean distance of their logarithms; d1, d2: the
+    dissimilarities D1 and D2 of Ye and Yu."""
     whitening: WhiteningKind = "auto"
-    """Linear map of log-signatures before they are compared: none; the metric of people, learned from
-    simulated ones (people, for hapt, r-bihdm and both); or that of the covariance of the gallery: of the
-    differences of shapes that are among each other's nearest (neighbours), of all shapes (pca), or pooled
-    within classes (within-class). auto: people if most shapes are like people; else within-class if labels
-    suffice, else neighbours; none for few shapes. unsupervised: auto without labels, as in an evaluation."""
+    """Differences of log-signatures that count less, by a linear map. people: those between scans of one
+    person, learned from simulated people, for hapt, r-bihdm and both; neighbours: those between shapes that
+    are among each other's nearest; within-class: those within classes; pca: those between all shapes; none:
+    no map. auto: people if most shapes are like people; else within-class if labels suffice, else neighbours;
+    none for few shapes. unsupervised: auto without labels, as in an evaluation."""
     calibration: str | None = None
     """File that `lab calibrate` has written, in place of the option whitening; none by default."""
     shrinkage: Shrinkage = "auto"
     """Regularisation of a covariance: for pca relative to its largest eigenvalue, for others the shrinkage
     intensity. auto: .01, and .2 for neighbours; for within-class the likeliest on classes left out."""
     rerank: RerankKind = "none"
-    """Re-ranking of the first hundred results of a query, of which the first keeps its rank, by the overlap
-    of their k-reciprocal neighbourhoods."""
+    """k-reciprocal: sort the first hundred results again by the neighbours that two shapes share (the overlap
+    of their k-reciprocal neighbourhoods), but keep the first."""
     # Number of folds of classes with which a within-class whitening is evaluated.
     n_folds: ClassVar[int] = 5
     # Seed of the random assignment of classes to folds.
@@ -357,15 +356,15 @@ class MergeOptions(Options):
     """
 
     refine: bool = True
-    """Refine given poses by registration."""
+    """Refine given poses by registration, or use them as they are."""
     sensor: Literal["front", "origin"] = "front"
-    """Position of the sensor of a view whose file has none. front: far along the z axis of the frame of the
-    view, the convention of range scanners; origin: at its origin, the convention of depth cameras."""
+    """Position of the sensor of a view whose file has none. front: far along the z axis, as of range
+    scanners; origin: at the origin, as of depth cameras."""
     background: Literal["none", "planes", "room"] = "none"
-    """planes: remove floors and walls: planes with a tenth of the points or more, and with nothing behind.
-    room: also all behind the first valley in the histogram of depths, unless max_range says where that is."""
+    """What is removed. planes: floors and walls, which have a tenth of the points and nothing behind them;
+    room: also all behind the first valley in the histogram of depths, or beyond max_range."""
     keep_largest: bool = False
-    """Remove all but the largest connected component of each view as background."""
+    """Remove all but the largest connected component of each view."""
     # Distance between points above which they are in different components; relative to the diagonal of the
     # view.
     piece_gap: ClassVar[float] = 0.02

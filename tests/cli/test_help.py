@@ -7,12 +7,16 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Literal, get_args, get_origin
 
 import click
 import pytest
 from commands import NAMES, refusal, run
 
 from pcretrieve.cli.main import COMMANDS, cli
+from pcretrieve.cli.options import Option
+from pcretrieve.options import PipelineOptions, tables
+from pcretrieve.plugins import option_texts
 
 MOST_LINES, MOST_OPTIONS, COLUMNS = 40, 10, 80
 
@@ -21,12 +25,16 @@ def shown(*words: str) -> str:
     return run(*words, COLUMNS=str(COLUMNS)).stdout
 
 
-def flags(words: tuple[str, ...]) -> set[str]:
+def options(words: tuple[str, ...]) -> list[click.Option]:
     command: click.Command = cli
     for word in words:
         assert isinstance(command, click.Group)
         command = command.get_command(click.Context(cli), word) or command
-    return {one.opts[0] for one in command.params if isinstance(one, click.Option)}
+    return [one for one in command.params if isinstance(one, click.Option)]
+
+
+def flags(words: tuple[str, ...]) -> set[str]:
+    return {one.opts[0] for one in options(words)}
 
 
 @pytest.mark.parametrize(
@@ -57,6 +65,34 @@ def test_the_help_fits_a_screen_and_names_and_explains_all_options(
         assert "More options" not in full
     else:
         assert "More options" not in short
+
+
+def test_options_of_the_pipeline_have_its_texts_its_defaults_and_its_values() -> None:
+    """These are written once, in `options/tables.py`."""
+    texts = option_texts(Path(str(tables.__file__)).read_text("utf-8"))
+    seen = {}
+    for command in NAMES:
+        words = tuple(command.split())
+        setting = [one for one in options(words) if isinstance(one, Option) and one.sets]
+        full = " ".join(shown(*words, "--help-all").split()) if setting else ""
+        for one in setting:
+            text, default = texts[one.sets]
+            # The help breaks names at their hyphens.
+            assert "".join(text.split()) in full.replace(" ", ""), (command, one.name)
+            assert default.replace(" ", "") in full.replace(" ", "")
+            seen[one.sets] = one.type
+    for name, kind in seen.items():
+        table, _, option = name.partition(".")
+        annotation = (
+            type(getattr(PipelineOptions(), table)).model_fields[option].annotation
+        )
+        if get_origin(annotation) is Literal:
+            assert isinstance(kind, click.Choice) or name == "retrieval.whitening"
+        if isinstance(kind, click.Choice):
+            # Nobody types a unit to say that there is none.
+            assert {*get_args(annotation)} - {*kind.choices} <= {"none"}, name
+            assert {*kind.choices} <= {*get_args(annotation)}, name
+    assert len(seen) >= 15
 
 
 def test_the_environment_names_the_catalogue(eggs: Path, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import struct
 import subprocess
 import sys
 import termios
+import time
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +22,9 @@ from commands import result, run
 
 from pcretrieve import Catalogue, Grade, PipelineOptions, describe, process
 from pcretrieve.catalogue import Content, Record
+from pcretrieve.cli import messages
 from pcretrieve.cli.output import write_table
+from pcretrieve.cli.search import SAID
 from pcretrieve.formats import write_mesh
 
 COLUMNS = 80
@@ -109,6 +112,26 @@ def plain(line: str) -> str:
     return re.sub(r"\x1b\[[0-9;]*m", "", line)
 
 
+def screen(text: str) -> list[str]:
+    """The lines that a terminal shows in the end, without colours."""
+    lines, row, column = [""], 0, 0
+    for part in re.split(r"(\r|\n|\x1b\[[0-9;]*[A-Za-z])", text):
+        if part == "\n":
+            row, column = row + 1, 0
+            lines += [""] * (row == len(lines))
+        elif part == "\r":
+            column = 0
+        elif part.startswith("\x1b") and part.endswith("A"):
+            row -= int(part[2:-1])
+        elif part == "\x1b[2K":
+            lines[row] = ""
+        elif not part.startswith("\x1b"):
+            line = lines[row].ljust(column)
+            lines[row] = line[:column] + part + line[column + len(part) :]
+            column += len(part)
+    return [line.rstrip() for line in lines if line.strip()]
+
+
 # --- tables ---------------------------------------------------------------------------------------------
 
 
@@ -155,6 +178,10 @@ def test_ids_are_whole_however_narrow_the_terminal_is(
         first, second, *_ = map(plain, capsys.readouterr().out.splitlines())
         assert first.split() == headings
         assert second.split()[0] == long
+    # So are the names of several queries, without which nobody knows whose the answers are.
+    monkeypatch.setenv("COLUMNS", "20")
+    write_table(SAID, [(long, "sure", "cat", "0.99")])
+    assert long in capsys.readouterr().out
 
 
 def test_several_shapes_are_removed_after_a_question(
@@ -197,7 +224,7 @@ def test_messages_are_broken_between_words(
     monkeypatch.chdir(folder)
     query = ("query", "-c", "c.sqlite", "egg0")
     asked = (*query, "--filter", "label=eggs")
-    lines = on_terminal(folder, *asked, says=True, code=1, NO_COLOR="1").splitlines()
+    lines = screen(on_terminal(folder, *asked, says=True, code=1))
     assert len(lines) == 2
     assert max(map(len, lines)) <= COLUMNS
     assert " ".join(lines) == f"Error: {run(*asked, code=1).exception}"
@@ -268,18 +295,59 @@ def test_the_line_of_waiting_has_the_latest_message_and_makes_place_for_others(
     tmp_path: Path,
 ) -> None:
     shown = on_terminal(tmp_path, program=WORKS, says=True)
-    states = [state.strip() for state in shown.replace("\n", "\r").split("\r")]
+    states = [plain(state).strip() for state in shown.replace("\n", "\r").split("\r")]
     assert any(state.startswith("count: at work, ") for state in states)
     counted = next(
-        state for state in states if state.startswith("count: counted: 1 of 2 ?[31mooo")
+        state
+        for state in states
+        if state.startswith("count: counted: 1 of 2 \\u001b[31mooo")
     )
-    assert len(counted) < COLUMNS
+    assert len(counted) <= COLUMNS
     assert "2 of 2" not in shown, "nothing is said when results are shown"
-    assert "\x1b[31mfailed:\x1b[0m the second" in states
-    assert [state for state in states if state][-1] == "1"
-    assert "\r" + " " * 60 in shown[: shown.index("failed:")], (
-        "the line is cleared before the message"
-    )
+    assert "\x1b[31mfailed:\x1b[0m the second" in shown
+    assert screen(shown) == ["failed: the second", "1"], "the line makes place"
+    assert "\x1b[?25l" not in shown, "a program that is killed leaves the cursor"
+
+
+BATCH = """
+import time
+from pcretrieve.cli import messages
+
+with messages.Progress("ingest") as shown:
+    shown.start(3)
+    time.sleep(1.5)
+    shown.advance({})
+    shown.advance({}, "failed: [egg / read] " + 9 * "a-long-name" + ".off")
+    time.sleep(1.5)
+messages.say("done")
+"""
+
+
+def test_a_bar_stays_below_messages_which_are_whole(tmp_path: Path) -> None:
+    shown = on_terminal(tmp_path, program=BATCH, says=True)
+    states = [state for state in plain(shown).splitlines() if "scans" in state]
+    assert any("0 of 3 scans, 0 failed, after " in state for state in states)
+    *failed, bar, done = screen(shown)
+    assert failed == ["failed: [egg / read]", 9 * "a-long-name" + ".off"], "not cut"
+    assert done == "done"
+    words = r"ingest ━+[╸╺]?━+ 2 of 3 scans, 1 failed, after \d s, \d s left"
+    assert re.fullmatch(words, bar) and len(bar) <= COLUMNS
+
+
+def test_progress_is_a_line_a_minute_in_a_log_file(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(messages, "LINE_INTERVAL", 0.3)
+    with messages.Progress("ingest") as progress:
+        progress.start(4)
+        progress.advance({})
+        time.sleep(0.4)
+        progress.advance({})
+        progress.advance({})
+    assert capsys.readouterr().err.splitlines() == [
+        "ingest: 4 scans",
+        "ingest: 2 of 4 scans, 0 failed, after 0 s, 0 s left",
+    ]
 
 
 # --- streams that are closed, or on a full disk ---------------------------------------------------------
