@@ -30,7 +30,6 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
-from tqdm import tqdm
 
 from benchmarks.changes import lines_of_changes
 from benchmarks.measuring import (
@@ -701,12 +700,10 @@ def answers(
     calls = partial(_called, function)
     running = in_processes(calls, enumerate(arguments), workers=workers, timeout=TIMEOUT)
     with closing(running):
-        for (number, given), outcome in tqdm(
-            running, title, len(arguments), disable=None, leave=False
-        ):
+        for (number, given), outcome in progress(running, title, len(arguments)):
             if isinstance(outcome, PcretrieveError):
                 place = given[0].name if isinstance(given[0], Path) else "a mesh"
-                tqdm.write(
+                print(
                     f"{title}: {place}: {type(outcome).__name__}: {outcome}",
                     file=sys.stderr,
                 )

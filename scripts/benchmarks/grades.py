@@ -31,7 +31,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from tqdm import tqdm
 
 from benchmarks.bodies import KINDS, Body, Sources
 from benchmarks.judging import FAILED, examined, metric_of_people
@@ -44,6 +43,7 @@ from benchmarks.measuring import (
     argument_parser,
     positive,
     print_lines,
+    progress,
 )
 from benchmarks.sensors import DAMAGES, PAIR, SENSORS, WHOLE, left_by, pressed
 from benchmarks.simulation import write_ply
@@ -228,7 +228,7 @@ def _ran(given: argparse.Namespace) -> Iterator[str]:
     about_of = {about["file"]: about for about in chosen}
     files = [given.scans / file for file in missing]
     running = in_processes(examined_file, files, workers=given.workers)
-    for file, outcome in tqdm(running, "scans", len(files), disable=None, leave=False):
+    for file, outcome in progress(running, "scans", len(files)):
         if isinstance(outcome, PcretrieveError):
             outcome = {"word": FAILED, "reasons": (str(outcome),), "checks": {}}
         name = str(file.relative_to(given.scans))

@@ -18,7 +18,8 @@ from typing import Any, Literal, NamedTuple, TypeVar
 
 import click
 from PIL import Image
-from tqdm import tqdm
+from rich.console import Console
+from rich.progress import track
 
 from pcretrieve.errors import BenchmarkError, PcretrieveError
 from pcretrieve.evaluation import RetrievalMeasures, rank_table
@@ -152,9 +153,13 @@ def run_command(*arguments: str) -> tuple[float, float]:
 Thing = TypeVar("Thing")
 
 
-def progress(things: Sequence[Thing], title: str) -> Iterable[Thing]:
+def progress(
+    things: Iterable[Thing], title: str, total: int | None = None
+) -> Iterable[Thing]:
     """Iterate with a progress bar on standard error, if that is a terminal."""
-    return tqdm(things, desc=title, disable=None, leave=False)
+    terminal = Console(stderr=True)
+    is_file = not terminal.is_terminal
+    return track(things, title, total, console=terminal, transient=True, disable=is_file)
 
 
 def in_workers(

@@ -27,9 +27,8 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from tqdm import tqdm
 
-from benchmarks.measuring import argument_parser
+from benchmarks.measuring import argument_parser, progress
 from benchmarks.simulation import RigOptions, scan
 from benchmarks.simulation.samples import moved, random_motion, write_ply
 from pcretrieve.formats import write_mesh
@@ -246,7 +245,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     labels = io.StringIO(newline="")
     table = csv.writer(labels, lineterminator="\n")
     table.writerow(("file", "class"))
-    for person in tqdm(range(given.people), unit="person"):
+    for person in progress(range(given.people), "people"):
         name = f"person-{given.seed}-{person:05}"
         for pose in people.poses(person, given.poses):
             path = given.out / f"{name}_{pose}.ply"
