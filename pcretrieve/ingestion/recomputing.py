@@ -86,7 +86,7 @@ def check(
         Number of signatures that are computed again.
     repair : bool, default False
         Remove damaged shapes, whose files the next ingest processes again, rows of no shape, and damaged
-        stored indexes.
+        indexes, and make SQL indexes again.
     remote : bool or function, default False
         Whether signatures of the sample are also computed again from scans at URLs, which the catalogue
         names: anyone who made it may have written any address. A function is given the hosts, and decides.
@@ -118,7 +118,9 @@ def check(
         if not _has_meshes(store):
             check_remote(map(_place, chosen), remote, store.location)
         defects = find_defects(store, repair=repair, on_shapes=on_shapes)
-        is_broken = any(defect.kind == "database" for defect in defects)
+        is_broken = any(
+            defect.kind == "database" and defect.repair is None for defect in defects
+        )
         tasks = _tasks(store, [] if is_broken else chosen)
         again, n_recomputed = partial(_again, store.options), 0
         with closing(in_processes(again, tasks, workers=1, timeout=timeout)) as outcomes:
@@ -220,7 +222,7 @@ def find_defects(
         done = "dropped: run the last ingest again" if repair else None
         found.append(Defect("log", None, lost, done))
     # A file with damaged pages is neither read further nor changed, because that may damage it further.
-    if all(defect.kind != "database" for defect in found):
+    if all(defect.repair or defect.kind != "database" for defect in found):
         for (number,) in catalogue.rows.database.execute(
             "SELECT number FROM shapes ORDER BY id"
         ):
@@ -239,9 +241,15 @@ def _database_defects(catalogue: Catalogue, *, repair: bool) -> list[Defect]:
     """Defects of the pages and the SQL indexes, and rows of no shape."""
     database = catalogue.rows.database
     # Outside of a transaction, because one that has met a damaged page cannot be ended without an error.
-    if faults := database.faults():
-        return [Defect("database", None, fault, None) for fault in faults]
-    found: list[Defect] = []
+    faults = database.faults()
+    done = (
+        "SQL indexes made again"
+        if faults and repair and _is_reindexed(catalogue)
+        else None
+    )
+    found = [Defect("database", None, fault, done) for fault in faults]
+    if faults and done is None:
+        return found
     with database.writing() if repair else database.reading():
         for table in ("provenance", "arrays", "signatures"):
             condition = f"FROM {table} WHERE NOT EXISTS (SELECT 1 FROM shapes WHERE number = shape)"
@@ -256,6 +264,18 @@ def _database_defects(catalogue: Catalogue, *, repair: bool) -> list[Defect]:
                     )
                 )
     return found
+
+
+def _is_reindexed(catalogue: Catalogue) -> bool:
+    """Make the SQL indexes again; whether the file has no fault then. Otherwise it stays as it was."""
+    try:
+        with catalogue.rows.database.writing():
+            catalogue.rows.database.execute("REINDEX")
+            if faults := catalogue.rows.database.faults():
+                raise CatalogueError(faults[0])
+    except CatalogueError:
+        return False
+    return True
 
 
 def _shape_defects(catalogue: Catalogue, number: int, *, repair: bool) -> list[Defect]:
