@@ -36,7 +36,7 @@ from pcretrieve.formats.identity import printable
 from pcretrieve.ingestion.discover import discover
 from pcretrieve.ingestion.pool import alone
 from pcretrieve.options import MergeOptions, OptionsLike, PipelineOptions
-from pcretrieve.points.register import Merged, merge_views as merge_clouds
+from pcretrieve.pipeline.registration import Merged, merge_views as merge_clouds
 from pcretrieve.values import FloatArray, PointCloud
 from pcretrieve.values.conversion import as_cloud
 

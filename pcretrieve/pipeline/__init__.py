@@ -1,6 +1,7 @@
 """One scan through all stages.
 
-In comes a scan, as a file or as arrays; out come its surface, its spectrum and its signature.
+In comes a scan, as a file or as arrays; out come its surface, its spectrum and its signature. Views of one
+body become a scan by `pipeline.registration`.
 """
 
 import logging

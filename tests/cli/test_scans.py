@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 import pcretrieve as pr
 from pcretrieve.cli import batches
 from pcretrieve.formats import write_mesh
-from pcretrieve.points.register.alignment import moved
+from pcretrieve.pipeline.registration.alignment import moved
 
 LENGTHS = {"a": 1.5, "b": 2.0, "c": 3.0}
 FEW_CELLS = "[surface]\ncell = 0.01\ntarget_faces = 3000\n"

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import ScanOptions
+from pcretrieve.pipeline.registration.groups import feature_histograms
 from pcretrieve.points import oriented_normals
 from pcretrieve.points.density import interpolated, local_spacings, sparse_points
 from pcretrieve.points.neighbors import (
@@ -23,7 +24,6 @@ from pcretrieve.points.neighbors import (
     spacing,
 )
 from pcretrieve.points.normals import estimate_normals, orient_by_tangent_planes
-from pcretrieve.points.register.groups import feature_histograms
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 RNG = np.random.default_rng(0)

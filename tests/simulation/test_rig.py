@@ -33,7 +33,7 @@ from pcretrieve import read_scan
 from pcretrieve.arrays.open3d import RayScene
 from pcretrieve.formats.conf import read_poses
 from pcretrieve.formats.ply import read_ply
-from pcretrieve.points.register.alignment import moved
+from pcretrieve.pipeline.registration.alignment import moved
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 # The ball is made of flat faces whose middles lie at most this much below it.

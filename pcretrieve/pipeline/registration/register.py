@@ -11,8 +11,7 @@ import numpy as np
 
 from pcretrieve.errors import InputError
 from pcretrieve.options import MergeOptions, ScanOptions
-from pcretrieve.points.clean import averaged
-from pcretrieve.points.register.alignment import (
+from pcretrieve.pipeline.registration.alignment import (
     Overlap,
     Poses,
     adjusted,
@@ -21,9 +20,10 @@ from pcretrieve.points.register.alignment import (
     shared,
     turned,
 )
-from pcretrieve.points.register.groups import COARSE, FINE, largest_group
-from pcretrieve.points.register.tracking import followed, posed_track, tracks
-from pcretrieve.points.register.views import View, placed_by, prepared
+from pcretrieve.pipeline.registration.groups import COARSE, FINE, largest_group
+from pcretrieve.pipeline.registration.tracking import followed, posed_track, tracks
+from pcretrieve.pipeline.registration.views import View, placed_by, prepared
+from pcretrieve.points.clean import averaged
 from pcretrieve.values import FloatArray, PointCloud, Step
 
 # Smallest overlap of two views that is reported; fraction of the points of one of them.

@@ -22,9 +22,9 @@ from pcretrieve.arrays.open3d import RayScene
 from pcretrieve.errors import ScanReadError
 from pcretrieve.ingestion.views import image_poses, trajectory_file
 from pcretrieve.options import MergeOptions, PipelineOptions, ScanOptions
-from pcretrieve.points.register import merge_views
-from pcretrieve.points.register.alignment import moved
-from pcretrieve.points.register.views import depth_limit, placed_by, prepared
+from pcretrieve.pipeline.registration import merge_views
+from pcretrieve.pipeline.registration.alignment import moved
+from pcretrieve.pipeline.registration.views import depth_limit, placed_by, prepared
 from pcretrieve.values import FloatArray
 
 CAMERA = TurningOptions(n_frames=30, width=120, height=160, focal=170.0)

@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from pcretrieve.options import MergeOptions
-from pcretrieve.points.register.alignment import (
+from pcretrieve.pipeline.registration.alignment import (
     Poses,
     Verification,
     adjusted,
     verification,
 )
-from pcretrieve.points.register.views import View
+from pcretrieve.pipeline.registration.views import View
 from pcretrieve.values import FloatArray
 
 # Largest distances of correspondences in the steps of the registration of a frame, in units of `reach`: from

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.options import MergeOptions
-from pcretrieve.points.register.views import LEAST_COSINE, View
+from pcretrieve.pipeline.registration.views import LEAST_COSINE, View
 from pcretrieve.values import FloatArray
 
 #: Rigid motions, (4, 4) float64, of views into a common frame, by the number of the view.

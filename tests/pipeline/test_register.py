@@ -17,9 +17,9 @@ from pcretrieve import PointCloud
 from pcretrieve.errors import InputError, OptionError, ReconstructionError
 from pcretrieve.ingestion.views import read_views
 from pcretrieve.options import MergeOptions, ScanOptions
-from pcretrieve.points.register import merge_views
-from pcretrieve.points.register.alignment import moved
-from pcretrieve.points.register.views import RangeImage
+from pcretrieve.pipeline.registration import merge_views
+from pcretrieve.pipeline.registration.alignment import moved
+from pcretrieve.pipeline.registration.views import RangeImage
 from pcretrieve.values import FloatArray
 
 FAR = ScanOptions()

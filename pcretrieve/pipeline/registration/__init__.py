@@ -4,7 +4,7 @@ In come views as point clouds, each in a frame of its own; out go their rigid mo
 and the cloud that they make together.
 """
 
-from pcretrieve.points.register.alignment import Overlap
-from pcretrieve.points.register.register import Merged, merge_views
+from pcretrieve.pipeline.registration.alignment import Overlap
+from pcretrieve.pipeline.registration.register import Merged, merge_views
 
 __all__ = ["Merged", "Overlap", "merge_views"]

@@ -13,7 +13,7 @@ from pcretrieve.arrays import DOUBLE_OFFSET, Frame, unit_vectors
 from pcretrieve.arrays.open3d import library, open3d_cloud
 from pcretrieve.errors import ReconstructionError, Stage
 from pcretrieve.options import MergeOptions
-from pcretrieve.points.register.alignment import (
+from pcretrieve.pipeline.registration.alignment import (
     Overlap,
     Poses,
     adjusted,
@@ -22,7 +22,7 @@ from pcretrieve.points.register.alignment import (
     turned,
     verification,
 )
-from pcretrieve.points.register.views import View
+from pcretrieve.pipeline.registration.views import View
 from pcretrieve.values import FloatArray
 
 # Radius of the neighbourhood of a feature, in voxels. It is of the size of distinctive parts of a body.
