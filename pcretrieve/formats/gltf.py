@@ -32,12 +32,10 @@ from pcretrieve.formats.format import (
     RawScan,
     check_file,
     distinct_names,
-    fans,
     joined,
-    strips,
 )
 from pcretrieve.formats.meshes import Scene, check_size, moved
-from pcretrieve.values import FloatArray
+from pcretrieve.values import FloatArray, polygon_triangles, strip_triangles
 from pcretrieve.values.files import check_members
 
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -253,7 +251,10 @@ def _primitive(tree: Any, contents: list[bytes], primitive: Any) -> RawScan:
         if len(corners) and not 0 <= corners.min() <= corners.max() < len(vertices):
             raise Damaged(f"its faces name vertex {corners.max()}, of {len(vertices)}")
     faces = corners.reshape(-1, 3) if mode == TRIANGLES else corners[None]
-    return RawScan(vertices, strips(corners) if mode == STRIP else fans([faces]))
+    return RawScan(
+        vertices,
+        strip_triangles(corners) if mode == STRIP else polygon_triangles([faces]),
+    )
 
 
 def _values(tree: Any, contents: list[bytes], accessor: int, kind: str) -> NDArray[Any]:

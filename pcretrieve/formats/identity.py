@@ -1,4 +1,4 @@
-"""What identifies a scan: its printable name, the hash of its content, and the stamp of an unchanged file."""
+"""What identifies a scan: its printable name, and the hash of its content."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import hashlib
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO, NamedTuple, TypeVar
+from typing import IO, TypeVar
 
 from pcretrieve.errors import ScanReadError
 from pcretrieve.formats.format import check_file
@@ -16,13 +16,6 @@ from pcretrieve.formats.remote import local_copy, remote_version
 CHUNK = 1 << 20  # bytes read at once
 
 Found = TypeVar("Found")
-
-
-class Stamp(NamedTuple):
-    """Of a file and the parts that it names: size, times and inode as text; the latest time, in seconds."""
-
-    text: str
-    changed: float
 
 
 def printable(text: str | ScanPath) -> str:
@@ -64,30 +57,11 @@ def file_hash(
         while chunk := opened.read(CHUNK):
             digest.update(chunk)
 
-    _of_each_file(file.file, add)
+    of_each_file(file.file, add)
     return digest.hexdigest()
 
 
-def stamp_of(file: ScanPath) -> Stamp | None:
-    """The stamp of a file. Two equal stamps of a path, the first of them settled, are of one content.
-
-    Every change of a file sets its ctime, which no user can set to another time. The number of the device is
-    left out, because it may change when the computer starts, and differs between the computers of a cluster.
-    """
-    if file.url is not None:
-        return None
-    try:
-        # Of the opened file, because a network file system may say what it knew of a file not opened.
-        found = _of_each_file(file.file, lambda opened: os.fstat(opened.fileno()))
-    except ScanReadError:
-        return None
-    text = "; ".join(
-        f"{one.st_size} {one.st_mtime_ns} {one.st_ctime_ns} {one.st_ino}" for one in found
-    )
-    return Stamp(text, max(max(one.st_mtime, one.st_ctime) for one in found))
-
-
-def _of_each_file(file: Path, look: Callable[[IO[bytes]], Found]) -> list[Found]:
+def of_each_file(file: Path, look: Callable[[IO[bytes]], Found]) -> list[Found]:
     """What a function finds in a file and in its parts, one after the other."""
     part, found = file, []
     try:

@@ -23,12 +23,11 @@ from pcretrieve.formats.format import (
     Damaged,
     RawScan,
     distinct_names,
-    fans,
     joined,
     numbers_in,
     text_lines,
 )
-from pcretrieve.values import FloatArray, TriangleMesh, unit_of, welded
+from pcretrieve.values import FloatArray, TriangleMesh, polygon_triangles, unit_of, welded
 from pcretrieve.values.files import check_members, opened_archive
 
 # Largest vertex number of an OBJ file; more than any file has.
@@ -133,7 +132,11 @@ def _of_polygons(vertices: list[list[float]], polygons: list[list[int]]) -> RawS
     alike: dict[int, list[list[int]]] = {}  # by their number of corners
     for corners in polygons:
         alike.setdefault(len(corners), []).append(corners)
-    faces = fans([np.array(corners) for corners in alike.values()]) if polygons else None
+    faces = (
+        polygon_triangles([np.array(corners) for corners in alike.values()])
+        if polygons
+        else None
+    )
     return RawScan(np.array(vertices), faces)
 
 

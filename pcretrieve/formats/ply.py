@@ -28,13 +28,11 @@ from pcretrieve.formats.format import (
     Cut,
     Damaged,
     RawScan,
-    fans,
     fields_of,
     numbers_in,
     scan_of_fields,
-    strips,
 )
-from pcretrieve.values import PointCloud
+from pcretrieve.values import PointCloud, polygon_triangles, strip_triangles
 
 # Types of properties by the names of Stanford, of MeshLab, and of programs with indices of 64 bits.
 NAMES = (
@@ -325,7 +323,9 @@ def _faces(element: Element, found: list[Table]) -> NDArray[np.int64]:
             f"the faces of a PLY scan must have the list {' or '.join(FACE_PROPERTIES)} of whole numbers"
         )
     if element.name == STRIPS:
-        return np.concatenate([strips(row) for _, rows in found for row in rows[name]])
+        return np.concatenate(
+            [strip_triangles(row) for _, rows in found for row in rows[name]]
+        )
     polygons = [rows[name] for _, rows in found]  # (p, k) each
     for corners in polygons:
         if (
@@ -333,7 +333,7 @@ def _faces(element: Element, found: list[Table]) -> NDArray[np.int64]:
             and not ((np.abs(corners) <= LARGEST_INDEX) & (corners % 1 == 0)).all()
         ):
             raise Damaged("its faces name vertices by other than whole numbers")
-    return fans(polygons)
+    return polygon_triangles(polygons)
 
 
 def ply_bytes(cloud: PointCloud) -> bytes:

@@ -16,13 +16,14 @@ from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from threading import Semaphore, Thread
-from typing import Any
+from typing import Any, NamedTuple
 
 from pcretrieve import __version__
 from pcretrieve.catalogue import Catalogue, CatalogueLike, Record
 from pcretrieve.errors import (
     BenchmarkError,
     PcretrieveError,
+    ScanReadError,
     ShapeError,
     Stage,
     StageTimeout,
@@ -30,7 +31,12 @@ from pcretrieve.errors import (
     shape_error,
 )
 from pcretrieve.formats import ScanPath
-from pcretrieve.formats.identity import file_hash, printable, scan_hash, stamp_of
+from pcretrieve.formats.identity import (
+    file_hash,
+    of_each_file,
+    printable,
+    scan_hash,
+)
 from pcretrieve.ingestion.discover import scans_of, shape_ids
 from pcretrieve.ingestion.labels import discover_labelled, match_labels
 from pcretrieve.ingestion.pool import Executor, alone, in_processes
@@ -332,6 +338,32 @@ def _is_gone(path: str) -> bool:
     except OSError:
         pass
     return False
+
+
+class Stamp(NamedTuple):
+    """Fingerprint of a file and the parts that it names, and the time of its last change; seconds."""
+
+    text: str
+    changed: float
+
+
+def stamp_of(file: ScanPath) -> Stamp | None:
+    """The stamp of a file. Two equal stamps of a path, the first of them settled, are of one content.
+
+    Every change of a file sets its ctime, which no user can set to another time. The number of the device is
+    left out, because it may change when the computer starts, and differs between the computers of a cluster.
+    """
+    if file.url is not None:
+        return None
+    try:
+        # Of the opened file, because a network file system may say what it knew of a file not opened.
+        found = of_each_file(file.file, lambda opened: os.fstat(opened.fileno()))
+    except ScanReadError:
+        return None
+    text = "; ".join(
+        f"{one.st_size} {one.st_mtime_ns} {one.st_ctime_ns} {one.st_ino}" for one in found
+    )
+    return Stamp(text, max(max(one.st_mtime, one.st_ctime) for one in found))
 
 
 class Contents:

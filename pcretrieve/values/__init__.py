@@ -26,6 +26,8 @@ from pcretrieve.values.geometry import (
     PointCloud,
     Step,
     TriangleMesh,
+    polygon_triangles,
+    strip_triangles,
     welded,
 )
 from pcretrieve.values.shapes import (
@@ -70,6 +72,8 @@ __all__ = [
     "TriangleMesh",
     "area_vectors",
     "bounding_diagonal",
+    "polygon_triangles",
+    "strip_triangles",
     "tangent_axes",
     "unit_of",
     "unit_vectors",

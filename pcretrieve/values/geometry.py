@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -330,6 +331,32 @@ def edge_graph(mesh: TriangleMesh) -> csr_array:
         np.linalg.norm(mesh.vertices[starts] - mesh.vertices[ends], axis=1), least
     )
     return links.tocsr()
+
+
+def polygon_triangles(polygons: Iterable[NDArray[Any]]) -> NDArray[np.int64]:
+    """(m, 3) triangles of polygons, as fans around their first corners.
+
+    polygons: iterable of (p, k) int, vertex numbers of polygons of k corners; fewer than three are ignored.
+    """
+    triangles = [
+        corners if corners.shape[1] == 3 else corners[:, [0, k, k + 1]]
+        for corners in polygons
+        for k in range(1, corners.shape[1] - 1)
+    ]
+    return np.concatenate(
+        [np.empty((0, 3), np.int64), *triangles], dtype=np.int64, casting="unsafe"
+    )
+
+
+def strip_triangles(corners: NDArray[Any]) -> NDArray[np.int64]:
+    """(m, 3) triangles of strips: (k,) vertex numbers, in which −1 ends a strip."""
+    corners = corners.astype(np.int64)
+    k = np.arange(len(corners))
+    # Every second triangle of a strip has the opposite orientation.
+    is_odd = (k - np.maximum.accumulate(np.where(corners < 0, k + 1, 0)))[:-2] % 2 == 1
+    triangles = np.column_stack([corners[:-2], corners[1:-1], corners[2:]])
+    triangles[is_odd] = triangles[is_odd][:, [0, 2, 1]]
+    return triangles[(triangles >= 0).all(axis=1)]
 
 
 def welded(

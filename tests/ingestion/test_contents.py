@@ -17,7 +17,7 @@ from processes import in_this_process
 import pcretrieve as pr
 from pcretrieve.errors import StageTimeout
 from pcretrieve.formats import ScanPath, write_mesh
-from pcretrieve.formats.identity import content_hash, file_hash, stamp_of
+from pcretrieve.formats.identity import content_hash, file_hash
 from pcretrieve.ingestion import plan
 
 Ingested = Callable[..., tuple[list[str], list[str]]]
@@ -146,11 +146,11 @@ def test_a_view_of_a_conf_file_is_a_part_of_it(tmp_path: Path) -> None:
         write_ply(tmp_path / f"{name}.ply", np.eye(3))
     conf = tmp_path / "two.conf"
     conf.write_text("bmesh a.ply 0 0 0 0 0 0 1\nbmesh b.ply 0 0 0 0 0 0 1\n")
-    before, again = stamp_of(ScanPath(conf)), stamp_of(ScanPath(conf))
+    before, again = plan.stamp_of(ScanPath(conf)), plan.stamp_of(ScanPath(conf))
     assert before is not None
     assert before == again
     assert before.text.count(";") == 2
     (tmp_path / "b.ply").touch()
-    assert stamp_of(ScanPath(conf)) != before
+    assert plan.stamp_of(ScanPath(conf)) != before
     (tmp_path / "b.ply").unlink()
-    assert stamp_of(ScanPath(conf)) is None
+    assert plan.stamp_of(ScanPath(conf)) is None
