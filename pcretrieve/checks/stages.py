@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.arrays import vertex_normals
-from pcretrieve.checks.fit import FILLED, Fit
+from pcretrieve.checks.fit import FILLED, Fit, Hole
 from pcretrieve.checks.grading import (
     ENDS_OF_NOISE,
     LARGE_HOLE,
@@ -292,7 +292,7 @@ def gaps_check(fit: Fit) -> Check:
 
 def hole_check(fit: Fit) -> Check:
     """Check whether a hole shows: it is large, or unlike all others, and sensors could have seen it."""
-    is_open = [hole.light > OPEN and not hole.is_expected for hole in fit.holes]
+    is_open = [not hole.is_expected and _is_visible(hole, fit) for hole in fit.holes]
     open_ones = sorted(compress(fit.holes, is_open), key=lambda hole: -hole.radius)
     if not open_ones:
         return graded("Largest hole", 0.0, "none")
@@ -304,6 +304,13 @@ def hole_check(fit: Fit) -> Check:
     places = [hole.middle for hole in open_ones if hole.radius > limit]
     shown = f"{2 * radius * fit.length:.2g} wide, {percent(2 * radius)} of the length of the body"
     return graded("Largest hole", radius, shown, limits=(limit, limit), places=places)
+
+
+def _is_visible(hole: Hole, fit: Fit) -> bool:
+    """Whether a sensor could have seen into a hole: no small one that is in the shade."""
+    if hole.light > OPEN:
+        return True
+    return hole.radius > LARGE_HOLE and fit.sees_shades(hole.light)
 
 
 def lost_check(fit: Fit) -> Check:

@@ -22,6 +22,7 @@ from pcretrieve.checks.stages import body_check, hole_check, neck
 from pcretrieve.draw.axes import person_of
 from pcretrieve.points.neighbors import neighborhoods
 from pcretrieve.spectral import unit_eigenpairs
+from pcretrieve.surface.reconstruct import uniform_points
 from pcretrieve.values import FloatArray
 
 BALL = icosphere(4)
@@ -65,6 +66,24 @@ def test_a_hole_in_a_ball_shows_at_its_place() -> None:
     found = checks_of(cloud_of(pierced), BALL)["Largest hole"]
     assert (found.outcome, found.grade) == ("failed", "incomplete")
     assert np.linalg.norm(np.array(found.places) - [0, 0, 1]) < 0.05
+
+
+@pytest.mark.parametrize(("share", "outcome"), [(1.0, "failed"), (0.4, "passed")])
+def test_a_hole_in_the_shade_shows_if_the_sensor_sees_into_shades(
+    share: float, outcome: str
+) -> None:
+    # A ball with a groove all round, in which a share of the points is.
+    ball = icosphere(5)
+    depth = 0.5 * np.exp(-((ball.vertices[:, 2:] / 0.2) ** 2))
+    grooved = TriangleMesh(ball.vertices * (1 - depth), ball.faces)
+    points, faces = uniform_points(grooved, 40_000, np.random.default_rng(0))
+    normals = grooved.area_vectors[faces] / grooved.face_areas[faces, np.newaxis]
+    is_seen = np.random.default_rng(1).random(len(points)) < share
+    kept = np.linalg.norm(points - [0.5, 0, 0], axis=1) > 0.1
+    kept &= is_seen | (np.abs(points[:, 2]) > 0.2)
+    fit = fit_of(cloud_of(points[kept], normals[kept]), grooved)
+    assert fit.holes[0].light < 0.6
+    assert hole_check(fit).outcome == outcome
 
 
 def test_the_radius_of_a_hole_is_measured_between_the_vertices() -> None:
