@@ -23,7 +23,6 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, is_dataclass
 from functools import cache, partial
-from importlib.resources import files
 from inspect import signature
 from pathlib import Path
 from types import NoneType, UnionType
@@ -110,7 +109,7 @@ class Option(click.Option):
 @cache
 def _texts() -> dict[str, tuple[str, str]]:
     """Text and default of each option of the pipeline, read without an import of them, which takes .2 s."""
-    tables = files("pcretrieve") / "options" / "tables.py"
+    tables = Path(__file__).parents[1] / "options" / "tables.py"
     return option_texts(tables.read_text(encoding="utf-8"))
 
 
