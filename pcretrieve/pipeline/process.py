@@ -385,7 +385,7 @@ def stages(scan: ScanLike, options: PipelineOptions) -> Iterator[Seen]:
         sensors = None if seen.cloud is None else seen.cloud.viewpoints
         is_of_one = sensors is not None and np.allclose(sensors, sensors[0])
         if is_of_one and error.stage == Stage.SURFACE:
-            notes.append(ONE_VIEW)
+            notes.insert(0, ONE_VIEW)
         if notes:
             error.message = f"{error.message}; {'; '.join(notes)}"
         raise
