@@ -49,6 +49,9 @@ Answer = TypeVar("Answer")
 # Number of workers that may fail to start, one after the other.
 MAX_FAILED_STARTS = 5
 
+# What a script must do that starts workers.
+GUARD = 'call this below `if __name__ == "__main__":`'
+
 # Number of attempts for an item that lacked memory, or whose worker ended. The second attempt is in a new
 # worker, because earlier items or other programs may have used the memory.
 MAX_ATTEMPTS = 2
@@ -131,6 +134,7 @@ def in_processes(
     Workers in `idle`, of earlier calls with the same function, are used first, and those that are left at the
     end are put there. `told` is called with what the function tells by `tell` while it works.
     """
+    check_main()
     most = workers or len(os.sched_getaffinity(0))
     crew = _Crew(function, items, most, timeout, memory, idle, told)
     try:
@@ -170,10 +174,18 @@ def _tell_once(message: str) -> None:
     logging.getLogger("pcretrieve").warning(message)
 
 
+def check_main() -> None:
+    """PcretrieveError in a worker that runs the script of its parent again, because it imports it."""
+    # An attribute of multiprocessing, which refuses to start processes then, but not other work.
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        raise PcretrieveError(f"worker processes import the script: {GUARD}")
+
+
 def _no_start(worker: Worker[Any, Any]) -> str:
     return (
-        f"{MAX_FAILED_STARTS} worker processes in a row ended, or hung, before they could take a shape, "
-        "perhaps for lack of memory: raise --memory if you gave it, or have fewer processes work at a time"
+        f"{MAX_FAILED_STARTS} worker processes in a row ended, or hung, before they could take a shape. In a "
+        f"script, {GUARD}. Else memory may be short: raise --memory if you gave it, or have fewer processes "
+        "work at a time"
         + (f"; the last one printed: {worker.printed}" if worker.printed else "")
     )
 

@@ -26,7 +26,13 @@ from pcretrieve.ingestion.discover import (
     looked_into,
 )
 from pcretrieve.ingestion.plan import Intake, Plan, Planner, Processing, failed
-from pcretrieve.ingestion.pool import Executor, Worker, in_processes, remove_abandoned
+from pcretrieve.ingestion.pool import (
+    Executor,
+    Worker,
+    check_main,
+    in_processes,
+    remove_abandoned,
+)
 from pcretrieve.ingestion.progress import Progress
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.pipeline import log_steps
@@ -151,6 +157,7 @@ def ingest(
     PcretrieveError
         If `max_failures` scans have failed.
     """
+    check_main()
     how = Processing(
         workers, timeout, memory, executor, retry_failed, retries, max_failures, on_shape
     )

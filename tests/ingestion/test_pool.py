@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapes
 from processes import PATIENCE, living, wait_for
 
 from pcretrieve.errors import (
@@ -25,6 +26,7 @@ from pcretrieve.errors import (
     WorkerDied,
     in_stage,
 )
+from pcretrieve.formats import write_mesh
 from pcretrieve.ingestion import pool
 
 HERE = str(Path(__file__).parent)
@@ -213,3 +215,23 @@ def test_workers_that_compute_end_with_a_killed_main_process(tmp_path: Path) -> 
     finally:
         for worker in workers & {*living(main.pid)}:
             os.kill(worker, signal.SIGKILL)
+
+
+def test_a_script_without_a_guard_is_told_so(tmp_path: Path) -> None:
+    """Workers import the script, which starts workers: no advice to raise the memory alone."""
+    shapes_file = tmp_path / "cube.off"
+    write_mesh(shapes.cube(), shapes_file)
+    script = tmp_path / "study.py"
+    script.write_text(
+        f"import pcretrieve as pr\npr.ingest({str(shapes_file)!r}, 'c.sqlite', workers=1)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert 'In a script, call this below `if __name__ == "__main__":`' in done.stderr
+    assert "worker processes import the script" in done.stderr
