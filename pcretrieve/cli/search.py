@@ -286,7 +286,8 @@ def duplicates_command(
     """Find copies of shapes: at another resolution, mirrored, or two scans of one body in one pose.
 
     The table has the distance, its limit and both ids, nearest first. Distances are those of the moments of
-    the surfaces, which must be stored; with --threshold, those of the signatures.
+    the surfaces, which must be stored; the signatures of copies are alike too. With --threshold, distances
+    are those of the signatures.
 
     \b
     pcretrieve duplicates --catalogue bodies.sqlite --html pairs.html

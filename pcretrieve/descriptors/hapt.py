@@ -319,11 +319,11 @@ def moments(mesh: TriangleMesh) -> Signature:
     values : (6,) in units of √A, smallest σ first. On an axis of a sphere, both are in the ratio 1 : √(9/5).
     """
     framed = in_principal_frame(mesh)
-    corners = framed.vertices[framed.faces]  # (m, 3, 3)
-    middles = (corners + np.roll(corners, 1, axis=1)) / 2  # of the edges
-    second, fourth = (
-        framed.face_areas @ (middles**power).mean(axis=1) for power in (2, 4)
-    )  # (3,)
+    a, b, c = (framed.vertices[framed.faces[:, k]] for k in range(3))  # (m, 3) each
+    squares = [((one + other) / 2) ** 2 for one, other in ((a, b), (b, c), (c, a))]
+    areas = framed.face_areas / 3
+    second = areas @ sum(squares)  # (3,), exact from the midpoints of the edges
+    fourth = areas @ sum(square**2 for square in squares)
     second = np.maximum(second, np.finfo(float).eps)  # of a surface in a plane
     return Signature(np.sqrt(np.concatenate([second, fourth / second])), kind="moments")
 

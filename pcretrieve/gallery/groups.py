@@ -13,12 +13,16 @@ from pcretrieve.catalogue.cache import short_digest
 from pcretrieve.errors import OptionError
 from pcretrieve.gallery.fitted import SMALLEST_KEPT, index
 from pcretrieve.options import OptionsLike, PipelineOptions
-from pcretrieve.retrieval import SignatureIndex
+from pcretrieve.retrieval import SignatureIndex, pairwise
 from pcretrieve.values import FloatArray
 
 # Largest distance of two copies of one body in one pose, by the logarithms of their moments: see
 # docs/decisions.md, SAME.
 SAME = 0.03
+
+# Two people of one build in one pose have equal moments too. Copies are shapes whose signatures are nearer
+# than this share of the pairs of two classes, where there are classes.
+FALSE_COPIES = 0.01
 
 # Effective number of neighbours of a point of t-SNE: by more, islands mix when shapes are moved apart.
 PERPLEXITY = 12.0
@@ -107,9 +111,10 @@ def duplicates(
     catalogue : Catalogue, str or Path
         The shapes, with their meshes unless there is a `threshold`. All are compared, incomplete ones too.
     options : OptionsLike, optional
-        With a `threshold` the signatures, distance and whitening; by default those of the catalogue.
+        Signatures, distance and whitening. By default those of the catalogue.
     threshold : float, optional
-        The largest distance of a pair. By default the moments of the surfaces are compared, up to `SAME`.
+        The largest distance of a pair. By default the moments of the surfaces are compared, up to `SAME`, and
+        then the signatures, up to the distance of a hundredth of the pairs of two classes.
 
     Returns
     -------
@@ -123,11 +128,18 @@ def duplicates(
     """
     with Catalogue.opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options)
-        if threshold is None:
-            chosen, threshold = chosen.of_copies, SAME
-        elif not 0 <= threshold < np.inf:
+        if threshold is not None and not 0 <= threshold < np.inf:
             raise OptionError(f"threshold must be 0 or more, got {threshold}")
-        return near_pairs(index(store, options=chosen), threshold) if len(store) else []
+        if not len(store):
+            return []
+        if threshold is not None:
+            return near_pairs(index(store, options=chosen), threshold)
+        alike = near_pairs(index(store, options=chosen.of_copies), SAME)
+        if not alike:
+            return []
+        made = index(store, options=chosen)
+        limit = np.inf if made.scores is None else made.scores.limit(FALSE_COPIES)
+        return [pair for pair in alike if _distance(made, pair) <= limit]
 
 
 def cluster(
@@ -202,6 +214,12 @@ def plane_map(points: FloatArray) -> FloatArray:
         gaps = np.diff(along[order], prepend=along.min())
         along[order] = np.cumsum(np.minimum(gaps, WIDEST * gaps.mean()))
     return _framed(_apart(_framed(places), min(GAP, SHARE / np.sqrt(len(places)))))
+
+
+def _distance(index: SignatureIndex, pair: NearPair) -> float:
+    """The distance of the signatures of two shapes."""
+    one, other = index.point_of(pair.first), index.point_of(pair.second)
+    return float(pairwise(index.distance, one, other)[0, 0])
 
 
 def _framed(places: FloatArray) -> FloatArray:

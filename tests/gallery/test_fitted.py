@@ -199,3 +199,33 @@ def test_what_a_link_in_the_cache_leads_to_is_not_removed(
         each for each in mine if each.name[0] != "." and not (each / "photo.jpg").exists()
     ] == []
     assert [link for link in links if not link.is_symlink()] == []
+
+
+def test_people_of_one_build_are_no_copies(tmp_path: Path) -> None:
+    """Their moments are alike, but not their signatures; a scan of one of them, made again, is a copy."""
+    rng = np.random.default_rng(0)
+    with Catalogue(tmp_path / "c.sqlite", FEW, create=True) as store:
+        for number in range(12):
+            own = np.exp(rng.normal(size=59) * 0.3)
+            for scan in range(4):
+                # The third and the fourth scan of each are the same, but for the noise.
+                noise = 0.001 if scan == 3 else 0.03
+                change = own * np.exp(rng.normal(size=59) * noise)
+                if scan == 2:
+                    first = change
+                elif scan == 3:
+                    change = first * change / own
+                name = f"{number:02}{scan}"
+                record = Record(name, f"/{name}.off", f"h{name}", f"p{number}")
+                values = describe(egg(), FEW.signature).values * change
+                store.put(record, Content(egg(), values))
+        plain = FEW.changed(retrieval={"whitening": "none"})
+        found = groups.duplicates(store, options=plain)
+        wrong = [pair for pair in found if pair.first[:2] != pair.second[:2]]
+        n_apart = 48 * 44 // 2
+        assert len(wrong) <= np.ceil(groups.FALSE_COPIES * n_apart)
+        assert {(f"{number:02}2", f"{number:02}3") for number in range(12)} <= {
+            (pair.first, pair.second) for pair in found
+        }
+        moments = index(store, options=FEW.of_copies)
+        assert len(groups.near_pairs(moments, groups.SAME)) == 48 * 47 // 2
