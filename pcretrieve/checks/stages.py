@@ -58,9 +58,9 @@ WELDS_OF_PARTS = 5
 
 # Largest length of a level line where two bodies touch, relative to the root of the area on its smaller side:
 # of a line that is nowhere in a crease, and of one that is so all round. It is .4 along the shaft of a femur,
-# nowhere in a crease; .85 round an animal, half in creases; and 1.1 round the flange of a machine part.
-NECK = 0.45
-CREASED_NECK = 1.05
+# nowhere in a crease; .82 round the waist of somebody who sits, partly in one; and 1.1 round a flange.
+NECK = 0.4
+CREASED_NECK = 1.0
 
 # Least share of the line that lies in a crease. With a smaller one, level lines nearby, on both sides, must
 # be longer by the factor: along a rod they are not.
@@ -83,7 +83,7 @@ NEARBY = 0.055
 WEAKNESS = 150.0
 
 # Mean of these angles, round a vertex, from which it is in a crease; radians.
-CREASE = 0.02
+CREASE = 0.05
 
 # Number of eigenfunctions that are combined at first, and of the steps that fit the sum to the creases, which
 # are narrower. More find as many pairs.
