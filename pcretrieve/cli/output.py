@@ -111,10 +111,12 @@ def write_table(
         if kinds[-1] == "words":
             least -= max(0, widths[-1] - LEAST_WORDS)
         left_out = "path" if limit is not None and least > limit else None
+        lines = []
         for row in cells:
             parts = zip(kinds, widths, row, strict=True)
             shown = [part for part in parts if part[0] != left_out]
-            write(_line(shown, limit, is_heading=row is heading))
+            lines.append(_line(shown, limit, is_heading=row is heading))
+        write("\n".join(lines))
         n_rows += len(block)
     return n_rows
 
