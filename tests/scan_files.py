@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from pcretrieve import PointCloud, TriangleMesh, read_scan
-from pcretrieve.formats import missing_extra
+from pcretrieve.formats.registry import missing_extra
 
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 # Corners of each side, counter-clockwise from outside.

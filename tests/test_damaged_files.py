@@ -44,8 +44,8 @@ from pcretrieve import (
 )
 from pcretrieve.evaluation import evaluate
 from pcretrieve.evaluation.comparison import read_scores, write_evaluation
-from pcretrieve.formats import missing_extra, read_scan, write_cloud, write_mesh
-from pcretrieve.formats.registry import FORMATS
+from pcretrieve.formats import read_scan, write_cloud, write_mesh
+from pcretrieve.formats.registry import FORMATS, missing_extra
 from pcretrieve.gallery import fitted
 from pcretrieve.gallery.fitted import index, signatures
 from pcretrieve.ingestion.discover import discover

@@ -17,7 +17,6 @@ from pcretrieve.formats.registry import (
     ScanPath,
     is_scan,
     members_of,
-    missing_extra,
     parts_of,
 )
 
@@ -32,7 +31,6 @@ __all__ = [
     "is_scan",
     "located",
     "members_of",
-    "missing_extra",
     "parts_of",
     "read_scan",
     "write_cloud",

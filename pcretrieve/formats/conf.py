@@ -103,7 +103,8 @@ def _view(path: Path, view: Path, read_view: Callable[[Path], RawScan]) -> RawSc
         raise ScanReadError(f"its view {view.name}: {error.message}") from error
     if scan.viewpoints is not None:
         return scan
-    low, high = np.nanmin(scan.points, axis=0), np.nanmax(scan.points, axis=0)
+    low = np.nanmin(scan.points, axis=0)
+    high = np.nanmax(scan.points, axis=0)
     distance = SENSOR_DISTANCE * float(np.linalg.norm(high - low))
     return scan._replace(viewpoints=(low + high) / 2 + np.array([0, 0, distance]))
 

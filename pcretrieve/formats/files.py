@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.formats.format import RawScan
-from pcretrieve.formats.registry import FORMATS, ScanPath, read_raw
+from pcretrieve.formats.registry import FORMATS, ScanPath, read_raw, suffixes
 from pcretrieve.formats.remote import local_copy
 from pcretrieve.values import (
     METRES,
@@ -267,7 +267,8 @@ def check_output(
 
 
 def _write(value: PointCloud | TriangleMesh, path: Path, kind: Kind) -> None:
-    suffix, write = path.suffix.lower(), _writer(path, kind)
+    suffix = path.suffix.lower()
+    write = _writer(path, kind)
     try:
         data = write(value)
     except (InputError, MemoryError):
@@ -283,10 +284,11 @@ def _write(value: PointCloud | TriangleMesh, path: Path, kind: Kind) -> None:
 
 def _writer(path: Path, kind: Kind) -> Callable[[Any], bytes]:
     """The function that makes the content of a file; InputError if there is none."""
-    suffix, name = path.suffix.lower(), "write_cloud" if kind == "point" else "write_mesh"
-    write: Callable[[Any], bytes] | None = None
-    if suffix in FORMATS.names.all():
-        write = getattr(FORMATS[suffix], name)
+    suffix = path.suffix.lower()
+    name = "write_cloud" if kind == "point" else "write_mesh"
+    write: Callable[[Any], bytes] | None = (
+        getattr(FORMATS[suffix], name) if suffix in suffixes() else None
+    )
     if write is None:
         known = " ".join(
             suffix for suffix, found in FORMATS.own.items() if getattr(found, name)

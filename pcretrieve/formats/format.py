@@ -239,14 +239,14 @@ def checked(scan: object) -> RawScan:
         wanted = array.ndim == 2 and array.shape[1] == 3 and n in ("n", len(array))
         if not wanted and not (name == "viewpoints" and array.shape == (3,)):
             raise ValueError(f"{name} must have the shape ({n}, 3), got {array.shape}")
-    if "faces" in arrays and (arrays["faces"] % 1).any():
-        raise ValueError("faces must be whole numbers")
+    if (faces := arrays.get("faces")) is not None:
+        if (faces % 1).any():
+            raise ValueError("faces must be whole numbers")
+        arrays["faces"] = faces.astype(np.int64)
     if scan.unit not in (None, *METRES):
         raise ValueError(
             f"the unit must be one of {', '.join(METRES)}, got {scan.unit!r}"
         )
-    if "faces" in arrays:
-        arrays["faces"] = arrays["faces"].astype(np.int64)
     return scan._replace(notes=tuple(scan.notes), **arrays)
 
 
@@ -276,17 +276,19 @@ def joined(scans: Sequence[RawScan]) -> RawScan:
         for scan, start in zip(scans, starts, strict=False)
         if scan.faces is not None
     ]
-    normals = [scan.normals for scan in scans if scan.normals is not None]
-    sensors = [
-        np.broadcast_to(scan.viewpoints, scan.points.shape)
-        for scan in scans
-        if scan.viewpoints is not None
-    ]
+
+    def of_all(name: str) -> NDArray[Any] | None:
+        """The rows of all points, unless a scan has none."""
+        found = [(getattr(scan, name), scan.points.shape) for scan in scans]
+        if any(array is None for array, _ in found):
+            return None
+        return np.concatenate([np.broadcast_to(*one) for one in found])
+
     return RawScan(
         np.concatenate([scan.points for scan in scans]),
         np.concatenate(faces) if faces else None,
-        np.concatenate(normals) if len(normals) == len(scans) else None,
-        np.concatenate(sensors) if len(sensors) == len(scans) else None,
+        of_all("normals"),
+        of_all("viewpoints"),
         tuple(note for scan in scans for note in scan.notes),
         scans[0].unit,
     )

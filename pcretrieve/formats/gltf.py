@@ -57,7 +57,8 @@ def gltf_scene(path: Path) -> Scene:
     """The bodies of a glTF or GLB file."""
     tree, buffers, n_bytes = _document(path)
     placed = _placed(tree, n_bytes)
-    nodes, meshes = tree["nodes"], tree["meshes"]
+    nodes = tree["nodes"]
+    meshes = tree["meshes"]
     labels = (
         nodes[node].get("name") or meshes[placed[node][0]].get("name") or ""
         for node in sorted(placed)
@@ -272,11 +273,9 @@ def _values(tree: Any, contents: list[bytes], accessor: int, kind: str) -> NDArr
             "its values lie outside of it: export it with everything in one file"
         )
     binary = contents[view["buffer"]]
-    count, width, dtype = (
-        declared["count"],
-        WIDTHS[kind],
-        np.dtype(COMPONENTS[declared["componentType"]]),
-    )
+    count = declared["count"]
+    width = WIDTHS[kind]
+    dtype = np.dtype(COMPONENTS[declared["componentType"]])
     stride = view.get("byteStride", width * dtype.itemsize)
     start = view.get("byteOffset", 0)
     first = start + declared.get("byteOffset", 0)

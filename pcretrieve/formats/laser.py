@@ -241,10 +241,8 @@ def _opened(path: Path) -> Iterator[tuple[Any, dict[str, int]]]:
 
 def _scan(file: Any, number: int) -> RawScan:
     """The points of a scan in the frame of the file, without those that the file marks as invalid."""
-    header, data = (
-        file.get_header(number),
-        file.read_scan(number, ignore_missing_fields=True),
-    )
+    header = file.get_header(number)
+    data = file.read_scan(number, ignore_missing_fields=True)
     points = np.column_stack([data[f"cartesian{axis}"] for axis in "XYZ"]).astype(
         np.float64
     )

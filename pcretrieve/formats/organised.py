@@ -31,7 +31,8 @@ def organised_scan(
     grid: FloatArray, measured: NDArray[np.bool_], sensor: FloatArray
 ) -> RawScan:
     """A cloud of a grid (h, w, 3) of readings, of those that were measured; `sensor` (3,) is its position."""
-    n_readings, n_measured = measured.size, int(measured.sum())
+    n_readings = measured.size
+    n_measured = int(measured.sum())
     if not n_measured:
         raise ScanReadError(f"none of its {n_readings} readings is an answer")
     notes = []

@@ -108,7 +108,7 @@ def _column(
             raise Cut("its last line lacks values")
         first = dict(zip(names, places, strict=True))
         return lambda name: numbers[first[name] :: width]
-    if encoding not in ("binary", "binary_compressed", "binaryscompressed"):
+    if encoding not in ("binary", "binary_compressed"):
         raise Damaged(f"its data are {encoding}")
     if encoding != "binary" and n:
         packed, n_bytes = struct.unpack_from("<II", body)

@@ -176,14 +176,8 @@ def _tables(
 ) -> tuple[list[Table], int]:
     """The rows of an element in the (b,) bytes from its first row on, and where the next element begins."""
     n = element.n_rows
-    if not n:
-        return [
-            Table(
-                np.arange(0),
-                np.empty(0, _record(element, order, (0,) * len(element.properties))),
-            )
-        ], 0
-    _, width, lengths = next(_places(body, element, order))
+    no_row = 0, 0, (0,) * len(element.properties)
+    _, width, lengths = next(_places(body, element, order), no_row)
     if n * width <= len(body):
         rows = body[: n * width].view(_record(element, order, lengths))
         stored = (
@@ -191,7 +185,7 @@ def _tables(
             for one in element.properties
             if one.length is not None
         )
-        if all((column == column[0]).all() for column in stored):
+        if all((column == column[:1]).all() for column in stored):
             return [Table(np.arange(n), rows)], n * width
     alike: dict[tuple[int, ...], list[tuple[int, int, int]]] = {}
     stop = 0
@@ -233,7 +227,9 @@ def _places(
         (int(kind[1]), length and struct.Struct(order + np.dtype(length).char))
         for _, kind, length in element.properties
     ]
-    content, end, stop = body.data, len(body), 0
+    content = body.data
+    end = len(body)
+    stop = 0
     for _ in range(element.n_rows):
         start, lengths = stop, []
         for size, reader in columns:

@@ -137,15 +137,10 @@ def missing_extra(suffix: str) -> Extra | None:
     return extra if extra is not None and extra.missing else None
 
 
-def instead(suffix: str) -> str:
-    """What to do with files of a suffix that are not read; empty if there is no advice."""
-    extra = missing_extra(suffix)
-    return extra.command if extra else INSTEAD.get(suffix, "")
-
-
 def is_scan(scan: ScanPath) -> bool:
     """Whether a file of a folder is a scan that can be read."""
-    file, suffix = scan.file, scan.suffix
+    file = scan.file
+    suffix = scan.suffix
     if suffix not in suffixes() or missing_extra(suffix):
         return False
     try:
@@ -186,7 +181,9 @@ def parts_of(file: Path) -> tuple[Part, ...]:
 
 def read_raw(scan: ScanPath) -> RawScan:
     """Read the arrays of a file on this computer, in its unit."""
-    file, name, suffix = scan.file, scan.member, scan.suffix
+    file = scan.file
+    name = scan.member
+    suffix = scan.suffix
     found = _format_of(file)
     if found is None:
         kind = f"in {file.suffix}" if suffix else "without a suffix"

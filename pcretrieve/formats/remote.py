@@ -18,8 +18,18 @@ LARGEST = 1 << 32
 
 # What stores say of the content of a file, the best first: hashes, then the time of the last change.
 VERSIONS = (
-    *("ETag", "etag", "md5Hash", "Content-MD5", "Digest", "crc32c", "checksum"),
-    *("LastModified", "Last-Modified", "updated", "mtime", "created"),
+    "ETag",
+    "etag",
+    "md5Hash",
+    "Content-MD5",
+    "Digest",
+    "crc32c",
+    "checksum",
+    "LastModified",
+    "Last-Modified",
+    "updated",
+    "mtime",
+    "created",
 )
 
 # Largest size of all pages of a listing together: some 70,000 files; bytes.

@@ -30,7 +30,7 @@ from pcretrieve.errors import (
 from pcretrieve.formats import Part, ScanPath, is_scan, members_of, parts_of
 from pcretrieve.formats.format import no_parts
 from pcretrieve.formats.identity import printable
-from pcretrieve.formats.registry import FILE, FORMATS, instead, suffixes
+from pcretrieve.formats.registry import FILE, FORMATS, INSTEAD, missing_extra, suffixes
 from pcretrieve.formats.remote import remote_files
 from pcretrieve.formats.text import is_table
 from pcretrieve.ingestion.pool import Worker, alone, in_processes
@@ -153,10 +153,16 @@ def check_remote(scans: Iterable[ScanPath], remote: Remote, location: str) -> No
         )
 
 
+def _instead(suffix: str) -> str:
+    """What to do with files of a suffix that are not read; empty if there is no advice."""
+    extra = missing_extra(suffix)
+    return extra.command if extra else INSTEAD.get(suffix, "")
+
+
 def unread_files(paths: Iterable[Path]) -> str:
     """Say how many files of which suffix are left unread, and what would read them."""
     counts = Counter(path.suffix.lower() or "without a suffix" for path in paths)
-    advice = {suffix: instead(suffix) for suffix in counts}
+    advice = {suffix: _instead(suffix) for suffix in counts}
     order = sorted(
         counts, key=lambda suffix: (not advice[suffix], -counts[suffix], suffix)
     )

@@ -19,7 +19,7 @@ from scan_files import CAN_WRITE, collada, write_e57, write_las
 
 import pcretrieve as pr
 from pcretrieve import PointCloud, TriangleMesh, read_scan
-from pcretrieve.formats import missing_extra
+from pcretrieve.formats.registry import missing_extra
 from pcretrieve.values import FloatArray
 from pcretrieve.values.topology import defects
 
