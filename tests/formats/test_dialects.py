@@ -150,6 +150,8 @@ def test_clouds_of_pts_one_after_another(after: str, tmp_path: Path) -> None:
         (tmp_path / "a.pts").write_text("\r\n".join(text))
         found = cloud(tmp_path / "a.pts")
         assert found.normals is None
+        noted = "joined several clouds of the file" in str(found.provenance[0].notes)
+        assert noted == ("0" in text)
         np.testing.assert_array_equal(found.points, CUBE)
 
 
