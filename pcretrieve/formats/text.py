@@ -102,14 +102,12 @@ def read_text(path: Path, *, normals: bool | None = None) -> RawScan:
     if layout.promised is not None and sum(counts) != len(table):
         raise Damaged(f"it declares {sum(counts):.0f} points and holds {len(table)}")
     keep = len(columns) == 6 and (layout.named or normals or are_normals(table[:, 3:]))
-    several = f"joined several clouds of the file, {len(counts)} one after another"
-    return without_zeros(
-        RawScan(
-            table[:, :3],
-            normals=table[:, 3:] if keep else None,
-            notes=(several,) if len(counts) > 1 else (),
+    if len(counts) > 1:
+        raise ScanReadError(
+            f"the file holds several clouds, {len(counts)} one after another, and may be several bodies: "
+            "divide it, or remove the lines that count their points"
         )
-    )
+    return without_zeros(RawScan(table[:, :3], normals=table[:, 3:] if keep else None))
 
 
 def _without_counts(rows: Iterable[str], counts: list[float]) -> Iterator[str]:
