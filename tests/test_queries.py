@@ -29,6 +29,7 @@ from pcretrieve.errors import (
 from pcretrieve.values import Neighbors, TriangleMesh
 
 N_KINDS, N_EACH = 3, 4
+SCANS = Path(__file__).parent.parent / "scans"
 
 
 def egg(kind: int, number: float) -> TriangleMesh:
@@ -523,3 +524,24 @@ def test_signatures_are_exported(catalogue: Path, tmp_path: Path) -> None:
         pr.write_signatures(wanted, tmp_path / "bodies.txt")
     with pytest.raises(InputError, match="there is no signature of the shape 'cat'"):
         wanted.select(["cat"])
+
+
+def test_a_collection_of_one_scan_each_names_people_and_strangers(tmp_path: Path) -> None:
+    """As every studio starts: no two scans are of one person, so that simulated people say what is near."""
+    stored = {"person-1": "person-1_stand", "person-2": "person-2_wave"}
+    paths = [SCANS / label / f"{scan}.ply" for label, scan in stored.items()]
+    labels = {scan: label for label, scan in stored.items()}
+    pr.ingest(paths, tmp_path / "one.sqlite", labels=labels, workers=1)
+    known = pr.search(tmp_path / "one.sqlite", SCANS / "person-1" / "person-1_walk.ply")
+    assert (known.verdict, known.label) == ("sure", "person-1")
+    stranger = pr.search(
+        tmp_path / "one.sqlite", SCANS / "person-3" / "person-3_kick.ply"
+    )
+    assert stranger.verdict == "stranger"
+    assert known.neighbors.scores is not None and stranger.neighbors.scores is not None
+    assert known.neighbors.scores[0] > 0.8 > stranger.neighbors.scores[0]
+    itself = pr.search(tmp_path / "one.sqlite", "person-1_stand")
+    assert (itself.verdict, itself.because) == (
+        "unknown",
+        "it is the only scan of person-1",
+    )

@@ -369,9 +369,12 @@ def answer_to(catalogue: Catalogue, query: str | Described, question: Question) 
     )
     found = _cut(catalogue, ranked, question)
     records = tuple(known[shape_id] for shape_id in found.ids)
-    scan = catalogue.record(query).grade if isinstance(query, str) else query.grade
+    asked = catalogue.record(query) if isinstance(query, str) else query
     notes = tuple(_notes(catalogue, query, [*known.values()], scores, question))
-    answer = Answer(found, records, scan=scan, query=query, notes=notes)
+    answer = Answer(found, records, scan=asked.grade, query=query, notes=notes)
+    own = asked.label if isinstance(asked, Record) else None
+    if own is not None and catalogue.rows.labelled([own]) == [query]:
+        return replace(answer, because=f"it is the only scan of {own}")
     answer = _judged(answer, labelled, scores, question)
     if question.min_score is None or records:
         return answer

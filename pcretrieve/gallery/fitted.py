@@ -18,7 +18,12 @@ from pcretrieve.catalogue.arrays import intact, packed_values, unpacked_values
 from pcretrieve.catalogue.cache import short_digest
 from pcretrieve.catalogue.records import OWN
 from pcretrieve.errors import CatalogueError, InputError, ShapeError
-from pcretrieve.options import OptionsLike, PipelineOptions, options_difference
+from pcretrieve.options import (
+    OptionsLike,
+    PipelineOptions,
+    RetrievalOptions,
+    options_difference,
+)
 from pcretrieve.retrieval import SignatureIndex, Whitening, people, table_whitening
 from pcretrieve.retrieval.scores import fit_scores
 from pcretrieve.retrieval.whitening import read_whitening
@@ -32,7 +37,7 @@ from pcretrieve.values import (
 logger = logging.getLogger(__name__)
 
 # Version of the arrays of an index, which is incremented when their meaning changes.
-FORMAT = 13
+FORMAT = 14
 
 # Smallest number of shapes for which an index is stored, or a map.
 SMALLEST_KEPT = 1_000
@@ -241,7 +246,11 @@ def _made_index(table: SignatureTable, options: PipelineOptions) -> SignatureInd
     """Fit the whitening and the scores of signatures."""
     retrieval, known = options.retrieval, people(options.signature)
     whitening = calibrated(options) or table_whitening(table, retrieval, people=known)
-    scores = fit_scores(table, whitening, retrieval)
+    reference = None
+    is_usual = retrieval.distance == RetrievalOptions().distance
+    if known is not None and whitening.kind == "people" and is_usual:
+        reference = known.reference
+    scores = fit_scores(table, whitening, retrieval, reference=reference)
     return SignatureIndex(table, retrieval, whitening=whitening, scores=scores)
 
 

@@ -37,7 +37,8 @@ from pcretrieve.values import FloatArray
 
 # mean (105,), within and total (105, 105), scale (105,): the moments of the coordinates of hapt, of 59 values
 # of r-bihdm and of log area, divided by the scale of each; network (137, H): A, a and B one above the other,
-# of hapt and N_VALUES of r-bihdm, with H hidden units. Written by scripts/benchmark people --learn.
+# of hapt and N_VALUES of r-bihdm, with H hidden units. Written by scripts/benchmark people --learn. And the
+# fields of `Reference`, written by scripts/benchmark people --refer.
 SAMPLE = "people.npz"
 N_VALUES = 23
 
@@ -55,20 +56,40 @@ KNOWN = 2.0
 # person they know this person's poses better than simulated people do.
 LEAST_SHARE = 0.05
 
+# False-match rates at which distances are known.
+RATES = np.concatenate([[0.0], np.geomspace(1e-4, 1, 41)])
+
 # Number of scans, or up to twice as many, from which it is found how unlike they are: a median needs no more.
 COMPARED = 10_000
+
+
+class Reference(NamedTuple):
+    """What distances of scans of people mean who are in no collection, in the metric of people.
+
+    same: (s,) float64, quantiles of the distances of two scans of one person, at equal steps.
+    apart: (r,) float64, those of two people, at `RATES`.
+    coefficients: (3,) float64, of the regression of certainty: see `pcretrieve.retrieval.scores`.
+    information: (3, 3) float64, what a query tells of them on average: the Hessian of the loss.
+    """
+
+    same: FloatArray
+    apart: FloatArray
+    coefficients: FloatArray
+    information: FloatArray
 
 
 class People(NamedTuple):
     """The mean (L,) of the coordinates of people, their covariance within people and in total, (L, L).
 
     network: (2 l + 1, H), A, a and B of the first l coordinates; empty but for the default descriptor.
+    reference: what distances mean in the metric; for the default descriptor, by the form alone.
     """
 
     mean: FloatArray
     within: FloatArray
     total: FloatArray
     network: FloatArray
+    reference: Reference | None = None
 
     def unlikeness(self, coordinates: FloatArray) -> float:
         """The median variance of some scans (N, L) about the mean, in units of that of simulated scans."""
@@ -133,4 +154,7 @@ def people(
     within, total = (
         sample[name][among] * np.outer(scale, scale) for name in ("within", "total")
     )
-    return People(sample["mean"][chosen] * scale, within, total, network)
+    known = None
+    if is_default and not options.size_weight and "same" in sample:
+        known = Reference(*(sample[name] for name in Reference._fields))
+    return People(sample["mean"][chosen] * scale, within, total, network, known)

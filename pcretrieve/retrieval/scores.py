@@ -12,6 +12,10 @@ Certainty is estimated for an answer as a whole: each labelled shape is a query 
 once with its class among them, and once without. A logistic regression on the distance of the nearest shape,
 and on its ratio to the distance of the nearest shape of another class, tells how often the nearest is right.
 
+A collection with one scan of each person has no pair of one class. What distances in the metric of people
+mean is known from simulated people, though: `Reference`. It counts as some pairs and some queries beside
+those of the collection, so that it decides in a small collection, and hardly counts in a large one.
+
 References
 ----------
 .. [1] Barlow, Bartholomew, Bremner and Brunk, "Statistical inference under order restrictions", 1972.
@@ -33,6 +37,7 @@ from pcretrieve.errors import InputError
 from pcretrieve.options import RetrievalOptions
 from pcretrieve.retrieval.covariances import LEAST_SHAPES, near_groups, neighbour_pairs
 from pcretrieve.retrieval.distances import Positions, coordinates, pairwise
+from pcretrieve.retrieval.people import RATES, Reference
 from pcretrieve.retrieval.whitening import Arrays, Whitening, fit_whitening
 from pcretrieve.values import FloatArray, SignatureTable
 
@@ -55,13 +60,16 @@ PRIOR = 0.5
 
 TINY = float(np.finfo(np.float64).tiny)
 
-# False-match rates at which distances are known.
-RATES = np.concatenate([[0.0], np.geomspace(1e-4, 1, 41)])
-
 # Weight of a query whose class is not among the shapes, relative to one whose class is: one in eleven
 # queries is of somebody new. Ridge penalty of the slopes of the regression. See docs/decisions.md, sure.
 ABSENT = 0.1
 RIDGE = 0.01
+
+# Numbers of pairs of one class, of pairs of two classes and of queries of a collection that count as much as
+# the reference: see docs/decisions.md, one scan each.
+SAME_OF_REFERENCE = 30.0
+APART_OF_REFERENCE = 10_000.0
+QUERIES_OF_REFERENCE = 300.0
 
 # Distances below this one are taken for it: the logarithm of zero is not finite.
 CLOSEST = 1e-3
@@ -111,7 +119,7 @@ class MatchScores(Arrays):
             / (
                 1
                 + np.exp(
-                    -_features(np.array([nearest]), np.array([other])) @ self.coefficients
+                    -features(np.array([nearest]), np.array([other])) @ self.coefficients
                 )[0]
             )
         )
@@ -145,11 +153,21 @@ class _Pairs(NamedTuple):
 
 
 def fit_scores(
-    table: SignatureTable, whitening: Whitening, options: RetrievalOptions | None = None
+    table: SignatureTable,
+    whitening: Whitening,
+    options: RetrievalOptions | None = None,
+    *,
+    reference: Reference | None = None,
 ) -> MatchScores | None:
-    """Estimate the score of a distance from the pairs of some shapes of a table; None if they are too few."""
+    """Estimate the score of a distance from the pairs of some shapes of a table; None if they are too few.
+
+    reference: what distances after this whitening mean, if that is known.
+    """
     options = options or RetrievalOptions()
-    sample = _sample(table)
+    sample = _sample(table, LEAST_PAIRS if reference is None else 0)
+    if reference is not None and sample.labels:
+        group = _group(sample, np.arange(len(sample.labels)), whitening, options.distance)
+        return _beside_reference(sample, group, reference)
     n_classes = len(set(sample.labels))
     why = (
         "share of pairs of one class among pairs as near, of {} pairs of "
@@ -175,19 +193,67 @@ def fit_scores(
     reason = why.format(len(pairs.same))
     if not groups:
         return MatchScores(*_shares(pairs), reason)
-    trials = _Trials(
+    trials = Trials(
         *(np.concatenate(part) for part in zip(*map(_trials, groups), strict=True))
     )
     apart = pairs.distances[~pairs.same]
     limits = np.quantile(apart, RATES)
-    return MatchScores(*_shares(pairs), reason, _coefficients(trials), limits, len(apart))
+    return MatchScores(
+        *_shares(pairs), reason, fitted_coefficients(trials), limits, len(apart)
+    )
 
 
-def _sample(table: SignatureTable) -> _Sample:
-    """Choose the shapes whose pairs are counted: whole classes, up to a number of shapes of each."""
+def _beside_reference(
+    sample: _Sample, group: _Group, reference: Reference
+) -> MatchScores:
+    """Scores from the pairs of labelled shapes, however few, and from a reference."""
+    own = _class_pairs(sample, group)
+    n_same = int(own.same.sum())
+    n_apart = len(own.same) - n_same
+    # As if each shape had a second one of its class.
+    odds = n_apart / (n_same + len(sample.labels))
+    known = np.diff(RATES)
+    pairs = _Pairs(
+        np.concatenate([own.distances, reference.same, reference.apart[1:]]),
+        np.concatenate(
+            [own.same, np.ones(len(reference.same), bool), np.zeros(len(known), bool)]
+        ),
+        np.concatenate(
+            [
+                own.weights,
+                np.full(len(reference.same), SAME_OF_REFERENCE / len(reference.same)),
+                SAME_OF_REFERENCE * odds * known,
+            ]
+        ),
+    )
+    return MatchScores(
+        *_shares(pairs),
+        f"share of pairs of one class among pairs as near, of {len(own.same)} pairs of "
+        f"{len(group.names)} classes and of simulated people",
+        fitted_coefficients(_trials(group), reference),
+        _limits(own.distances[~own.same], reference),
+        n_apart + round(APART_OF_REFERENCE),
+    )
+
+
+def _limits(apart: FloatArray, reference: Reference) -> FloatArray:
+    """(r,) the distances below which shares `RATES` of the pairs of two classes are."""
+    distances = np.concatenate([apart, reference.apart])
+    weights = np.ones(len(distances))
+    weights[len(apart) :] = APART_OF_REFERENCE * np.diff(RATES, prepend=0.0)
+    order = np.argsort(distances, kind="stable")
+    shares = np.cumsum(weights[order])
+    return np.asarray(np.interp(RATES, shares / shares[-1], distances[order]))
+
+
+def _sample(table: SignatureTable, n_least: int) -> _Sample:
+    """Choose the shapes whose pairs are counted: whole classes, up to a number of shapes of each.
+
+    n_least: the least number of pairs of one class. With fewer, all shapes are chosen, without labels.
+    """
     sizes = Counter(label for label in table.labels if label is not None)
     n_same = sum(size * (size - 1) // 2 for size in sizes.values())
-    if len(sizes) < 2 or n_same < LEAST_PAIRS:
+    if len(sizes) < 2 or n_same < n_least:
         rows = np.arange(len(table))
         if len(table) > LARGEST:
             rows = near_groups(coordinates(table.values, table.metric), LARGEST)
@@ -312,7 +378,7 @@ def _class_pairs(sample: _Sample, group: _Group) -> _Pairs:
     return _Pairs(group.distances[first, second], same, weights)
 
 
-class _Trials(NamedTuple):
+class Trials(NamedTuple):
     """Queries (t, 3) by their features, whether the nearest shape was of their class, and their weights."""
 
     features: FloatArray
@@ -320,16 +386,17 @@ class _Trials(NamedTuple):
     weights: FloatArray
 
 
-def _features(nearest: FloatArray, other: FloatArray) -> FloatArray:
+def features(nearest: FloatArray, other: FloatArray) -> FloatArray:
     """(t, 3) 1, the logarithm of the distance of the nearest shape, and of its ratio to the next class."""
     near, far = np.maximum(nearest, CLOSEST), np.maximum(other, CLOSEST)
     return np.column_stack([np.ones(len(near)), np.log(near), np.log(far / near)])
 
 
-def _trials(group: _Group) -> _Trials:
+def _trials(group: _Group) -> Trials:
     """Each shape as a query in the others, with and without its class."""
     codes = group.codes
     same = codes[:, np.newaxis] == codes
+    is_found = same.sum(axis=1) > 1
     tried = []
     for is_absent in (False, True):
         apart = np.where(
@@ -338,35 +405,39 @@ def _trials(group: _Group) -> _Trials:
         found = codes[apart.argmin(axis=1)]
         nearest = apart.min(axis=1)
         other = np.where(found[:, np.newaxis] == codes, np.inf, apart).min(axis=1)
-        used = np.isfinite(other) & (is_absent | (same.sum(axis=1) > 1))
-        weights = np.full(len(codes), ABSENT if is_absent else 1.0)
+        used = np.isfinite(other) & (is_absent | is_found)
+        # Somebody new among those who can be found: none, if each class has one shape.
+        weights = np.full(len(codes), ABSENT * is_found.mean() if is_absent else 1.0)
         tried.append(
-            _Trials(
-                _features(nearest, other)[used], (found == codes)[used], weights[used]
-            )
+            Trials(features(nearest, other)[used], (found == codes)[used], weights[used])
         )
-    return _Trials(*(np.concatenate(part) for part in zip(*tried, strict=True)))
+    return Trials(*(np.concatenate(part) for part in zip(*tried, strict=True)))
 
 
-def _coefficients(trials: _Trials) -> FloatArray:
-    """(3,) coefficients of the logistic regression; none if all answers are right, or all wrong."""
+def fitted_coefficients(trials: Trials, reference: Reference | None = None) -> FloatArray:
+    """(3,) coefficients of the logistic regression; none if all answers are right, or all wrong.
+
+    reference: what is likely before any query, a normal distribution, instead of a ridge about zero.
+    """
     from scipy.optimize import minimize
 
-    if trials.right.all() or not trials.right.any():
+    expected, precision = np.zeros(3), np.diag([0.0, 2 * RIDGE, 2 * RIDGE])
+    if reference is not None:
+        expected = reference.coefficients
+        precision = QUERIES_OF_REFERENCE * reference.information
+    elif trials.right.all() or not trials.right.any():
         return np.zeros(0)
     signed = np.where(trials.right, -1.0, 1.0)[:, np.newaxis] * trials.features
-    ridge = np.array([0.0, RIDGE, RIDGE])
 
     def loss(slopes: FloatArray) -> tuple[float, FloatArray]:
-        wrong = signed @ slopes
-        value = float(trials.weights @ np.logaddexp(0, wrong) + ridge @ slopes**2)
-        return value, (
-            trials.weights / (1 + np.exp(-wrong))
-        ) @ signed + 2 * ridge * slopes
+        wrong, unlike = signed @ slopes, slopes - expected
+        value = trials.weights @ np.logaddexp(0, wrong) + unlike @ precision @ unlike / 2
+        slope = (trials.weights / (1 + np.exp(-wrong))) @ signed + precision @ unlike
+        return float(value), slope
 
     # A nearer shape and a farther next class never make an answer less sure.
     bounds = [(None, None), (None, 0.0), (0.0, None)]
-    return np.asarray(minimize(loss, np.zeros(3), jac=True, bounds=bounds).x)
+    return np.asarray(minimize(loss, expected, jac=True, bounds=bounds).x)
 
 
 def _mutual_pairs(logs: FloatArray, whitening: Whitening, distance: str) -> _Pairs:

@@ -215,7 +215,10 @@ def fit_whitening(
                 "whitening 'people' is known for hapt, r-bihdm and their fusion, by area and with n_modes = "
                 "60: take one of these descriptors, or another whitening"
             )
-        own = covariances.neighbour_covariance(corrected(logs, people.network), shrinkage)
+        own = covariances.Fit(logs, None, 0.0, "none")
+        if not (kind == "auto" and _are_of_one_scan_each(labels)):
+            logs = corrected(logs, people.network)
+            own = covariances.neighbour_covariance(logs, shrinkage)
         return replace(_of_people(own, people, unlike), options_digest=options_digest)
     fit = covariances.Fit(logs, None, 0.0, "none")
     if used == "pca":
@@ -289,6 +292,12 @@ def _chosen(logs: FloatArray, labels: Sequence[str | None] | None, unlike: float
     if len(sizes) >= LEAST_CLASSES and rank >= logs.shape[1]:
         return "within-class"
     return "people" if unlike <= ALIKE else "neighbours"
+
+
+def _are_of_one_scan_each(labels: Sequence[str | None] | None) -> bool:
+    """Whether all shapes have classes, each another one: then no neighbours are of one class."""
+    known = {*(labels or ())} - {None}
+    return labels is not None and len(known) == len(labels) > 0
 
 
 def _of_people(own: covariances.Fit, people: People, unlike: float) -> Whitening:

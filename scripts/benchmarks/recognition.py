@@ -5,6 +5,8 @@
     scripts/benchmark people seen.sqlite --unseen 1000        # learns from the others, and prints the curve
     scripts/benchmark people seen.sqlite --learn              # writes pcretrieve/retrieval/people.npz
     scripts/benchmark people others.sqlite --coarser          # adds what coarser meshes of scans change
+    scripts/benchmark people --refer bodies --judge           # what distances of others mean is worth
+    scripts/benchmark people --refer bodies --limit 60        # adds it to the package
 
 Each scan is a query in all other scans. Rank-1 is the share of queries whose nearest scan is of the same
 person; rank-5, of which one of the nearest five people is this person. They are the expected values over all
@@ -21,6 +23,7 @@ metric, by what one scan of a person tells of the mean of the others: see `pcret
 from __future__ import annotations
 
 import io
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -30,6 +33,8 @@ from scipy.stats import hypergeom
 from sklearn.neural_network import MLPRegressor
 
 import pcretrieve.retrieval
+from benchmarks.bodies import Body, Sources, anny
+from benchmarks.judging import examined
 from benchmarks.measuring import (
     Column,
     Table,
@@ -38,17 +43,37 @@ from benchmarks.measuring import (
     draw_curves,
     print_lines,
 )
+from benchmarks.sensors import SENSORS
 from benchmarks.sets import to_faces
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
 from pcretrieve.errors import BenchmarkError, ShapeError
 from pcretrieve.evaluation.measures import verification
+from pcretrieve.gallery.answers import SURE
 from pcretrieve.gallery.fitted import signatures
-from pcretrieve.options import PipelineOptions, SignatureOptions, fused_names
+from pcretrieve.options import (
+    PipelineOptions,
+    RetrievalOptions,
+    SignatureOptions,
+    fused_names,
+)
 from pcretrieve.pipeline.process import process
-from pcretrieve.retrieval import Positions, coordinates, fit_whitening, people
-from pcretrieve.retrieval.people import BEGINS, SAMPLE
-from pcretrieve.values import FloatArray
+from pcretrieve.retrieval import (
+    Positions,
+    coordinates,
+    fit_whitening,
+    pairwise,
+    people,
+    table_whitening,
+)
+from pcretrieve.retrieval.people import BEGINS, RATES, SAMPLE, Reference
+from pcretrieve.retrieval.scores import (
+    Trials,
+    features,
+    fit_scores,
+    fitted_coefficients,
+)
+from pcretrieve.values import FloatArray, PointCloud, SignatureTable
 from pcretrieve.values.files import write_file
 
 SIZES = (100, 300, 1000, 3000, 10_000)
@@ -67,6 +92,13 @@ TABLE = Table(
 )
 
 
+class SensorScans(NamedTuple):
+    """Coordinates of the default signature (n, 68), and the person (n,) of each of n scans by one sensor."""
+
+    points: FloatArray
+    person: Positions
+
+
 class Scans(NamedTuple):
     """Coordinates of the three parts (n, 45), (n, 59), (n, 1), and the person (n,) of each of n scans."""
 
@@ -78,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print the curve, or learn."""
     parser = argument_parser(__doc__)
     parser.add_argument(
-        "catalogues", nargs="+", type=Path, help="catalogues of labelled scans of people"
+        "catalogues", nargs="*", type=Path, help="catalogues of labelled scans of people"
     )
     parser.add_argument(
         "--unseen",
@@ -94,12 +126,41 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="add what coarser meshes of the scans change",
     )
     parser.add_argument(
+        "--refer",
+        type=Path,
+        metavar="BODIES",
+        help="add what distances mean, of people who taught nothing (make_people --bodies)",
+    )
+    parser.add_argument(
+        "--judge",
+        action="store_true",
+        help="print the answers of collections of one or two scans a person, each sensor left out once",
+    )
+    parser.add_argument(
+        "--limit", type=int, default=60, help="people of --refer (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--sensors",
+        nargs="+",
+        choices=SENSORS,
+        default=["turntable", "uniform", "nine"],
+        help="sensors of --refer",
+    )
+    parser.add_argument(
         "--methods", nargs="+", default=["hapt+r-bihdm", "hapt", "r-bihdm"]
     )
     parser.add_argument("--draw", type=Path, metavar="PICTURE", help="draw the curve")
     given = parser.parse_args(arguments)
     target = Path(pcretrieve.retrieval.__file__).with_name(SAMPLE)
-    if given.learn or given.coarser:
+    scans = {}
+    if given.refer:
+        scans = {name: scans_by(name, given.refer, given.limit) for name in given.sensors}
+    if given.judge:
+        if len(scans) < 2:
+            parser.error("--judge leaves a sensor out: give --refer, and two --sensors")
+        print_lines(_judged(scans, np.load(target)))
+        return
+    if given.learn or given.coarser or given.refer:
         arrays = (
             learned(scans_of(given.catalogues)) if given.learn else dict(np.load(target))
         )
@@ -111,6 +172,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 name: (arrays[name] + changed).astype(np.float32)
                 for name in ("within", "total")
             }
+        if given.refer:
+            known = reference([*scans.values()], arrays)._asdict()
+            arrays |= {name: array.astype(np.float32) for name, array in known.items()}
         packed = io.BytesIO()
         np.savez_compressed(packed, allow_pickle=False, **arrays)
         write_file(target, packed.getvalue())
@@ -268,6 +332,192 @@ def _network(scans: Scans, moments: Mapping[str, FloatArray]) -> FloatArray:
         np.append(bias - whitening.mean @ first, 1.0),
     )
     return np.concatenate([first, [bias], np.column_stack([last.T, shift])])
+
+
+# Numbers of people, and of scans of each, in galleries of which a query is drawn, and how many queries of
+# each are drawn.
+GALLERIES = (3, 10, 30)
+EACH = (1, 2)
+N_QUERIES = 600
+
+# Weight of a query whose person is not in the gallery: a collection that has hardly any statistics of its own
+# should name no stranger. See docs/decisions.md, one scan each.
+STRANGERS = 30.0
+
+# Number of quantiles of the distances of scans of one person.
+N_SAME = 201
+
+
+def scans_by(sensor: str, bodies: Path, n_people: int) -> SensorScans:
+    """Scan people of Anny in three poses each by one sensor, and describe them."""
+    people_of = anny(Sources(Path(), bodies, 0), n_people, 3)
+    tasks = [(body, sensor) for poses in people_of for body in poses]
+    found = all_in_workers(_described, tasks, sensor)
+    points = np.array([point for point in found if point is not None])
+    names = [
+        body.label
+        for (body, _), point in zip(tasks, found, strict=True)
+        if point is not None
+    ]
+    return SensorScans(points, np.unique(names, return_inverse=True)[1])
+
+
+def _described(task: tuple[Body, str]) -> tuple[float, ...] | None:
+    """The coordinates of the default signature of a scan of a body; None if it has no surface."""
+    body, sensor = task
+    rng = np.random.default_rng((7, zlib.crc32(f"{body.name} {sensor}".encode())))
+    found, _ = examined(PointCloud(SENSORS[sensor](body, rng)))
+    return found.point or None
+
+
+def reference(
+    sensors: Sequence[SensorScans], arrays: Mapping[str, FloatArray]
+) -> Reference:
+    """What distances mean, from scans of people by several sensors; `arrays` are those of `SAMPLE`."""
+    known = people(SignatureOptions(), arrays)
+    if known is None:
+        raise TypeError("the metric of people must be known for the default signature")
+    metric = fit_whitening("people", known.mean[np.newaxis], people=known)
+    same, apart, tried = list[FloatArray](), list[FloatArray](), list[Trials]()
+    rng = np.random.default_rng(0)
+    for scans in sensors:
+        points = metric.apply(scans.points)
+        distances = pairwise(RetrievalOptions().distance, points, points)
+        first, second = np.triu_indices(len(points), k=1)
+        is_same = scans.person[first] == scans.person[second]
+        same.append(distances[first, second][is_same])
+        apart.append(distances[first, second][~is_same])
+        tried += [
+            _drawn(distances, scans.person, n_people, n_each, rng)
+            for n_people in GALLERIES
+            for n_each in EACH
+        ]
+    trials = Trials(*(np.concatenate(part) for part in zip(*tried, strict=True)))
+    coefficients = fitted_coefficients(trials)
+    right = 1 / (1 + np.exp(-trials.features @ coefficients))
+    weights = trials.weights * right * (1 - right) / trials.weights.sum()
+    return Reference(
+        np.quantile(np.concatenate(same), np.linspace(0, 1, N_SAME)),
+        np.quantile(np.concatenate(apart), RATES),
+        coefficients,
+        (trials.features.T * weights) @ trials.features,
+    )
+
+
+def _drawn(
+    distances: FloatArray,
+    person: Positions,
+    n_people: int,
+    n_each: int,
+    rng: np.random.Generator,
+) -> Trials:
+    """Queries in random galleries, by turns of people in them and of others."""
+    known = np.flatnonzero(np.bincount(person) > n_each)
+    nearest, others, right = [], [], []
+    for number in range(N_QUERIES):
+        chosen = rng.permutation(known)[: n_people + 1]
+        drawn = [
+            rng.permutation(np.flatnonzero(person == each))[: n_each + 1]
+            for each in chosen
+        ]
+        gallery = np.concatenate([scans[:n_each] for scans in drawn[:-1]])
+        query = drawn[-(number % 2)][n_each]
+        apart, classes = distances[query, gallery], person[gallery]
+        found = classes[apart.argmin()]
+        nearest.append(apart.min())
+        others.append(apart[classes != found].min())
+        right.append(found == person[query])
+    weights = np.where(np.arange(N_QUERIES) % 2, STRANGERS, 1.0)
+    return Trials(features(np.array(nearest), np.array(others)), np.array(right), weights)
+
+
+ANSWERS = Table(
+    Column("sensor left out", 15, align="<"),
+    Column("people", 6, "d"),
+    Column("scans each", 10, "d"),
+    *(Column(title, 7, ".3f") for title in ("nearest", "given")),
+    Column("sure, wrong", 14),
+    Column("strangers named", 15),
+)
+
+# Numbers of people in collections that are judged, and how many are drawn of each.
+COLLECTIONS = (2, 5, 10, 25)
+N_COLLECTIONS = 12
+
+
+def _judged(
+    sensors: Mapping[str, SensorScans], arrays: Mapping[str, FloatArray]
+) -> Iterator[str]:
+    """Answers to scans by a sensor of which the reference knows nothing, neither of the people.
+
+    Half of the people, by the other sensors, are the reference. Collections are of the other half.
+    """
+    yield ANSWERS.head
+    for name, scans in sensors.items():
+        others = [_half(each, 0) for other, each in sensors.items() if other != name]
+        known = reference(others, arrays)
+        judged = _half(scans, 1)
+        n_there = len(np.unique(judged.person))
+        for n_people in (number for number in COLLECTIONS if number < n_there):
+            for n_each in EACH:
+                yield ANSWERS.row(
+                    name,
+                    n_people,
+                    n_each,
+                    *_answers(judged, n_people, n_each, known),
+                )
+
+
+def _half(scans: SensorScans, number: int) -> SensorScans:
+    """The scans of every other person."""
+    rows = scans.person % 2 == number
+    return SensorScans(scans.points[rows], scans.person[rows])
+
+
+def _answers(
+    scans: SensorScans, n_people: int, n_each: int, known: Reference
+) -> tuple[float, float, str, str]:
+    """What is answered to scans of people in collections, and to scans of others.
+
+    The shares of nearest that are right, and of these that are sure; how many are sure and wrong; and how
+    many strangers get a name.
+    """
+    options = PipelineOptions()
+    moments = people(options.signature)
+    rng, found = np.random.default_rng(0), list[tuple[bool, bool, bool]]()
+    several = np.flatnonzero(np.bincount(scans.person) > n_each)
+    for _ in range(N_COLLECTIONS):
+        drawn = [
+            rng.permutation(np.flatnonzero(scans.person == one))[: n_each + 1]
+            for one in rng.permutation(several)
+        ]
+        rows = np.concatenate([each[:n_each] for each in drawn[:n_people]])
+        classes = scans.person[rows]
+        table = SignatureTable(
+            tuple(f"{row:06}" for row in range(len(rows))),
+            scans.points[rows],
+            options.signature.method,
+            labels=tuple(map(str, classes)),
+            metric=DESCRIPTORS[options.signature.method].metric,
+        )
+        whitening = table_whitening(table, options.retrieval, people=moments)
+        scores = fit_scores(table, whitening, reference=known)
+        if scores is None:
+            raise TypeError("a reference must give scores to any labelled collection")
+        places = whitening.apply(scans.points)
+        for number, each in enumerate(drawn):
+            apart = pairwise(options.retrieval.distance, places[each[-1:]], places[rows])[
+                0
+            ]
+            label = classes[apart.argmin()]
+            certainty = scores.certainty(apart.min(), apart[classes != label].min())
+            is_right = bool(label == scans.person[each[-1]])
+            is_sure = certainty is not None and certainty >= SURE
+            found.append((number < n_people, is_right, is_sure))
+    own, right, sure = np.array(found).T
+    wrong = f"{(sure & own & ~right).sum()} of {own.sum()}"
+    named = f"{(sure & ~own).sum()} of {(~own).sum()}"
+    return right[own].mean(), sure[own & right].mean(), wrong, named
 
 
 def _some(scans: Scans, chosen: Positions) -> Scans:

@@ -12,7 +12,16 @@ from pcretrieve.gallery.answers import SURE, UNLIKELY, Answer, Question, Verdict
 from pcretrieve.gallery.groups import GAP, near_pairs, plane_map
 from pcretrieve.options import PipelineOptions, RetrievalOptions
 from pcretrieve.retrieval import SignatureIndex, pairwise, table_whitening
-from pcretrieve.retrieval.scores import MatchScores, _Pairs, _shares, fit_scores
+from pcretrieve.retrieval.people import RATES, Reference
+from pcretrieve.retrieval.scores import (
+    MatchScores,
+    Trials,
+    _Pairs,
+    _shares,
+    features,
+    fit_scores,
+    fitted_coefficients,
+)
 from pcretrieve.values import Neighbors, SignatureTable
 
 PLAIN = RetrievalOptions(whitening="none")
@@ -221,3 +230,83 @@ def test_a_map_keeps_neighbours_and_hides_none() -> None:
     assert (labels[apart.argmin(axis=1)] == labels).all()
     assert apart.min() > 0.5 * GAP
     np.testing.assert_array_equal(plane_map(index.points), places)
+
+
+# --- beside a reference -------------------------------------------------------------------------------------
+
+
+def reference_of(table: SignatureTable) -> Reference:
+    """What distances in a table mean, each shape a query in one other shape of each class."""
+    logs, labels = np.log(table.values), np.array(table.labels)
+    apart = pairwise("log", logs, logs)
+    first, second = np.triu_indices(len(table), k=1)
+    same = labels[first] == labels[second]
+    pairs = apart[first, second]
+    rng, found = np.random.default_rng(0), []
+    for row, label in enumerate(labels):
+        for is_absent in (False, True):
+            drawn = [
+                rng.choice(
+                    np.flatnonzero((labels == name) & (np.arange(len(table)) != row))
+                )
+                for name in np.unique(labels)
+                if name != label or not is_absent
+            ]
+            near = np.sort(apart[row, drawn])[:2]
+            nearest = drawn[int(apart[row, drawn].argmin())]
+            found.append((*near, labels[nearest] == label))
+    near, other, right = np.array(found).T
+    trials = Trials(features(near, other), right.astype(bool), np.ones(len(near)))
+    coefficients = fitted_coefficients(trials)
+    share = 1 / (1 + np.exp(-trials.features @ coefficients))
+    information = (trials.features.T * (share * (1 - share))) @ trials.features
+    return Reference(
+        np.quantile(pairs[same], np.linspace(0, 1, 101)),
+        np.quantile(pairs[~same], RATES),
+        coefficients,
+        information / len(near),
+    )
+
+
+def test_one_shape_of_each_class_is_answered_by_a_reference() -> None:
+    """The nearest is right, somebody else is a stranger, and no pair of the table says so."""
+    known = reference_of(classes(40, 5, seed=7, spread=0.06))
+    table = classes(12, 2, seed=8, spread=0.06)
+    rows = np.arange(len(table))
+    shown = np.flatnonzero((rows % 2 == 0) & (rows < 16))
+    stored = table.select([table.ids[row] for row in shown])
+    assert fit_scores(stored, table_whitening(stored, PLAIN)) is None
+    found = fit_scores(stored, table_whitening(stored, PLAIN), reference=known)
+    assert found is not None and "simulated people" in found.reason
+    asked = np.flatnonzero(rows % 2 == 1)
+    apart = pairwise("log", np.log(table.values[asked]), np.log(stored.values))
+    near = np.sort(apart, axis=1)[:, :2]
+    certain = np.array([found.certainty(*pair) for pair in near])
+    is_known = asked < 16
+    assert (certain[is_known] >= SURE).mean() > 0.8
+    assert (certain[~is_known] < UNLIKELY).all()
+    assert found.of(near[is_known, 0]).min() > found.of(near[~is_known, 0]).max()
+    assert found.limit(1e-3) == pytest.approx(known.apart[RATES >= 1e-3][0], rel=0.1)
+
+
+def test_a_large_collection_hardly_hears_the_reference() -> None:
+    """That of other classes, which are much more compact, moves the statistics of many shapes little."""
+    table = classes(100, 8, seed=9, spread=0.3)
+    own = scores_of(table)
+    known = reference_of(classes(30, 5, seed=7, spread=0.02))
+    found = fit_scores(table, table_whitening(table, PLAIN), reference=known)
+    assert found is not None
+    near = np.linspace(0.5, 3, 6)
+    assert found.of(near) == pytest.approx(own.of(near), abs=0.03)
+    assert found.limit(0.01) == pytest.approx(own.limit(0.01), rel=0.05)
+    assert found.certainty(0.6, 2.0) == pytest.approx(own.certainty(0.6, 2.0), abs=0.1)
+
+
+def test_strangers_count_only_beside_queries_that_can_be_found() -> None:
+    """One class of two shapes among many of one: a tenth of two queries, not of all, are of nobody."""
+    labels = ["twin", "twin", *(f"single {number}" for number in range(30))]
+    table = table_of(np.random.default_rng(0).normal(size=(32, 4)), labels)
+    known = reference_of(classes(30, 5, seed=7, spread=0.1))
+    found = fit_scores(table, table_whitening(table, PLAIN), reference=known)
+    assert found is not None
+    assert found.coefficients == pytest.approx(known.coefficients, rel=0.1)
