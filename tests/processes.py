@@ -44,7 +44,7 @@ def remembered(
 ) -> Generator[tuple[Item, Answer | PcretrieveError], None, None]:
     """The same, which computes what it makes of a content once; something else may happen meanwhile."""
     for item in items:
-        data = item.path.read_bytes()  # type: ignore[attr-defined]
+        data = item.path.file.read_bytes()  # type: ignore[attr-defined]
         if data not in MADE:
             _, MADE[data] = next(in_this_process(function, [item]))
         meanwhile()
