@@ -73,9 +73,8 @@ def icosphere(subdivisions: int, radius: float = 1.0) -> TriangleMesh:
     for _ in range(subdivisions):
         sides = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
         edges, numbers = np.unique(sides, axis=0, return_inverse=True)
-        ab, bc, ca = (
-            len(directions) + numbers.reshape(-1, 3).T
-        )  # the middle of each side, as a vertex
+        # The middle of each side, as a vertex.
+        ab, bc, ca = len(directions) + numbers.reshape(-1, 3).T
         directions = np.concatenate([directions, directions[edges].mean(axis=1)])
         a, b, c = faces.T
         faces = np.concatenate(

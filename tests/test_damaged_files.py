@@ -366,9 +366,8 @@ def test_a_file_that_was_read_wrongly_is_read_or_named(
     found: Path, whole: Path, tmp_path: Path
 ) -> None:
     if found.parent.name == "scan":
-        path = whole_scan("depth.npy", tmp_path).with_name(
-            found.name
-        )  # beside the file of a camera
+        # Beside the file of a camera.
+        path = whole_scan("depth.npy", tmp_path).with_name(found.name)
         assert not read_damaged(
             path, lambda seed: found.read_bytes(), read_scan, 1, str(path)
         )[1]

@@ -186,7 +186,6 @@ def test_from_scans_to_neighbours_in_one_pipeline(
     values = pr.signature(
         new, {**keep, "signature": {"n_values": 9}}, method="r-bihdm"
     ).values
-    monkeypatch.setattr(
-        "pcretrieve.pipeline.process.process", None
-    )  # surfaces are remembered
+    # Surfaces are remembered.
+    monkeypatch.setattr("pcretrieve.pipeline.process.process", None)
     np.testing.assert_allclose(scans.transform([new]), [np.log(values)], rtol=1e-9)

@@ -242,9 +242,8 @@ def killed_ingest(made: bytes, location: str, folder: Path, transaction: int) ->
 def started(location: str, folder: Path, transaction: int = -1) -> Any:
     """The process of such an ingest, which nobody kills without a number of a transaction."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(
-        ["test_orders", "pcretrieve.spectral"]
-    )  # scipy once, and not by each
+    # SciPy once, and not by each.
+    context.set_forkserver_preload(["test_orders", "pcretrieve.spectral"])
     process = context.Process(
         target=killed_ingest, args=(pickle.dumps(MADE), location, folder, transaction)
     )
@@ -283,9 +282,8 @@ class Orders(RuleBasedStateMachine):
         self.patch = pytest.MonkeyPatch()
         self.patch.setattr("pcretrieve.gallery.fitted.SMALLEST_KEPT", 1)
         self.patch.setenv("XDG_CACHE_HOME", str(self.root))
-        self.patch.setenv(
-            "PYTHONPATH", os.pathsep.join(sys.path)
-        )  # of the server that forks
+        # Of the server that forks.
+        self.patch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
         self.readers: list[Catalogue] = []
         self.open([])
 

@@ -91,9 +91,8 @@ def unpacked(blob: bytes, most: int) -> list[NDArray[Any]]:
             raise ValueError(f"it declares more than {most_bytes} bytes in {len(blob)}")
         if compressed:
             size = math.prod((*shape, dtype.itemsize))
-            expanded = zlib.decompressobj().decompress(
-                body, size + 1
-            )  # one more does not fit the shape
+            # One more does not fit the shape.
+            expanded = zlib.decompressobj().decompress(body, size + 1)
             planes = np.frombuffer(expanded, np.uint8).reshape(dtype.itemsize, -1)
             numbers = np.ascontiguousarray(planes.T).view(dtype)
         else:

@@ -88,9 +88,8 @@ def merge_catalogues(
         sources = [stack.enter_context(Catalogue.opened(part)) for part in parts]
         for part in sources:
             check_options(part.location, part.options, sources[0].options)
-        _chosen(
-            [part.rows for part in sources]
-        )  # conflicts are an error before there is a new file
+        # Conflicts are an error before there is a new file.
+        _chosen([part.rows for part in sources])
         target = stack.enter_context(
             Catalogue.opened(output, sources[0].options, create=True)
         )
@@ -184,9 +183,8 @@ def _copy_file(source: Path, target: Path) -> None:
     ):
         copy.execute("PRAGMA secure_delete = ON")
         copy.execute(f"PRAGMA journal_mode = {journal(target)}")
-        copy.execute(
-            "DELETE FROM meta WHERE key = 'batch'"
-        )  # no ingest counts in the copy
+        # No ingest counts in the copy.
+        copy.execute("DELETE FROM meta WHERE key = 'batch'")
 
 
 def _copy_rows(rows: Rows, target: Path) -> None:
@@ -247,9 +245,8 @@ def _merge(stores: Sequence[Rows]) -> MergedCatalogues:
         for start in range(0, len(ids), STORED_AT_ONCE):
             entries = store.entries(ids[start : start + STORED_AT_ONCE])
             for at, entry in enumerate(entries):
-                label = (
-                    labels.get(entry.record.path, entry.record.label) or None
-                )  # it may have moved
+                # It may have moved.
+                label = labels.get(entry.record.path, entry.record.label) or None
                 if entry.record.label != label:
                     entries[at] = replace(
                         entry, record=replace(entry.record, label=label)

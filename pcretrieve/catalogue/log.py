@@ -145,9 +145,8 @@ def _checksums(words: Words, before: Words) -> Words:
 @cache
 def _weights(n_words: int) -> Words:
     """Weights (2 + n, 2) of the checksum before, and of the words of a frame, or of the header of a log."""
-    n_left_out = (
-        0 if n_words < HEADER // 4 else 4
-    )  # the salts and the checksum of the frame
+    # The salts and the checksum of the frame.
+    n_left_out = 0 if n_words < HEADER // 4 else 4
     n_summed = 2 + n_words - n_left_out
     numbers = [0, 1]
     while len(numbers) <= n_summed:

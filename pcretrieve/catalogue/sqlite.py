@@ -345,9 +345,8 @@ def translated(path: Path) -> Iterator[None]:
 
 def _is_writable(path: Path) -> bool:
     """Whether SQLite can write to a file, for which it creates further files in the same folder."""
-    effective = (
-        os.access in os.supports_effective_ids
-    )  # the user by whose rights files are opened
+    # The user by whose rights files are opened.
+    effective = os.access in os.supports_effective_ids
     return all(
         os.access(place, os.W_OK, effective_ids=effective)
         for place in (path, path.parent)

@@ -61,8 +61,7 @@ def full_matrix(pairs: Eigenpairs | ModalSpectrum, n_modes: int = 60) -> FloatAr
     weights = spectrum.eigenvalues[inner] ** -2  # (m,): 1/λ_i²
     in_modes = weights @ spectrum.moments[inner, : n_modes + 1]  # (m + 1,): ⟨g, φ_j⟩
     squared = weights @ spectrum.known_overlaps()[inner, inner] @ weights  # ⟨g, g⟩
-    left = np.sqrt(
-        np.maximum(squared - in_modes @ in_modes, 0)
-    )  # clipped: rounding can make it negative
+    # Clipped: rounding can make it negative.
+    left = np.sqrt(np.maximum(squared - in_modes @ in_modes, 0))
     matrix[0, -1] = matrix[-1, 0] = np.sqrt(spectrum.area) * left
     return matrix

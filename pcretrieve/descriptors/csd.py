@@ -49,9 +49,8 @@ def csd(pairs: Eigenpairs, n_values: int = 23, n_modes: int = 60) -> Signature:
     lowest = pairs.lowest(n_modes + 1)
     wave = lowest.eigenvectors[:, 1:] ** 2 @ weights.T  # (n, e)
     heat = scale_invariant_heat(lowest, n_frequencies)  # (n, f)
-    areas = pairs.mass @ np.ones(
-        pairs.mass.shape[0]
-    )  # (n,), the areas of the vertices, of sum 1
+    # (n,), the areas of the vertices, of sum 1.
+    areas = pairs.mass @ np.ones(pairs.mass.shape[0])
     values = np.concatenate([_mean_direction(wave, areas), _mean_direction(heat, areas)])
     return Signature(values, kind="csd", digest=f"L={n_values} m={n_modes}")
 

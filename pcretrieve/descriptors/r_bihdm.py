@@ -122,9 +122,8 @@ def leading(
         raise OptionError(
             f"n_values must be between 1 and n_modes = {n_modes}, got {n_values}"
         )
-    mu = np.linalg.eigvalsh(
-        matrix
-    )  # (n,), ascending: the negative eigenvalues first, μ_0 last
+    # (n,), ascending: the negative eigenvalues first, μ_0 last.
+    mu = np.linalg.eigvalsh(matrix)
     # The matrix of BiHDM has one row more than modes and constant, and may have one zero eigenvalue.
     if not (mu[-1] > 0 > mu[n_modes - 1]):
         raise SpectrumError(

@@ -85,9 +85,8 @@ def cameras_around(points: FloatArray, axes: FloatArray | None = None) -> list[C
 
 def cameras_framing(points: FloatArray, directions: Iterable[FloatArray]) -> list[Camera]:
     """Cameras with given axes, with one scale and all points in the field of view."""
-    size = (
-        float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
-    )  # the size of equal points
+    # Equal points have the size 1.
+    size = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
     framed = []
     for axes in directions:
         seen = points @ axes.T  # (n, 3)
@@ -220,9 +219,8 @@ def _picture(
     palette = np.concatenate(
         [np.column_stack([colours, np.ones(len(colours))]), np.zeros((1, 4))]
     )
-    pixels = pooled(
-        palette[visible_faces(vertices, faces, size)]
-    )  # face −1, none, is the last row
+    # Face −1, none, is the last row.
+    pixels = pooled(palette[visible_faces(vertices, faces, size)])
     # The mean over the rays that hit a face, so that edges are not darker.
     pixels[..., :3] /= np.maximum(pixels[..., 3:], 1 / SUPERSAMPLING**2)
     return Image.fromarray(np.round(255 * np.minimum(pixels, 1)).astype(np.uint8), "RGBA")

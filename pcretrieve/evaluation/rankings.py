@@ -180,9 +180,8 @@ def _by_distance(block: DistanceBlock, ids: Sequence[str]) -> Positions:
     Returns (q, N) intp: positions: first the query itself, then the nearest shapes, equal distances by id.
     """
     by_id = np.array(sorted(range(len(ids)), key=ids.__getitem__), dtype=np.intp)  # (N,)
-    columns = block.distances[
-        :, by_id
-    ]  # (q, N): a stable sort then orders equal distances by identifier
+    # (q, N): a stable sort then orders equal distances by identifier.
+    columns = block.distances[:, by_id]
     columns[block.queries[:, np.newaxis] == by_id] = -np.inf
     return np.asarray(by_id[np.argsort(columns, axis=1, kind="stable")])
 

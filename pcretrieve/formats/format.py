@@ -206,9 +206,8 @@ def numbers_in(text: str, what: str) -> NDArray[np.float64]:
     """The numbers of a text, between which are blanks and ends of lines."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "error", DeprecationWarning
-            )  # before numpy 2.3 it was no error
+            # Before numpy 2.3 it was no error.
+            warnings.simplefilter("error", DeprecationWarning)
             return np.fromstring(NO_NUMBER.sub("nan", text), sep=" ")
     except (ValueError, DeprecationWarning) as error:
         comma = DECIMAL_COMMA.search(text)

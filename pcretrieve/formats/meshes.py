@@ -238,9 +238,8 @@ def three_mf_scene(path: Path) -> Scene:
     """
     from lxml import etree  # type: ignore[import-untyped,unused-ignore]
 
-    objects: dict[
-        tuple[str, str], Any
-    ] = {}  # by the name of their model, and their id in it
+    # By the name of their model, and their id in it.
+    objects: dict[tuple[str, str], Any] = {}
     items: list[tuple[str, Any]] = []
     with opened_archive(path) as archive:
         members = archive.infolist()
@@ -320,9 +319,8 @@ def _check_instances(path: Path) -> None:
     """Check how many bodies a file has, of which trimesh makes one for each way from its scene to a mesh."""
     from lxml import etree
 
-    uses: dict[
-        str, list[str]
-    ] = {}  # of nodes and meshes, by the id of a node; "": by the scene
+    # Of nodes and meshes, by the id of a node; "": by the scene.
+    uses: dict[str, list[str]] = {}
     # As bytes, because lxml refuses names of files that are not UTF-8.
     for _, node in etree.iterparse(
         io.BytesIO(path.read_bytes()), tag=NODES, resolve_entities=False, huge_tree=True

@@ -127,9 +127,8 @@ def _number_rows(
     """(n, c) columns of a table of numbers, whose text is never in memory as a whole."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", UserWarning
-            )  # an empty table is reported by `read_scan`
+            # An empty table is reported by `read_scan`.
+            warnings.simplefilter("ignore", UserWarning)
             table = np.loadtxt(
                 lines,
                 np.float64,
@@ -207,9 +206,8 @@ def _layout(lines: list[str], encoding: str, n_numbers: int) -> Layout:
                 )
         words = _cells(line, None)
         if len(words) == 1 and words[0].isdecimal() and words[0].isascii():
-            promised = float(
-                words[0]
-            )  # int raises an exception for a number of thousands of digits
+            # `int` raises an exception for a number of thousands of digits.
+            promised = float(words[0])
         elif words and _is_row(words, range(len(words)), "."):
             break  # a row with too few numbers, and not a header
         else:

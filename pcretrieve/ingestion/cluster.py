@@ -93,9 +93,8 @@ class DaskExecutor:
         raised if the scheduler does not answer, or its workers have other versions.
         """
         rest, given_up = iter(items), deque[Item]()
-        running: dict[
-            Any, tuple[Item, bool]
-        ] = {}  # by future, with whether it is the only one
+        # By future, with whether it is the only one.
+        running: dict[Any, tuple[Item, bool]] = {}
         with _connected(self) as client:
             from distributed import as_completed
 

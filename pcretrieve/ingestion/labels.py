@@ -182,9 +182,8 @@ def match_labels(
             by_number.setdefault(str(int(number[1])), set()).add(shape_id)
     matched: dict[str, str] = {}
     unknown = []
-    passed_over: dict[
-        str, str
-    ] = {}  # name by the id of a shape that it could stand for too
+    # Name by the id of a shape that it could stand for too.
+    passed_over: dict[str, str] = {}
     for name, label in labels.items():
         plain = name if name in paths else _plain(name, by_path)
         named = by_path.get(plain) or by_number.get(plain) or set()

@@ -139,16 +139,14 @@ class Plan:
     removed: list[str] = field(default_factory=list)  # paths whose records are removed
     labels: dict[str, str] = field(default_factory=dict)  # by path
     stamps: dict[str, str] = field(default_factory=dict)  # by path
-    held: list[Record] = field(
-        default_factory=list
-    )  # of scans that the catalogue has already
+    # Of scans that the catalogue has already.
+    held: list[Record] = field(default_factory=list)
     # Files with the same content as another file, and the record of the other file.
     duplicates: list[tuple[str, Record]] = field(default_factory=list)
     # Scans that must be processed, and their new records; the id may still change.
     process: list[tuple[ScanPath, Record]] = field(default_factory=list)
-    unreadable: list[Record] = field(
-        default_factory=list
-    )  # failures of files that cannot be read
+    # Failures of files that cannot be read.
+    unreadable: list[Record] = field(default_factory=list)
 
     def apply(self, catalogue: Catalogue) -> None:
         """Write the changes to the records of a catalogue, and complete those of skipped scans by its own."""

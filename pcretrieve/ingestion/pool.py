@@ -525,9 +525,8 @@ def _serve(
             for stream in (sys.stdout, sys.stderr):
                 with suppress(Exception):  # a plug-in may have closed or replaced it
                     stream.flush()
-            ctypes.CDLL(None).fflush(
-                None
-            )  # what C libraries have printed, and hold in memory
+            # What C libraries have printed, and hold in memory.
+            ctypes.CDLL(None).fflush(None)
             if os.getpid() != own:
                 # A child process that the function has forked, and in which the function returned too: its
                 # answer would be taken for that of the next item.

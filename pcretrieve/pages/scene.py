@@ -40,9 +40,8 @@ class Cube(NamedTuple):
     def around(cls, body: FloatArray) -> Cube:
         """The cube around the (n, 3) points of a body."""
         centre = (body.min(axis=0) + body.max(axis=0)) / 2
-        reach = (
-            float(np.linalg.norm(body - centre, axis=1).max()) or 1.0
-        )  # if all points are equal
+        # Equal points have the reach 1.
+        reach = float(np.linalg.norm(body - centre, axis=1).max()) or 1.0
         return cls(centre, VIEWER_SIZE * reach)
 
     def holds(self, points: FloatArray) -> NDArray[np.bool_]:
@@ -95,9 +94,8 @@ def thicker(mesh: TriangleMesh, other: TriangleMesh) -> FloatArray:
     Places are alike by their heat kernels, whatever the poses; the thickness is the way through the body.
     """
     own, its = _places(mesh), _places(other)
-    alike = [
-        ways[cKDTree(heat).query(own[0], N_ALIKE)[1]] for heat, ways in (own, its)
-    ]  # (m, N_ALIKE) each
+    # (m, N_ALIKE) each.
+    alike = [ways[cKDTree(heat).query(own[0], N_ALIKE)[1]] for heat, ways in (own, its)]
     return np.asarray(np.median(alike[0], axis=1) - np.median(alike[1], axis=1))
 
 

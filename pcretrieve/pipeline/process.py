@@ -303,9 +303,8 @@ def remembered(scan: ScanLike, options: PipelineOptions) -> Shape:
         shape = process(scan, options)
         surfaces = tuple(replace(surface, eigenpairs=None) for surface in shape.surfaces)
         if len(_remembered) >= N_REMEMBERED:
-            _remembered.pop(
-                next(iter(_remembered)), None
-            )  # unless another thread was faster
+            # Unless another thread was faster.
+            _remembered.pop(next(iter(_remembered)), None)
         _remembered[key] = replace(shape, surfaces=surfaces)
     return _remembered[key]
 
@@ -464,9 +463,8 @@ def compile_stages() -> None:
         with Path(__file__).open(encoding="utf-8") as file:
             with suppress(OSError):  # a file system without locks
                 fcntl.flock(file, fcntl.LOCK_EX)
-            distances(
-                np.zeros((1, 1, 200), dtype=np.bool_), np.inf
-            )  # in 32 bits: `body` needs 16 only
+            # In 32 bits: `body` needs 16 only.
+            distances(np.zeros((1, 1, 200), dtype=np.bool_), np.inf)
             *_, last = _of_scan(PointCloud(body), options := PipelineOptions())
             describe(shape_of(last, options), options.signature)
 

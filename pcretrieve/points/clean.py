@@ -164,9 +164,8 @@ def check_extent(points: FloatArray, stage: str) -> None:
             stage=stage,
         )
     centred = points - [column.mean() for column in points.T]
-    squares = np.linalg.eigvalsh(centred.T @ centred)[
-        ::-1
-    ]  # (3,): of the singular values
+    # (3,): of the singular values.
+    squares = np.linalg.eigvalsh(centred.T @ centred)[::-1]
     flat = squares < SMALLEST_THICKNESS**2 * squares[0]
     if squares[0] == 0 or flat[2]:
         what = (

@@ -143,9 +143,8 @@ def kept_points(
 
     seen = points if viewpoints is None else points - viewpoints  # (n, 3)
     ranges = np.linalg.norm(seen, axis=1)
-    is_ahead = bool(
-        (seen[:, 2] >= 0).all() or (seen[:, 2] <= 0).all()
-    )  # of the sensor, along the axis z
+    # Of the sensor, along the axis z.
+    is_ahead = bool((seen[:, 2] >= 0).all() or (seen[:, 2] <= 0).all())
     readings = (ranges, abs(seen[:, 2])) if is_ahead else (ranges,)
     del seen  # as large as the scan
     # Of fewer points none stand out, and a crop that leaves them is an error.

@@ -117,9 +117,8 @@ class LowerBounds(NamedTuple):
         low, high, step = (np.empty((len(parts), axes.shape[1])) for _ in range(3))
         codes = np.zeros((len(parts), axes.shape[1], size), np.uint8)
         for block, part in enumerate(parts):
-            members = np.sort(
-                part
-            )  # ascending, because that is the order of the points in memory
+            # Ascending, because that is the order of the points in memory.
+            members = np.sort(part)
             along = (points[members] - mean) @ axes
             low[block], high[block] = along.min(axis=0), along.max(axis=0)
             # Not the difference by 256, because that of the largest numbers is infinite.
@@ -242,9 +241,8 @@ def scan(
 
 def _principal_axes(points: FloatArray, mean: FloatArray) -> FloatArray:
     """(L, D) the principal directions, the largest variance first, that have `SHARE` of the variance."""
-    variances, directions = np.linalg.eigh(
-        scatter_matrix(points, mean)
-    )  # variances ascend
+    # Variances ascend.
+    variances, directions = np.linalg.eigh(scatter_matrix(points, mean))
     small = np.cumsum(variances) < (1 - SHARE) * variances.sum()
     n_axes = max(N_LEADING, np.count_nonzero(~small))
     return np.ascontiguousarray(directions[:, ::-1][:, :n_axes])

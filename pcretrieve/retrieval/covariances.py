@@ -247,9 +247,8 @@ def neighbour_pairs(logs: FloatArray) -> NeighbourPairs:
     from scipy.sparse import triu
 
     rows = np.arange(len(logs)) if len(logs) <= LARGEST else near_groups(logs, LARGEST)
-    rows = rows[
-        np.lexsort(logs[rows].T)
-    ]  # so that ties do not depend on the order of the table
+    # So that ties do not depend on the order of the table.
+    rows = rows[np.lexsort(logs[rows].T)]
     points = np.ascontiguousarray(logs[rows])
     lists = neighbour_lists(_blocks(points), len(points))
     order = rerank(lists, parameters=PAIRING)

@@ -52,9 +52,8 @@ def neighbour_lists(
     order, distances = np.empty((n, length), dtype=np.intp), np.empty((n, length))
     for queries, block in blocks:
         columns = block.copy()
-        columns[
-            np.arange(len(queries)), queries
-        ] = -np.inf  # a shape is the first in its own list
+        # A shape is the first in its own list.
+        columns[np.arange(len(queries)), queries] = -np.inf
         nearest = _first_columns(columns, length)
         order[queries] = nearest
         distances[queries] = np.take_along_axis(block, nearest, axis=1)
@@ -167,9 +166,8 @@ def _reciprocal_features(lists: NeighbourLists, k1: int) -> csr_array:
     graphs = (nearest_matrix(lists.order, k) for k in (k1, max(1, k1 // 2)))
     mutual, half = (csr_array(graph.multiply(graph.T)) for graph in graphs)
     # A neighbour brings its own closest neighbours, if most of these are in the set already.
-    shared = (
-        (mutual @ half.T).multiply(mutual).tocoo()
-    )  # (N, N), |R(i) ∩ R½(j)| for j in R(i)
+    # (N, N), |R(i) ∩ R½(j)| for j in R(i).
+    shared = (mutual @ half.T).multiply(mutual).tocoo()
     sizes = np.asarray(half.sum(axis=1))
     brings = shared.data > EXPANDED * sizes[shared.col]
     bringing = csr_array(

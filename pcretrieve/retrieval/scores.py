@@ -360,9 +360,8 @@ def _left_out(
 def _class_pairs(sample: _Sample, group: _Group) -> _Pairs:
     """The pairs of some labelled shapes, each of which stands for the pairs of the whole table."""
     codes = group.codes
-    here = np.bincount(codes)[codes].astype(
-        np.float64
-    )  # (n,) shapes of the class, here and in the table
+    # (n,) shapes of the class, here and in the table.
+    here = np.bincount(codes)[codes].astype(np.float64)
     there = np.array([sample.sizes[name] for name in group.names], dtype=np.float64)[
         codes
     ]

@@ -195,9 +195,8 @@ def depth_pictures(mesh: TriangleMesh) -> Iterator[FloatArray]:
     for towards in directions():
         upright = np.eye(3)[2] if abs(towards[2]) < 1 - 1e-9 else np.eye(3)[1]
         right = unit_vectors(np.cross(upright, towards))
-        camera = np.stack(
-            [right, np.cross(towards, right), towards]
-        )  # (3, 3): to the right, upwards, nearer
+        # (3, 3): to the right, upwards, nearer.
+        camera = np.stack([right, np.cross(towards, right), towards])
         ways, _, _ = scene.cast(pixels @ camera, np.broadcast_to(-towards, pixels.shape))
         yield np.where(np.isfinite(ways), (1 + START - ways) / 2, 0).reshape(N_PIXELS, -1)
 

@@ -115,9 +115,8 @@ def sparse_codes(
     momentum = 1.0
     for _ in range(n_iterations):
         moved = ahead - (ahead @ gram - correlation) / lipschitz
-        after = moved - np.clip(
-            moved, -PENALTY / lipschitz, PENALTY / lipschitz
-        )  # soft threshold
+        # Soft threshold.
+        after = moved - np.clip(moved, -PENALTY / lipschitz, PENALTY / lipschitz)
         following = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
         ahead = after + (momentum - 1) / following * (after - codes)
         codes, momentum = after, following
@@ -204,9 +203,8 @@ def supervised_dictionary(
         )
         drawn = np.array([_drawn(surfaces[number], rng, N_POINTS) for number in chosen])
         _, gradient = triplet_loss(drawn, names[chosen], atoms, margin)
-        gradient -= (gradient * atoms).sum(
-            axis=1, keepdims=True
-        ) * atoms  # along the sphere
+        # Along the sphere.
+        gradient -= (gradient * atoms).sum(axis=1, keepdims=True) * atoms
         mean = DECAY * mean + (1 - DECAY) * gradient
         squares = SQUARED_DECAY * squares + (1 - SQUARED_DECAY) * gradient**2
         size = np.sqrt(squares / (1 - SQUARED_DECAY**step)) + np.finfo(float).tiny

@@ -101,10 +101,8 @@ class ReferenceElement(NamedTuple):
 
 def edge_keys(mesh: TriangleMesh) -> NDArray[np.int64]:
     """(m, 3) the edge at each side of a face: ascending with its lower, then its higher vertex number."""
-    tail, head = (
-        mesh.faces.astype(np.int64),
-        np.roll(mesh.faces, -1, axis=1),
-    )  # (m, 3) each
+    # (m, 3) each.
+    tail, head = (mesh.faces.astype(np.int64), np.roll(mesh.faces, -1, axis=1))
     return np.minimum(tail, head) * len(mesh.vertices) + np.maximum(tail, head)
 
 

@@ -97,9 +97,8 @@ def laplace_beltrami(
         )
     with in_stage(Stage.SPECTRUM):
         assembled = element.assemble(geometry)
-        LaplaceBeltrami(
-            assembled.stiffness, assembled.mass
-        )  # raises, if it is not such an operator
+        # Raises, if it is not such an operator.
+        LaplaceBeltrami(assembled.stiffness, assembled.mass)
 
     # The stiffness of a single edge can be zero (between two right angles). But the indicator function of a
     # proper subset of the nodes of a component has a non-zero gradient, so that not all entries between the

@@ -49,9 +49,8 @@ def indicator(
     """
     from scipy import fft
 
-    shares = (
-        np.minimum(spacings / grid.cell, 1) ** 2
-    )  # of the area of the face of a voxel
+    # Of the area of the face of a voxel.
+    shares = np.minimum(spacings / grid.cell, 1) ** 2
     field = _splatted(grid.coordinates(points), shares[:, None] * normals, grid.shape)
     n_x, n_y, n_z = grid.shape
     frequencies = np.ix_(fft.fftfreq(n_x), fft.fftfreq(n_y), fft.rfftfreq(n_z))

@@ -38,9 +38,8 @@ MOST_STEPS = 30_000
 # 26-neighbours; Y_LOW to Z_HIGH are the voxels that can be moved along an axis without leaving the
 # neighbourhood.
 _AROUND = [(x, y, z) for x in range(3) for y in range(3) for z in range(3)]
-_OFF = [
-    sum(coordinate != 1 for coordinate in place) for place in _AROUND
-]  # from the centre, along some axes
+# From the centre, along some axes.
+_OFF = [sum(coordinate != 1 for coordinate in place) for place in _AROUND]
 FACES = sum(1 << k for k in range(27) if _OFF[k] == 1)
 NEAR = sum(1 << k for k in range(27) if _OFF[k] in (1, 2))
 EVERYTHING = sum(1 << k for k in range(27) if _OFF[k])

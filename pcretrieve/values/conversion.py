@@ -131,7 +131,6 @@ def _of_pyvista(geometry: Any) -> PointCloud | TriangleMesh:
         )
     if not len(geometry.faces):
         return PointCloud(np.array(geometry.points))
-    faces = np.array(geometry.triangulate().faces).reshape(
-        -1, 4
-    )  # the number of corners, and these
+    # The number of corners, and these.
+    faces = np.array(geometry.triangulate().faces).reshape(-1, 4)
     return TriangleMesh(np.array(geometry.points), faces[:, 1:])

@@ -112,9 +112,8 @@ def check_no_links(files: Iterable[Path]) -> None:
 def _replace(target: Path, data: bytes) -> None:
     # A short name, because a name longer than that of the file might be too long.
     temporary = target.with_name(f".{secrets.token_hex(8)}.part")
-    descriptor = os.open(
-        temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666
-    )  # without the umask
+    # Without the umask.
+    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
     try:
         with os.fdopen(descriptor, "wb") as file:
             file.write(data)
@@ -228,9 +227,8 @@ def read_array(file: IO[bytes], n_bytes: int) -> NDArray[Any]:
 
 def array_header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], bool]:
     """Shape and type of an array, and whether it is stored by columns."""
-    head = io.BytesIO(
-        file.read(1 << 16)
-    )  # more than NumPy reads, which would allocate what is declared
+    # More than NumPy reads, which would allocate what is declared.
+    head = io.BytesIO(file.read(1 << 16))
     version = np.lib.format.read_magic(head)
     read = (
         np.lib.format.read_array_header_1_0
@@ -238,9 +236,8 @@ def array_header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], bool]
         else np.lib.format.read_array_header_2_0
     )
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore"
-        )  # of headers by Python 2, and of odd signs in them
+        # Warnings of headers by Python 2, and of odd signs in them.
+        warnings.simplefilter("ignore")
         shape, in_columns, dtype = read(head)
     file.seek(head.tell())
     return shape, dtype, in_columns

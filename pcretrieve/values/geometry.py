@@ -371,10 +371,8 @@ def welded(
     from scipy.sparse.csgraph import connected_components
 
     n = len(points)
-    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=-1) @ (
-        n,
-        1,
-    )  # (m, 3), one number for each edge
+    # (m, 3), one number for each edge.
+    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=-1) @ (n, 1)
     edges, use = np.unique(sides, return_counts=True)
     ends = np.column_stack(np.divmod(edges[use == 1], n))  # (s, 2)
     if not len(ends):
@@ -390,8 +388,7 @@ def welded(
     end = n + 2 * edge[:, None] + (at == at.max(axis=1, keepdims=True))  # (s, 2)
     pairs, size = (ends.ravel(), end.ravel()), int(end.max()) + 1
     graph = coo_array((np.ones(ends.size, np.int8), pairs), shape=(size, size))
-    merged = connected_components(graph, directed=False)[1][
-        :n
-    ]  # (n,), numbered in the order of the file
+    # (n,), numbered in the order of the file.
+    merged = connected_components(graph, directed=False)[1][:n]
     first = np.flatnonzero(np.diff(np.maximum.accumulate(merged), prepend=-1))
     return points[first], merged[faces]

@@ -232,9 +232,8 @@ def drop_repeated_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, Notes]:
     if len(first) == len(group):
         return mesh, ()
     a, b, c = mesh.faces.T
-    handed = (
-        np.sign(a - b) * np.sign(b - c) * np.sign(c - a)
-    )  # (m,) ±1: parity of the order of the corners
+    # (m,) ±1: parity of the order of the corners.
+    handed = np.sign(a - b) * np.sign(b - c) * np.sign(c - a)
     even = (topology.edges_of(mesh.faces).crowd.reshape(-1, 3) % 2 == 0).all(
         axis=1
     )  # (m,)

@@ -51,10 +51,8 @@ def simplified(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
     .. [2] Dey, Edelsbrunner, Guha and Nekhayev, "Topology preserving edge contraction", Publications de
        l'Institut Mathématique 66, 1999.
     """
-    vertices, corners = (
-        mesh.vertices.copy(),
-        mesh.faces.flatten(),
-    )  # (n, 3), (3m,): modified below
+    # (n, 3), (3m,): modified below.
+    vertices, corners = (mesh.vertices.copy(), mesh.faces.flatten())
     twin, n_bad = twins(corners, len(vertices))
     if n_bad:
         raise DegenerateMeshError(
@@ -93,9 +91,8 @@ def _quadrics(vertices: FloatArray, corners: IntArray) -> tuple[FloatArray, floa
         x, y, z, double = _normal(a, b, c)
         area += double / 2
         even = EVENNESS * double / 6
-        steep = (
-            1 / (6 * double) if double > 0 else 0.0
-        )  # (x, y, z) has the length `double`
+        # (x, y, z) has the length `double`.
+        steep = 1 / (6 * double) if double > 0 else 0.0
         for v in corners[f : f + 3]:
             quadrics[v, 0] += steep * x * x + even
             quadrics[v, 1] += steep * y * y + even

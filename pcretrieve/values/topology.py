@@ -210,9 +210,8 @@ def components(mesh: TriangleMesh) -> Index:
     of_vertex = joined_by(
         np.concatenate([a, b]), np.concatenate([b, c]), len(mesh.vertices)
     )  # (n,)
-    _, of_face = np.unique(
-        of_vertex[a], return_inverse=True
-    )  # (m,); unreferenced vertices are no components
+    # (m,); unreferenced vertices are no components.
+    _, of_face = np.unique(of_vertex[a], return_inverse=True)
     largest_first = np.argsort(
         -np.bincount(of_face, weights=mesh.face_areas), kind="stable"
     )
@@ -240,9 +239,8 @@ def orient_faces(mesh: TriangleMesh) -> tuple[TriangleMesh, int] | None:
     as_given, turned = patch[:m], patch[m:]  # (m,)
     if (as_given == turned).any():
         return None
-    votes = np.bincount(
-        as_given, minlength=2 * m
-    )  # number of unreversed faces in each sheet of the cover
+    # Number of unreversed faces in each sheet of the cover.
+    votes = np.bincount(as_given, minlength=2 * m)
     # Classes are numbered by their first elements: of two sheets the one with the unreversed first face is
     # lower.
     turn = (votes[as_given] < votes[turned]) | (

@@ -66,10 +66,8 @@ def main(words: list[str]) -> None:
             file=sys.stderr if wrong else sys.stdout,
         )
         sys.exit(2 if wrong else 0)
-    sys.argv = [
-        f"scripts/benchmark {name}",
-        *others,
-    ]  # what the help of the benchmark calls it
+    # What the help of the benchmark calls it.
+    sys.argv = [f"scripts/benchmark {name}", *others]
     import_module(f"benchmarks.{BENCHMARKS[name][0]}").main(others)
 
 

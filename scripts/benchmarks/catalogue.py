@@ -212,9 +212,8 @@ def _queries(path: Path, distance: str, whitening: str) -> Iterator[str]:
         rows = np.random.default_rng(SEED).integers(len(index), size=N_QUERIES).tolist()
         ids = [synthetic_id(row) for row in rows]
         for shape_id in ids[:N_WARM]:
-            index.nearest(
-                shape_id, K
-            )  # maps the arrays, and loads what numba has compiled
+            # Maps the arrays, and loads what numba has compiled.
+            index.nearest(shape_id, K)
         points = index.to_arrays()["gallery"]
         flat_scan = _flat_scan(points)
         tree = (

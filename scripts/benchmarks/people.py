@@ -126,9 +126,8 @@ class People:
                 phenotype_kwargs=shape,
                 local_changes_kwargs=local,
             )
-        x, y, z = (
-            found["vertices"][0].double().numpy().T
-        )  # z up, and the face looks along -y
+        # Z up, and the face looks along -y.
+        x, y, z = found["vertices"][0].double().numpy().T
         return TriangleMesh(np.column_stack([x, z, -y]), self.faces)
 
     def _changes(self, rng: np.random.Generator) -> dict[str, float]:

@@ -604,9 +604,8 @@ def recognition(points: FloatArray, person: Positions) -> list[Row]:
     n_nearer, genuine, impostor = [], [], []
     for start in range(0, len(points), BLOCK):
         rows = np.arange(start, min(start + BLOCK, len(points)))
-        gaps = (
-            squares[rows, np.newaxis] + squares - 2 * points[rows] @ points.T
-        )  # (q, n), squared
+        # (q, n), squared.
+        gaps = squares[rows, np.newaxis] + squares - 2 * points[rows] @ points.T
         gaps[rows - start, rows] = np.inf
         nearest = np.minimum.reduceat(gaps, first, axis=1)  # (q, people)
         own = nearest[rows - start, person[rows]]

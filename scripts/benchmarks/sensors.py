@@ -132,9 +132,8 @@ def _turntable(body: Body, rng: np.random.Generator) -> FloatArray:
 
 def _pixel_rays(distance: float) -> FloatArray:
     """(p², 3) rays through the pixels, of which the third coordinate, along the axis, is 1."""
-    half = 0.5 / np.sqrt(
-        distance**2 - 0.25
-    )  # the field of view holds the bounding sphere
+    # The field of view holds the bounding sphere.
+    half = 0.5 / np.sqrt(distance**2 - 0.25)
     ticks = half * ((2 * np.arange(PIXELS) + 1) / PIXELS - 1)
     across, down = np.meshgrid(ticks, ticks)
     return np.column_stack([across.ravel(), down.ravel(), np.ones(PIXELS**2)])

@@ -113,9 +113,8 @@ def _motion(mesh: TriangleMesh, options: TurningOptions, angle: float) -> FloatA
     axis = (low + high) / 2 + [options.eccentricity, 0, 0]
     axis[1] = low[1]
     turn = Rotation.from_euler("y", angle, degrees=True).as_matrix()
-    feet = np.array(
-        [0, -options.camera_height, -options.distance]
-    )  # upright, with the camera as origin
+    # Upright, with the camera as origin.
+    feet = np.array([0, -options.camera_height, -options.distance])
     motion = np.eye(4)
     motion[:3, :3] = _upright(options) @ turn
     motion[:3, 3] = _upright(options) @ (feet - turn @ axis)

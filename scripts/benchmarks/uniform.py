@@ -125,9 +125,8 @@ def points_of(body: Body, n: int, rng: np.random.Generator) -> FloatArray:
     found = np.zeros((0, 3))
     while len(found) < n:
         places = rng.uniform(-HALF_SIDE, HALF_SIDE, (500_000, 3))
-        places = places[
-            np.linalg.norm(places, axis=1) > LAYER
-        ]  # a blob has no radius at its centre
+        # A blob has no radius at its centre.
+        places = places[np.linalg.norm(places, axis=1) > LAYER]
         places = places[np.abs(_above(body, places)[1][:, 0]) < LAYER]
         found = np.concatenate([found, feet(body, places)])
     return found[:n]

@@ -83,9 +83,8 @@ def test_a_removed_shape_is_in_no_byte(
     log = path.with_name(f"{path.name}-wal")
     with Catalogue(path) as other:
         pr.index(other)
-        other.rows.revise(
-            labels={other.record(REMOVED).path: f"{LABEL} and more"}
-        )  # in the log
+        # In the log.
+        other.rows.revise(labels={other.record(REMOVED).path: f"{LABEL} and more"})
         assert found([REMOVED.encode()], tmp_path / "cache") == 1
         assert found(wanted, path, log) == len(wanted)
         said = run("remove", REMOVED, "-c", path).stderr

@@ -129,9 +129,8 @@ def test_hand_worked_scores() -> None:
     values = [getattr(means, name) for name in MEASURES]
     assert values == pytest.approx(scores.columns.mean(axis=0).tolist())
     assert means.nn == pytest.approx(3 / 5)
-    macro = evaluate_rankings(
-        result, average="macro"
-    )  # in which the classes have one weight
+    # In which the classes have one weight.
+    macro = evaluate_rankings(result, average="macro")
     assert macro.nn == pytest.approx((2 / 3 + 1 / 2) / 2)
     assert (means.n_queries, means.n_failed, means.n_single) == (5, 0, 0)
 

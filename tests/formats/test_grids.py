@@ -42,9 +42,8 @@ def readings(
     """(h, w, 3) points of a ball before a wall of that depth, in metres; zero where there is none."""
     fx, fy, cx, cy = camera
     u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
-    rays = np.stack(
-        [(u - cx) / fx, (v - cy) / fy, np.ones(u.shape)], axis=2
-    )  # with depth 1
+    # With depth 1.
+    rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones(u.shape)], axis=2)
     a, b = (rays**2).sum(axis=2), rays @ CENTER
     inside = b**2 - a * (CENTER @ CENTER - RADIUS**2)
     return (

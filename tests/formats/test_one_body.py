@@ -123,9 +123,8 @@ def written(writers: Writers, folder: Path) -> Iterator[Path]:
         file = folder / name
         if not missing_extra(file.suffix) and CAN_WRITE.get(file.suffix, True):
             with warnings.catch_warnings():
-                warnings.simplefilter(
-                    "ignore", DeprecationWarning
-                )  # of the libraries that write
+                # Of the libraries that write.
+                warnings.simplefilter("ignore", DeprecationWarning)
                 write(file)
             yield file
 

@@ -102,9 +102,8 @@ def test_the_viewer_gets_points_normals_and_faces() -> None:
             .reshape(-1, 3)
             .astype(np.float64)
         )
-        places: NDArray[np.float64] = (2 * grid / (2**16 - 1) - 1) * scene[
-            "zoom"
-        ]  # radius of the body: 1
+        # Radius of the body: 1.
+        places: NDArray[np.float64] = (2 * grid / (2**16 - 1) - 1) * scene["zoom"]
         return places
 
     assert (

@@ -113,9 +113,8 @@ def test_given_poses_are_refined_or_kept() -> None:
     refined = merge_views(clouds, MergeOptions(), FAR, poses=rough)
     np.testing.assert_array_equal(refined.poses[0], rough[0])
     assert refined.rms() < 0.7 * kept.rms()
-    back = rough[0] @ np.linalg.inv(
-        truth[0]
-    )  # to where the first view, which stays, was put
+    # To where the first view, which stays, was put.
+    back = rough[0] @ np.linalg.inv(truth[0])
     assert error(refined.poses, back @ truth, clouds) < TOLERANCE
 
 

@@ -36,9 +36,8 @@ def test_a_list_keeps_its_shapes_and_its_first() -> None:
     np.testing.assert_array_equal(np.sort(order, axis=1), np.sort(lists.order, axis=1))
     np.testing.assert_array_equal(rerank(lists, np.array([7, 3])), order[[7, 3]])
     assert (order != lists.order).any()
-    np.testing.assert_array_equal(
-        rerank(lists_of(1024 * points, 20)), order
-    )  # in any unit
+    # In any unit.
+    np.testing.assert_array_equal(rerank(lists_of(1024 * points, 20)), order)
     for n in (1, 2, 3, 4):
         for few in (np.ones((n, 3)), np.random.default_rng(0).normal(size=(n, 3))):
             assert np.sort(rerank(lists_of(few)), axis=1).tolist() == [list(range(n))] * n

@@ -94,7 +94,6 @@ def test_words_are_near_points_of_the_first_subject() -> None:
     pairs = unit_eigenpairs(body(subject, next(iter(POSES["person"].values())), rng), 61)
     for words, kind in zip(shipped("hks_sample.npy"), (False, True), strict=True):
         near = cKDTree(heat_features(pairs, scale_invariant=kind)).query(words[:120])[0]
-        own, other = np.median(
-            np.reshape(near, (2, -1)), axis=1
-        )  # of this subject and of the second
+        # Of this subject and of the second.
+        own, other = np.median(np.reshape(near, (2, -1)), axis=1)
         assert 3 * own < other

@@ -105,9 +105,8 @@ def test_noise_has_its_size_along_the_ray_and_grows_with_incidence() -> None:
     direction, distance, true = rays(
         scan(ball(), perfect(noise=noise, pixels=200), rng())
     )
-    normals = scan(
-        ball(), perfect(pixels=200), rng()
-    ).points  # same pixels, in the same order
+    # Same pixels, in the same order.
+    normals = scan(ball(), perfect(pixels=200), rng()).points
     cosine = -np.einsum("ij,ij->i", direction, normals)
     error = (distance - true) / (noise * ball().diagonal)
     for low, high in ((0.97, 1.0), (0.45, 0.55)):

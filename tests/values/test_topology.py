@@ -125,9 +125,8 @@ def test_defects(mesh: TriangleMesh, found: Defects) -> None:
 
 def test_scrambled_faces_are_turned_back() -> None:
     for mesh in (shapes.body(3), shapes.torus(), shapes.square(8)):
-        scrambled = np.flatnonzero(
-            np.random.default_rng(0).random(len(mesh.faces)) < 0.3
-        )  # a minority
+        # A minority.
+        scrambled = np.flatnonzero(np.random.default_rng(0).random(len(mesh.faces)) < 0.3)
         answer = orient_faces(shapes.renumbered(turned(mesh, *scrambled), 0))
         assert answer is not None
         back, n_turned = answer

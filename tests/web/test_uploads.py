@@ -139,10 +139,8 @@ def scans_in(place: Path) -> list[Path]:
 def test_hostile_files_are_refused_in_words_and_inspected(target: Server) -> None:
     for name, body, words in HOSTILE:
         job = target.outcome(name, body)
-        is_other = words in (
-            "Python objects",
-            "not a valid NPY",
-        )  # no scan, of which nothing can be shown
+        # No scan, of which nothing can be shown.
+        is_other = words in ("Python objects", "not a valid NPY")
         assert (job["state"], job["inspection"]) == (
             "failed",
             "failed" if is_other else "done",

@@ -48,9 +48,8 @@ def _paired(
         nearest neighbours in `first`, in the common frame.
     Returns distance : (p,) float64: from the tangent planes, positive on the side of the normal.
     """
-    motion = (
-        np.linalg.inv(first_pose) @ second_pose
-    )  # from the frame of `second` to that of `first`
+    # From the frame of `second` to that of `first`.
+    motion = np.linalg.inv(first_pose) @ second_pose
     points = moved(motion, second.points[second.sample])
     normals = turned(motion, second.normals[second.sample])
     # Near the boundary of a view, and between its points, the nearest point is not at the foot of the

@@ -135,9 +135,8 @@ def _look_alikes(
         keys = np.argsort(-np.linalg.norm(features - usual, axis=1), kind="stable")[
             :KEY_POINTS
         ]
-        distance = (others**2).sum(axis=1) - 2 * features[
-            keys
-        ] @ others.T  # squared, minus a constant
+        # Squared, minus a constant.
+        distance = (others**2).sum(axis=1) - 2 * features[keys] @ others.T
         n = min(LOOK_ALIKES, len(others))
         alike.append(
             (np.repeat(keys, n), np.argpartition(distance, n - 1, axis=1)[:, :n].ravel())

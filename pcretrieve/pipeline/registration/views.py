@@ -200,9 +200,8 @@ def _foreground(
         PointCloud(cloud.points, viewpoints=sensor), near, of_view=True
     ).points
     if cloud.viewpoints is None:
-        kept &= cloud.points.any(
-            axis=1
-        )  # the sensor is perhaps elsewhere, but these are no readings
+        # The sensor is perhaps elsewhere, but these are no readings.
+        kept &= cloud.points.any(axis=1)
     points: FloatArray = cloud.points[kept]
     if options.background != "none":
         rng = np.random.default_rng(0)
@@ -240,9 +239,8 @@ def _background_plane(
         DEVIATIONS * deviation, THINNEST * diagonal, THICKEST * diagonal
     )  # (p,)
     towards = np.where(normals @ (sensor - middle) > offsets, 1, -1)  # (p,)
-    heights = towards[:, None] * (
-        normals @ (few - middle).T - offsets[:, None]
-    )  # (p, s): in front
+    # (p, s): in front.
+    heights = towards[:, None] * (normals @ (few - middle).T - offsets[:, None])
     on = (abs(heights) <= thickness[:, None]).mean(axis=1)
     front = (heights > thickness[:, None]).mean(axis=1)
     possible = (
@@ -301,9 +299,8 @@ def _view(
     k = min(options.normal_neighbors, len(points))
     normals = estimate_normals(points, n_neighbors=k)
     normals[np.einsum("ij,ij->i", normals, sensor - points) < 0] *= -1
-    few = np.sort(
-        np.unique(np.floor(points / cell), axis=0, return_index=True)[1]
-    )  # one in each voxel
+    # One in each voxel.
+    few = np.sort(np.unique(np.floor(points / cell), axis=0, return_index=True)[1])
     tree = cKDTree(points)
     distance, near = map(np.asarray, tree.query(points, k=k))  # (n, k), (n, k)
     height = np.einsum("ij,ij->i", points[near].mean(axis=1) - points, normals)
@@ -373,9 +370,8 @@ class RangeImage:
         # A border of empty pixels, to which all points outside the image are mapped.
         self._shape = np.floor(extent / self._pixel).astype(np.int64) + 3
         nearest = np.full(self._shape, -1)
-        order = np.argsort(
-            -depth, kind="stable"
-        )  # the nearest point in a pixel is written last
+        # The nearest point in a pixel is written last.
+        order = np.argsort(-depth, kind="stable")
         nearest.ravel()[self._pixels(rays, depth)[order]] = order
         nearest[[0, -1], :] = nearest[:, [0, -1]] = -1
         self._nearest = nearest.ravel()

@@ -92,9 +92,8 @@ def planar_mesh(silhouette: FloatArray, n_vertices: int = 6000) -> TriangleMesh:
     triangles = Delaunay(points)
     corners = points[triangles.simplices]
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    areas = (
-        first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-    ) / 2  # positive for normals along +z
+    # Positive for normals along +z.
+    areas = (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / 2
     kept = map_coordinates(smooth, corners.mean(axis=1).T, order=1) > 0.5
     kept &= np.abs(areas) > LEAST_AREA * edge**2
     kept = _largest_component(triangles.neighbors, kept, np.abs(areas))
@@ -342,9 +341,8 @@ def drifts(
         beyond 1, a query may find the wrong class.
     """
     clean = [_signatures(first, methods) for first, _ in poses.values()]
-    stacked = [
-        np.array(column) for column in zip(*clean, strict=True)
-    ]  # (shapes, L) for each method
+    # (shapes, L) for each method.
+    stacked = [np.array(column) for column in zip(*clean, strict=True)]
     apart = np.array(
         [np.sort(pairwise("log", table, table), axis=1)[:, 1] for table in stacked]
     )

@@ -54,9 +54,8 @@ def drums(n_cuts: int = DRUM_CUTS) -> tuple[TriangleMesh, TriangleMesh]:
     .. [1] P. Buser, J. Conway, P. Doyle and K.-D. Semmler, "Some planar isospectral domains", International
        Mathematics Research Notices 1994; the shapes are those of Gordon, Webb and Wolpert, 1992.
     """
-    plane = np.stack(
-        np.unravel_index(np.arange(1, 8), (2, 2, 2)), axis=1
-    )  # (7, 3): points, and lines alike
+    # (7, 3): points, and lines alike.
+    plane = np.stack(np.unravel_index(np.arange(1, 8), (2, 2, 2)), axis=1)
     maps = (
         np.eye(3, dtype=int) + TRANSVECTIONS[:, 1, :, None] * TRANSVECTIONS[:, 0, None]
     )  # (3, 3, 3)
@@ -230,9 +229,8 @@ def truncation_errors(
     This is about the square of the relative error, and a term of the square of D2 (equation 11).
     """
     exact = reduced_eigenvalues(spectrum, len(spectrum.eigenvalues) - 1)[:n_values]
-    cuts = np.array(
-        [reduced_eigenvalues(spectrum, m)[:n_values] for m in modes]
-    )  # (len(modes), n_values)
+    # (len(modes), n_values).
+    cuts = np.array([reduced_eigenvalues(spectrum, m)[:n_values] for m in modes])
     errors: FloatArray = ((cuts - exact) ** 2 / (cuts * exact)).max(axis=1)
     return errors
 

@@ -112,9 +112,8 @@ def _see(
     diagonal, position = mesh.diagonal, pose[:3, 3]
     rays = _rays(options) @ pose[:3, :3].T  # (p², 3)
     depth, normals, _ = scene.cast(np.broadcast_to(position, rays.shape), rays)
-    cosine = -np.einsum(
-        "ij,ij->i", rays, normals
-    )  # (p²,), negative where a face is seen from inside
+    # (p²,), negative where a face is seen from inside.
+    cosine = -np.einsum("ij,ij->i", rays, normals)
     kept = np.isfinite(depth) & (cosine > np.cos(np.radians(options.max_incidence)))
     step = _step_behind(depth.reshape(options.pixels, -1)).ravel()[kept]  # (n,)
     rays, depth, cosine = rays[kept], depth[kept], cosine[kept]

@@ -150,9 +150,8 @@ def _turns(subject: Subject, pose: Pose) -> FloatArray:
     front -= np.einsum("bi,bi->b", front, along)[:, None] * along
     front /= np.linalg.norm(front, axis=1, keepdims=True)
     side = np.array([bone.side for bone in bones])[:, None]
-    bend, spread, twist = (
-        np.radians(angles[:, k, None]) for k in range(3)
-    )  # (b, 1) each
+    # (b, 1) each.
+    bend, spread, twist = (np.radians(angles[:, k, None]) for k in range(3))
     turn = (
         Rotation.from_rotvec(spread * side * front)
         * Rotation.from_rotvec(bend * np.cross(along, front))
