@@ -26,7 +26,7 @@ References
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -165,9 +165,6 @@ def fit_scores(
     """
     options = options or RetrievalOptions()
     sample = _sample(table, LEAST_PAIRS if reference is None else 0)
-    if reference is not None and sample.labels:
-        group = _group(sample, np.arange(len(sample.labels)), whitening, options.distance)
-        return _beside_reference(sample, group, reference)
     n_classes = len(set(sample.labels))
     why = (
         "share of pairs of one class among pairs as near, of {} pairs of "
@@ -187,53 +184,45 @@ def fit_scores(
     parts = parts or [_class_pairs(sample, group) for group in groups]
     if not parts:
         return None
-    pairs = _Pairs(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    pairs = _joined(parts)
+    reason, apart = why.format(len(pairs.same)), pairs.distances[~pairs.same]
+    if groups and reference is not None:
+        reason += " and of simulated people"
+        pairs = _joined([pairs, _known_pairs(reference, pairs, len(sample.labels))])
     if pairs.same.sum() < LEAST_PAIRS or pairs.same.all():
         return None
-    reason = why.format(len(pairs.same))
     if not groups:
         return MatchScores(*_shares(pairs), reason)
     trials = Trials(
         *(np.concatenate(part) for part in zip(*map(_trials, groups), strict=True))
     )
-    apart = pairs.distances[~pairs.same]
+    n_apart = len(apart)
     limits = np.quantile(apart, RATES)
+    if reference is not None:
+        n_apart += round(APART_OF_REFERENCE)
+        limits = _limits(apart, reference)
     return MatchScores(
-        *_shares(pairs), reason, fitted_coefficients(trials), limits, len(apart)
+        *_shares(pairs), reason, fitted_coefficients(trials, reference), limits, n_apart
     )
 
 
-def _beside_reference(
-    sample: _Sample, group: _Group, reference: Reference
-) -> MatchScores:
-    """Scores from the pairs of labelled shapes, however few, and from a reference."""
-    own = _class_pairs(sample, group)
-    n_same = int(own.same.sum())
-    n_apart = len(own.same) - n_same
-    # As if each shape had a second one of its class.
-    odds = n_apart / (n_same + len(sample.labels))
+def _joined(parts: Sequence[_Pairs]) -> _Pairs:
+    return _Pairs(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+
+def _known_pairs(reference: Reference, own: _Pairs, n_shapes: int) -> _Pairs:
+    """The pairs of a reference, in the ratio in which they are in a collection.
+
+    own, n_shapes: its pairs and the number of its shapes, as if each had a second one of its class.
+    """
+    ratio = (~own.same).sum() / (own.same.sum() + n_shapes)
     known = np.diff(RATES)
-    pairs = _Pairs(
-        np.concatenate([own.distances, reference.same, reference.apart[1:]]),
-        np.concatenate(
-            [own.same, np.ones(len(reference.same), bool), np.zeros(len(known), bool)]
-        ),
-        np.concatenate(
-            [
-                own.weights,
-                np.full(len(reference.same), SAME_OF_REFERENCE / len(reference.same)),
-                SAME_OF_REFERENCE * odds * known,
-            ]
-        ),
+    same = np.repeat([True, False], [len(reference.same), len(known)])
+    weights = np.append(
+        np.full(len(reference.same), 1 / len(reference.same)), ratio * known
     )
-    return MatchScores(
-        *_shares(pairs),
-        f"share of pairs of one class among pairs as near, of {len(own.same)} pairs of "
-        f"{len(group.names)} classes and of simulated people",
-        fitted_coefficients(_trials(group), reference),
-        _limits(own.distances[~own.same], reference),
-        n_apart + round(APART_OF_REFERENCE),
-    )
+    distances = np.append(reference.same, reference.apart[1:])
+    return _Pairs(distances, same, SAME_OF_REFERENCE * weights)
 
 
 def _limits(apart: FloatArray, reference: Reference) -> FloatArray:
