@@ -1,4 +1,4 @@
-"""Distances → the ranks of the relevant shapes of each query.
+"""Catalogue, table or distances → the ranks of the relevant shapes of each query.
 
 For each query the gallery without the query is ranked by distance, equal distances by identifier. Which
 shapes are queries, and which are relevant to a query, is defined in `pcretrieve.evaluation.measures`.
@@ -43,6 +43,8 @@ from pcretrieve.retrieval.distances import pairwise_blocks, table_coordinates
 from pcretrieve.retrieval.reranking import N_RERANKED, NeighbourLists, rerank
 from pcretrieve.values import FloatArray, SignatureTable
 from pcretrieve.values.base import Value, numbers
+
+logger = logging.getLogger(__name__)
 
 #: The classes of failed shapes by id, if no shape failed.
 NO_FAILURES: Mapping[str, str | None] = MappingProxyType({})
@@ -353,7 +355,7 @@ def rank_table(
     return rank_subsets([everything], index.ids, labels, again=again, failed=failed)
 
 
-logger = logging.getLogger(__name__)
+# --- what is ranked: a catalogue, a table or distances ------------------------------------------------------
 
 
 class RankedShapes(NamedTuple):

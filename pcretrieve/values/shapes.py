@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Literal, TypeVar, get_args
 
 import numpy as np
 
 from pcretrieve.arrays import FloatArray, IntArray
 from pcretrieve.errors import InputError, ShapeError, Stage
 from pcretrieve.values.base import Value, check_type
+from pcretrieve.values.geometry import PointCloud, Step, TriangleMesh
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
-
-
-import math
-from dataclasses import field
-from typing import Literal, TypeVar, get_args
-
-from pcretrieve.values.geometry import PointCloud, Step, TriangleMesh
 
 
 @dataclass(frozen=True, slots=True, eq=False)
