@@ -70,9 +70,8 @@ OF_UNKNOWN_CAUSE = (StageTimeout, WorkerDied, MemoryExceeded, UnexpectedError)
 
 # Longest times; seconds. A killed process cannot end while it waits for a disk or a network; most processes
 # that close their pipe do so by ending, and their own exit code says more than that of a kill.
-START_TIMEOUT = (
-    300.0  # until a worker is ready, which is its first answer; it may have to compile
-)
+# Until a worker is ready, which is its first answer; it may have to compile.
+START_TIMEOUT = 300.0
 KILL_TIMEOUT = 5.0  # until a killed process has ended
 EXIT_TIMEOUT = 2.0  # until a process that has closed its pipe is killed
 
