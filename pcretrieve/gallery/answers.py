@@ -373,7 +373,9 @@ def answer_to(catalogue: Catalogue, query: str | Described, question: Question) 
     notes = tuple(_notes(catalogue, query, [*known.values()], scores, question))
     answer = Answer(found, records, scan=asked.grade, query=query, notes=notes)
     own = asked.label if isinstance(asked, Record) else None
-    if own is not None and catalogue.rows.labelled([own]) == [query]:
+    # Neighbours of its class spare the search for others in a large catalogue.
+    is_near = any(label == own for _, label in labelled)
+    if own is not None and not is_near and catalogue.rows.labelled([own]) == [query]:
         return replace(answer, because=f"it is the only scan of {own}")
     answer = _judged(answer, labelled, scores, question)
     if question.min_score is None or records:
