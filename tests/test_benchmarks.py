@@ -143,6 +143,7 @@ def test_perturbations_do_what_their_names_say() -> None:
     assert made["fTetWild"].area == pytest.approx(mesh.area, rel=0.05)
 
 
+@pytest.mark.slow
 def test_drift_is_nothing_for_the_same_pose_and_grows_with_noise() -> None:
     bodies = shapes.body(2), shapes.ellipsoid(subdivisions=2)
     same = {

@@ -644,7 +644,7 @@ def run(machine: type[Orders], n_orders: int) -> None:
 
 
 def test_every_order_of_events() -> None:
-    run(Orders, 30)
+    run(Orders, 12)
 
 
 @pytest.mark.slow

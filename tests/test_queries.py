@@ -407,6 +407,7 @@ def test_a_metric_of_labelled_scans_is_used_in_another_catalogue(
             nearest(catalogue, "00", options=chosen)
 
 
+@pytest.mark.slow
 def test_atoms_of_labelled_scans_are_used_in_another_catalogue(
     catalogue: Path, folder: Path, tmp_path: Path
 ) -> None:
@@ -471,6 +472,7 @@ def test_atoms_of_labelled_scans_are_used_in_another_catalogue(
             nearest(catalogue, "11", options=file)
 
 
+@pytest.mark.slow
 def test_what_atoms_cannot_be_learned_from(folder: Path, tmp_path: Path) -> None:
     shipped, eggs = {"signature": {"method": "dl-supervised"}}, ["00", "01", "10", "11"]
     bare, labels = tmp_path / "bare.sqlite", {name: f"kind{name[0]}" for name in eggs}

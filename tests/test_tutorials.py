@@ -47,6 +47,9 @@ PAGES = [
 ]
 DOCUMENTS = sorted(page for page in PAGES if blocks(page))
 
+# Documents whose commands take longer than those of all others together.
+LONG = ("kinect", "calibrate", "other_packages", "cluster", "plugin")
+
 
 def copy_samples(folder: Path) -> None:
     for sample in SAMPLES:
@@ -107,7 +110,14 @@ def install_files(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "document",
+    [
+        pytest.param(page, marks=[pytest.mark.slow] * (page.stem in LONG))
+        for page in DOCUMENTS
+    ],
+    ids=[page.stem for page in DOCUMENTS],
+)
 def test_the_blocks_run_in_order(
     document: Path,
     folder: Path,

@@ -103,6 +103,7 @@ GARBAGE = {
 }
 
 
+@pytest.mark.slow
 def test_a_batch_stores_every_good_scan_beside_poisoned_ones(tmp_path: Path) -> None:
     """No native code may crash, no fault may be left unexplained, and the batch may not end early."""
     # The good scans come first and last; two files of one content would be stored once.

@@ -144,6 +144,7 @@ def test_every_exception_and_every_bad_answer_is_the_outcome_of_its_item() -> No
         assert "a fault of pcretrieve, or of a package that it uses" in str(found[name])
 
 
+@pytest.mark.slow
 def test_what_lacks_memory_in_a_used_worker_is_tried_in_a_fresh_one() -> None:
     assert dict(
         pool.in_processes(keep_half_the_memory, range(3), workers=1, memory=1)

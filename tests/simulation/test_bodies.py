@@ -36,6 +36,7 @@ def tip(subject: Subject, pose: Pose, bone: str) -> FloatArray:
     return end
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_body_is_a_closed_oriented_sphere_of_nearly_one_area_in_all_poses(
     family: str,
@@ -53,6 +54,7 @@ def test_a_body_is_a_closed_oriented_sphere_of_nearly_one_area_in_all_poses(
         assert mesh.volume == pytest.approx(rest.volume, rel=0.15), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_contacts_are_closed_whatever_the_jitter(family: str) -> None:
     """By the distance from the skin of the moving part to the flesh of the other, negative inside."""

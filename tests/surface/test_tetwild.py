@@ -160,6 +160,7 @@ def test_its_death_over_a_surface_is_an_error() -> None:
     killer.join()
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_the_terminal_is_left_to_its_client() -> None:
     slow = shapes.ellipsoid(subdivisions=4)
     interrupter = threading.Thread(target=lambda: os.kill(busy_child(), signal.SIGINT))
