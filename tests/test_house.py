@@ -46,9 +46,10 @@ ROOMS = (
 )
 
 # Names, operators and numbers of the package, as `tokenize` counts them.
-# Docstrings, comments and air are free. That of tokens is to be 205,000, and was raised by 3,000: functions
-# of one thought, typed options and creases cost more than was found to delete. The rest would be features.
-MOST_TOKENS = 231_000
+# Docstrings, comments and air are free. That of tokens is to be 205,000, and was raised twice: functions of
+# one thought, typed options and creases cost 3,000 more than was found to delete; curves, decisions about
+# scans, an export of pages and learning from many sensors cost 5,000. The rest would be features.
+MOST_TOKENS = 236_000
 MOST_MODULES = 170
 MOST_ARROWS = 100
 MOST_OPTIONS = 45

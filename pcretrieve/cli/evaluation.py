@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from dataclasses import fields
+from dataclasses import asdict, fields
 from functools import partial
 from itertools import compress
 from pathlib import Path
@@ -38,6 +38,8 @@ from pcretrieve.cli.output import (
 COLUMNS = dict.fromkeys(("NN", "FT", "ST", "E", "DCG", "mAP"), "number")
 MEASURES = tuple(name.lower() for name in COLUMNS)
 COLUMNS |= {"": "words"}
+CURVE = dict.fromkeys(("CLASSES", "RANK-1", "RANK-5"), "number")
+CURVE |= {"95 % INTERVAL": "text", " ": "words"}
 FALSE_MATCH_RATES = (0.01, 0.001)
 RARE = ("ST", "E")  # of papers, not needed to judge a collection
 
@@ -62,9 +64,13 @@ def evaluate_command(
         "--per-class",
         "Add the means of each class, and which classes are confused with it.",
     ),
+    curve: bool = option(
+        "--curve",
+        "Add how often the right class is found, by the number of classes; with --csv as a picture too.",
+    ),
     folder: Path | None = option(
         "--csv FOLDER",
-        "Write queries.csv, classes.csv, confusion.csv, precision_recall.csv and det.csv to a folder.",
+        "Write queries, classes, confusion, precision_recall, det and curve as .csv files to a folder.",
     ),
     is_verbose: bool = verbose_option,
     comparison: Comparison,
@@ -77,7 +83,7 @@ def evaluate_command(
     and over the classes. Labels do not help the ranking.
 
     \b
-    pcretrieve evaluate --catalogue bodies.sqlite --per-class --csv bodies/
+    pcretrieve evaluate --catalogue bodies.sqlite --per-class --curve --csv bodies/
     pcretrieve evaluate --catalogue shrec11.sqlite --labels shrec11
     pcretrieve evaluate --matrix run1.txt --labels shrec11.cla
     """
@@ -101,10 +107,20 @@ def evaluate_command(
         how["equal_error_rate"] = rates.equal_error
         how["missed_at"] = {str(rate): rates.missed(rate) for rate in FALSE_MATCH_RATES}
     if folder is not None:
-        found.write(folder)
-        say(f"queries, classes, confusion, precision_recall, det: .csv files in {folder}")
-    show = partial(_write_evaluation, found, how, per_class, is_verbose)
-    return Result(_evaluation_document(found, how, per_class), options, show)
+        paths = found.write(folder)
+        say(f"{', '.join(path.stem for path in paths)}: .csv files in {folder}")
+        if curve:
+            found.draw_curve(folder / "curve.png")
+            say(f"the curve: {folder / 'curve.png'}")
+    document = _evaluation_document(found, how, per_class)
+    points = list(map(asdict, found.curve)) if curve else []
+    if curve:
+        document["curve"] = [
+            {name: None if value != value else value for name, value in point.items()}
+            for point in points
+        ]
+    show = partial(_write_evaluation, found, how, per_class, points, is_verbose)
+    return Result(document, options, show)
 
 
 def _how(
@@ -189,7 +205,11 @@ def _rows(found: pr.Evaluation, rerank: str, per_class: bool) -> list[tuple[str,
 
 
 def _write_evaluation(
-    found: pr.Evaluation, how: dict[str, Any], per_class: bool, is_verbose: bool
+    found: pr.Evaluation,
+    how: dict[str, Any],
+    per_class: bool,
+    points: list[dict[str, Any]],
+    is_verbose: bool,
 ) -> None:
     columns = {
         name: kind for name, kind in COLUMNS.items() if is_verbose or name not in RARE
@@ -216,6 +236,18 @@ def _write_evaluation(
         )
     if whitening and is_verbose:
         say(f"whitening: {whitening}")
+    if points:
+        write_lines("")
+        write_table(CURVE, map(_curve_row, points))
+
+
+def _curve_row(point: dict[str, Any]) -> tuple[str, ...]:
+    """A row below `CURVE`."""
+    n, *rates, is_fitted = point.values()
+    rank_1, rank_5, low, high = _numbers(rates)
+    if is_fitted:
+        return f"{n:,}", rank_1, "", "", "fitted"
+    return f"{n:,}", rank_1, rank_5, f"{low} to {high}", ""
 
 
 def _numbers(values: Iterable[float]) -> list[str]:

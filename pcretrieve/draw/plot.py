@@ -94,8 +94,36 @@ def draw_places(
     figure.legend(
         loc="outside right upper", ncols=columns, fontsize="small", frameon=False
     )
+    return _saved(figure, "png")
+
+
+def draw_recognition(curve: Sequence[Any], file_format: str) -> bytes:
+    """A picture of the points of a `pcretrieve.evaluation.measures.recognition_curve`."""
+    _pyplot()
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    axes = figure.subplots()
+    known = [point for point in curve if not point.is_fitted]
+    counts = [point.n_classes for point in known]
+    low, high = [point.low for point in known], [point.high for point in known]
+    axes.fill_between(counts, low, high, color="C0", alpha=0.2, linewidth=0)
+    axes.plot(counts, [one.rank_1 for one in known], "o-C0", ms=4, label="rank-1")
+    axes.plot(counts, [one.rank_5 for one in known], "s-C1", ms=4, label="rank-5")
+    beyond = [known[-1], *curve[len(known) :]]
+    if len(beyond) > 1:
+        rates = [point.rank_1 for point in beyond]
+        counts = [point.n_classes for point in beyond]
+        axes.plot(counts, rates, "o--C0", ms=4, mfc="white", label="rank-1, fitted")
+    axes.set_xscale("log")
+    axes.set(xlabel="number of classes", ylabel="share of queries")
+    axes.legend()
+    return _saved(figure, file_format)
+
+
+def _saved(figure: Any, file_format: str) -> bytes:
     data = io.BytesIO()
-    figure.savefig(data, dpi=150, bbox_inches="tight", format="png")
+    figure.savefig(data, dpi=150, bbox_inches="tight", format=file_format)
     return data.getvalue()
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from typing import NamedTuple
 
@@ -136,6 +136,9 @@ def write_evaluation(ranked: Rankings, folder: str | Path) -> tuple[Path, ...]:
             rates._fields,
             zip(*(column.tolist() for column in rates), strict=True),
         )
+    points = measures.recognition_curve(ranked.n_nearer, ranked.labels, ranked.n_classes)
+    names = [part.name for part in fields(measures.CurvePoint)]
+    files["curve.csv"] = names, map(astuple, points)
     paths = tuple(folder / name for name in files)
     check_no_links(paths)
     for path, (header, rows) in zip(paths, files.values(), strict=True):

@@ -79,6 +79,24 @@ class Evaluation(measures.RetrievalMeasures):
             self.ranked.plain.genuine, self.ranked.plain.impostor
         )
 
+    @property
+    def curve(self) -> tuple[measures.CurvePoint, ...]:
+        """How often the right class is found, by the number of classes: ranks 1 and 5 of the CMC.
+
+        With re-ranking and a whitening by folds it is too high: there, a gallery is a fold.
+        """
+        ranked = self.ranked.rankings
+        return measures.recognition_curve(
+            ranked.n_nearer, ranked.labels, ranked.n_classes
+        )
+
+    def draw_curve(self, path: str | Path) -> None:
+        """Write a picture of `curve`, with its intervals."""
+        from pcretrieve.draw.plot import draw_recognition
+
+        picture = draw_recognition(self.curve, Path(path).suffix.removeprefix("."))
+        write_file(Path(path), picture)
+
     def write(self, folder: str | Path) -> tuple[Path, ...]:
         """Write the measures of queries and classes, confusions, precision-recall and DET as CSV files."""
         return write_evaluation(self.ranked.rankings, folder)

@@ -28,11 +28,12 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pcretrieve.evaluation.rankings import Rankings
 from pcretrieve.retrieval import Positions
@@ -217,6 +218,67 @@ def verification(genuine: FloatArray, impostor: FloatArray) -> Verification | No
         for pairs in (genuine, impostor)
     )
     return Verification(beside, 1 - within)
+
+
+@dataclass(frozen=True, slots=True)
+class CurvePoint:
+    """How often the right class is found among so many.
+
+    rank_1, rank_5: shares of queries whose own class is the nearest, or one of the five nearest classes;
+        rank_5 is nan where it is fitted.
+    low, high: the confidence interval (`LEVEL`) of rank_1, by drawing classes again; nan where it is fitted.
+    """
+
+    n_classes: int
+    rank_1: float
+    rank_5: float
+    low: float
+    high: float
+    is_fitted: bool = False
+
+
+# Numbers of classes of a curve. It is fitted to those from a tenth of the largest collection, and continued
+# to ten times this.
+SIZES = (10, 30, 100, 300, 1000, 3000, 10_000, 30_000, 100_000)
+FITTED = 10
+
+
+def recognition_curve(
+    n_nearer: Positions, labels: ArrayLike, n_classes: int
+) -> tuple[CurvePoint, ...]:
+    """How often the right class is found, by the number of classes: expected values over random collections.
+
+    In a collection of n of the N classes, a class is found at rank r if fewer than r of the other n − 1 are
+    nearer, which has a hypergeometric distribution; nothing is drawn. Each class counts as much as any other.
+    Beyond N, 1 − rank-1 is continued as a power of n.
+
+    n_nearer: (Q,) intp, as in `Rankings`. labels: (Q,) the class of each query.
+    """
+    from scipy.stats import hypergeom
+
+    known = np.array([*(n for n in SIZES if n < n_classes), n_classes])
+    of_class = np.unique(np.array(labels), return_inverse=True)[1]
+    rates = []
+    for r in (1, 5):
+        drawn = known[:, np.newaxis] - 1
+        # (sizes, Q).
+        found = np.asarray(hypergeom.cdf(r - 1, n_classes - 1, n_nearer, drawn))
+        sums = [np.bincount(of_class, row) for row in found]
+        rates.append(np.transpose(sums) / np.bincount(of_class)[:, np.newaxis])
+    first, fifth = (rate.mean(axis=0) for rate in rates)
+    columns = np.stack([first, fifth, *bootstrap_interval(rates[0])], axis=1)
+    points = zip(known.tolist(), columns.tolist(), strict=True)
+    return (*(CurvePoint(n, *row) for n, row in points), *_continued(known, first))
+
+
+def _continued(known: Positions, rank_1: FloatArray) -> Iterator[CurvePoint]:
+    """A curve beyond its largest collection: 1 − rank-1 is continued as a power of the number of classes."""
+    used = (known * FITTED >= known[-1]) & (rank_1 < 1)
+    if used.sum() > 1:
+        power, level = np.polyfit(np.log(known[used]), np.log(1 - rank_1[used]), 1)
+        for n in (n for n in SIZES if known[-1] < n <= FITTED * known[-1]):
+            rate = max(0.0, 1 - float(np.exp(power * np.log(n) + level)))
+            yield CurvePoint(n, rate, np.nan, np.nan, np.nan, is_fitted=True)
 
 
 def _gain(rank: Positions) -> FloatArray:

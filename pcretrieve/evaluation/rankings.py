@@ -71,6 +71,8 @@ class Rankings(Value):
         included.
     hit_query, hit_rank: (H,) intp, one entry for each relevant shape in a ranked list: the number of the
         query, ascending, and the rank of the shape, 1 for the nearest, ascending for each query.
+    n_nearer: (Q,) intp, number of other classes of which a shape is nearer than any relevant shape; all
+        n_classes − 1 where no relevant shape is ranked.
     genuine, impostor: (G,), (I,) float64, distances of pairs of shapes of one class, and of two classes,
         ascending; none after re-ranking.
     """
@@ -80,11 +82,13 @@ class Rankings(Value):
     n_relevant: Positions
     hit_query: Positions
     hit_rank: Positions
+    n_nearer: Positions
     genuine: FloatArray
     impostor: FloatArray
     nearest: tuple[str | None, ...]
     nearest_labels: tuple[str | None, ...]
     n_gallery: int
+    n_classes: int
     n_failed: int
     n_single: int
 
@@ -105,6 +109,7 @@ class Rankings(Value):
             n_relevant=self.n_relevant[kept],
             hit_query=numbers[self.hit_query[hits]],
             hit_rank=self.hit_rank[hits],
+            n_nearer=self.n_nearer[kept],
             nearest=tuple(compress(self.nearest, kept)),
             nearest_labels=tuple(compress(self.nearest_labels, kept)),
         )
@@ -167,13 +172,23 @@ def rank_subsets(
         for members, kept in lists
         for queries in [np.flatnonzero(labelled[members])]
     )
-    first = _rank_sorted(reranked, ids, labels, failed)
+    return _continued(_rank_sorted(reranked, ids, labels, failed), plain), plain
+
+
+def _continued(first: Rankings, plain: Rankings) -> Rankings:
+    """Rankings of lists that were sorted again, and behind them those by distance."""
     # Ranks behind the lists are as before. Lists that are shorter have all shapes of their subset.
     behind = plain.hit_rank > N_RERANKED
     hit_query = np.concatenate([first.hit_query, plain.hit_query[behind]])
     hit_rank = np.concatenate([first.hit_rank, plain.hit_rank[behind]])
     order = np.lexsort((hit_rank, hit_query))
-    return replace(first, hit_query=hit_query[order], hit_rank=hit_rank[order]), plain
+    is_there = np.isin(np.arange(len(first.ids)), first.hit_query)
+    return replace(
+        first,
+        hit_query=hit_query[order],
+        hit_rank=hit_rank[order],
+        n_nearer=np.where(is_there, first.n_nearer, plain.n_nearer),
+    )
 
 
 def _by_distance(block: DistanceBlock, ids: Sequence[str]) -> Positions:
@@ -217,7 +232,7 @@ def _rank_sorted(
     codes = np.array(
         [-1 if label is None else code_of[label] for label in labels], dtype=np.intp
     )  # (N,)
-    hit_query, hit_rank, nearest = _hits(blocks, codes, answered)
+    hit_query, hit_rank, n_nearer, nearest = _hits(blocks, codes, answered)
     query_labels = (*(str(labels[position]) for position in answered), *missed.values())
     return Rankings(
         ids=(*(ids[position] for position in answered), *missed),
@@ -225,6 +240,10 @@ def _rank_sorted(
         n_relevant=np.array([sizes[label] - 1 for label in query_labels], dtype=np.intp),
         hit_query=hit_query,
         hit_rank=hit_rank,
+        n_nearer=np.append(
+            np.where(n_nearer < 0, len(sizes) - 1, n_nearer),
+            np.full(len(missed), len(sizes) - 1),
+        ),
         genuine=np.zeros(0),
         impostor=np.zeros(0),
         nearest=(
@@ -236,6 +255,7 @@ def _rank_sorted(
             *(None for _ in missed),
         ),
         n_gallery=len(ids),
+        n_classes=len(sizes),
         n_failed=len(missed),
         n_single=sum(size for size in sizes.values() if size == 1),
     )
@@ -245,15 +265,17 @@ def _hits(
     blocks: Iterable[tuple[Positions, Positions]],
     codes: Positions,
     answered: Sequence[int],
-) -> tuple[Positions, Positions, Positions]:
-    """The number of the query and the rank of each relevant shape, and the nearest shape of each query.
+) -> tuple[Positions, Positions, Positions, Positions]:
+    """The query and the rank of each relevant shape, and of each query what is nearest.
 
-    codes: (N,) classes of the shapes. answered: their positions that are queries. nearest: −1 for none.
+    codes: (N,) classes of the shapes, −1 for none. answered: their positions that are queries.
+    Returns, after the queries and the ranks, (Q,) the number of other classes that are nearer than the own
+    one, and (Q,) the nearest shape; −1 where nothing relevant, and nothing at all, is ranked.
     """
     number = np.full(len(codes), -1)  # (N,) of each shape as a query
     number[answered] = np.arange(len(answered))
     hits = [np.empty((2, 0), dtype=np.intp)]
-    nearest = np.full(len(answered), -1)
+    n_nearer, nearest = np.full((2, len(answered)), -1)
     for asked, order in blocks:
         wanted = np.flatnonzero(number[asked] >= 0)
         queries = asked[wanted]
@@ -261,11 +283,21 @@ def _hits(
         relevant[:, :1] = False  # the query itself, at rank 0
         row, rank = np.nonzero(relevant)
         hits.append(np.stack([number[queries][row], rank]))
+        found, first = np.unique(row, return_index=True)
+        n_nearer[number[queries[found]]] = [
+            _n_classes(codes[order[wanted[one], 1:end]])
+            for one, end in zip(found, rank[first], strict=True)
+        ]
         if order.shape[1] > 1:
             nearest[number[queries]] = order[wanted, 1]
     hit_query, hit_rank = np.concatenate(hits, axis=1)
     by_query = np.lexsort((hit_rank, hit_query))
-    return hit_query[by_query], hit_rank[by_query], nearest
+    return hit_query[by_query], hit_rank[by_query], n_nearer, nearest
+
+
+def _n_classes(codes: Positions) -> int:
+    """The number of classes of some shapes; codes below 0 are none."""
+    return len(np.unique(codes[codes >= 0])) if len(codes) else 0
 
 
 # --- grouped folds --------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 from dataclasses import replace
@@ -361,6 +362,22 @@ def test_two_settings_matrices_and_files_give_one_comparison(
     assert pr.compare(*matrices, labels=eggs / "labels.csv") == expected
     files = (tmp_path / "one" / "queries.csv", tmp_path / "two" / "queries.csv")
     assert pr.compare(*files) == expected
+
+
+def test_the_curve_is_printed_and_drawn(eggs: Path, tmp_path: Path) -> None:
+    chosen = ("evaluate", "-c", eggs / "eggs.sqlite", *METHOD, "--curve")
+    printed = run(*chosen, "--csv", tmp_path / "new").stdout.splitlines()
+    head = next(row for row, line in enumerate(printed) if line.startswith("CLASSES"))
+    points = result(*chosen)["curve"]
+    assert [int(line.split()[0]) for line in printed[head + 1 :]] == [
+        point["n_classes"] for point in points
+    ]
+    for line, point in zip(printed[head + 1 :], points, strict=True):
+        assert float(line.split()[1]) == pytest.approx(point["rank_1"], abs=1e-4)
+    with (tmp_path / "new" / "curve.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["rank_1"]) for row in rows] == [one["rank_1"] for one in points]
+    assert (tmp_path / "new" / "curve.png").read_bytes().startswith(b"\x89PNG")
 
 
 # --- duplicates and maps --------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 import csv
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 from math import log2
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from scipy.stats import bootstrap
 
 import pcretrieve as pr
 from pcretrieve.errors import BenchmarkError, InputError
+from pcretrieve.evaluation import measures
 from pcretrieve.evaluation.comparison import compare_scores, read_scores, write_evaluation
 from pcretrieve.evaluation.measures import (
     MEASURES,
@@ -23,6 +25,7 @@ from pcretrieve.evaluation.measures import (
     evaluate_rankings,
     precision_recall,
     query_scores,
+    recognition_curve,
     verification,
 )
 from pcretrieve.evaluation.rankings import NO_FAILURES, Rankings, Subset, rank_subsets
@@ -378,3 +381,69 @@ def test_the_interval_agrees_with_that_of_scipy() -> None:
     assert (
         np.abs([low - ends.low, high - ends.high]) < 0.1 * (ends.high - ends.low)
     ).all()
+
+
+def test_a_curve_is_the_mean_over_all_collections() -> None:
+    """Of seven people in three scans each, and one alone, beside brute force over every subset."""
+    rng = np.random.default_rng(4)
+    labels = [name for name in "abcdefg" for _ in range(3)] + ["h", None]
+    places = np.repeat(rng.normal(size=(9, 3)), [3] * 7 + [1, 1], axis=0)
+    places += rng.normal(0, 0.6, places.shape)
+    distances = np.linalg.norm(places[:, None] - places, axis=2)
+    found = pr.evaluate(distances, labels)
+    (whole,) = found.curve
+    assert whole.rank_1 == pytest.approx(found.nn)
+    assert whole.low < whole.rank_1 < whole.high
+    rankings = found.ranked.rankings
+    classes = np.array(labels[:21])
+    rates: dict[int, list[float]] = {n: [] for n in range(2, 9)}
+    for query in range(21):
+        own = str(labels[query])
+        others = sorted(set("abcdefgh") - {own})
+        nearest = {
+            name: min(
+                distances[query, i]
+                for i, label in enumerate(labels)
+                if label == name and i != query
+            )
+            for name in "abcdefgh"
+        }
+        for n, right in rates.items():
+            drawn = combinations(others, n - 1)
+            right.append(
+                float(np.mean([min(nearest[i] for i in s) > nearest[own] for s in drawn]))
+            )
+    for n, right in rates.items():
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(measures, "SIZES", (n,))
+            points = recognition_curve(rankings.n_nearer, classes, 8)
+        assert points[0].n_classes == n
+        assert points[0].rank_1 == pytest.approx(np.mean(right))
+
+
+def test_a_curve_counts_failures_and_is_continued_as_a_power() -> None:
+    """The own class is behind 0, 1 or 99 of 99 others."""
+    nearer = np.repeat([0, 1, 99], [180, 16, 4])
+    labels = np.arange(200) % 100
+    ten, thirty, hundred, *fitted = recognition_curve(nearer, labels, 100)
+    assert (ten.n_classes, thirty.n_classes, hundred.n_classes) == (10, 30, 100)
+    assert ten.rank_1 == pytest.approx((180 + 16 * 90 / 99) / 200)
+    assert hundred.rank_1 == pytest.approx(0.9)
+    assert hundred.rank_5 == pytest.approx(0.98)
+    assert [point.n_classes for point in fitted] == [300, 1000]
+    assert all(point.is_fitted and np.isnan(point.rank_5) for point in fitted)
+    assert hundred.rank_1 > fitted[0].rank_1 > fitted[1].rank_1
+
+
+def test_failed_shapes_and_lists_without_a_hit_count_as_found_last() -> None:
+    one = ranked(
+        {"a1": "b1 a2", "a2": "a1 b1", "b1": "a1 a2"},
+        {"a1": "a", "a2": "a", "b1": "b"},
+        "b",
+    )
+    assert dict(zip(one.ids, one.n_nearer.tolist(), strict=True)) == {
+        "a1": 1,
+        "a2": 0,
+        "b1": 1,
+        "failed 0": 1,
+    }
