@@ -1,5 +1,9 @@
 """Values of other packages in, values for other packages out."""
 
+import base64
+import html
+import io
+import re
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -165,3 +169,14 @@ def test_tables_go_to_pandas() -> None:
     assert list(frame.columns) == ["label", "v1", "v2"]
     assert frame.loc["b", "v2"] == 4
     assert NEIGHBORS.to_pandas().loc[2, "id"] == "b"
+
+
+@pytest.mark.parametrize("shape", [MESH, CLOUD], ids=["mesh", "cloud"])
+def test_a_notebook_gets_the_whole_shape(shape: Any) -> None:
+    """The page of the viewer holds a binary glTF file of it, with colours."""
+    page = html.unescape(shape.show().data)
+    content = base64.b64decode(re.findall(r'base64_data="([\w+/=]+)"', page)[0])
+    scene: Any = trimesh.load(io.BytesIO(content), file_type="glb")
+    (found,) = scene.geometry.values()
+    np.testing.assert_allclose(found.vertices, VERTICES, atol=1e-6)
+    assert len(found.visual.vertex_colors) == len(VERTICES)

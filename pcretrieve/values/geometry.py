@@ -70,6 +70,22 @@ class _Processed(Value):
         """The same value with one more step in its provenance."""
         return replace(self, provenance=(*self.provenance, step))  # type: ignore[type-var]
 
+    def to_trimesh(self) -> Any:
+        """The same as a value of trimesh."""
+        raise NotImplementedError
+
+    def show(self) -> Any:
+        """The shape in 3-D, to turn, in a notebook: an ``IPython.display.HTML`` by the viewer of trimesh."""
+        import trimesh
+        from trimesh.viewer.notebook import scene_to_notebook
+
+        from pcretrieve.draw.pictures import CLAY
+
+        shape = self.to_trimesh()
+        # Points without a colour are white, on white.
+        shape.visual.vertex_colors = [*CLAY, 1.0]
+        return scene_to_notebook(trimesh.Scene(shape))  # type: ignore[no-untyped-call]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointCloud(_Processed):
