@@ -43,7 +43,6 @@ CATALOGUE = {
     "export": ("catalogue", "Write meshes or signatures to files"),
 }
 LAB = {
-    "reconstruct": ("scans", "Turn a scan into a closed surface"),
     "signature": ("scans", "Print the signatures of scans"),
     "calibrate": ("evaluation", "Learn from labelled scans what to ignore"),
     "map": ("search", "Plot a 2-D map of shapes"),
@@ -59,6 +58,7 @@ COMMANDS = {
     "serve": ("search", "Show a catalogue in the browser"),
     "inspect": ("inspection", "Show what is wrong with a scan"),
     "merge": ("scans", "Merge views of one body into one scan"),
+    "reconstruct": ("scans", "Turn a scan into a watertight surface"),
     "evaluate": ("evaluation", "Measure how well scans of one class find each other"),
     "report": ("evaluation", "Write a page of queries, results and measures"),
     "duplicates": ("search", "Find shapes that look the same"),

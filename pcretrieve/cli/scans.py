@@ -203,13 +203,13 @@ def reconstruct_command(
     settings: SurfaceSettings,
     run: Processes,
 ) -> Result:
-    """Turn a scan into a closed surface, and write it to a mesh file.
+    """Turn a raw scan into a watertight surface, and write it to a mesh file.
 
-    The surface is oriented and manifold. Each scan of a folder gets a mesh of the same name.
+    The surface is closed, manifold and oriented. Each scan of a folder gets a mesh of the same name.
 
     \b
-    pcretrieve lab reconstruct scan.ply -o body.obj --report
-    pcretrieve lab reconstruct scans/ -o meshes/ --workers 2
+    pcretrieve reconstruct scan.ply -o body.ply
+    pcretrieve reconstruct scans/ -o meshes/ --workers 2
     """
     options, is_alone = settings.options(), not scan.is_dir()
     if is_alone and suffix is not None:

@@ -62,7 +62,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 # The words of each command in the folder, its exit code, what its result has, and whether it has options.
 ASKED: dict[str, tuple[str, int, set[str], bool]] = {
-    "lab reconstruct": ("scans/e0.off -o body.off", 0, {"mesh", "faces", "steps"}, True),
+    "reconstruct": ("scans/e0.off -o body.off", 0, {"mesh", "faces", "steps"}, True),
     "lab signature": ("scans/e0.off", 0, {"path", "kind", "values"}, True),
     "inspect": (
         "scans/e0.off -o page.html --rescans 0",
