@@ -5,6 +5,7 @@ from .catalogue import (
     Catalogue as Catalogue,
     Record as Record,
     backup as backup,
+    mark as mark,
     merge_catalogues as merge_catalogues,
 )
 from .checks import Inspection as Inspection

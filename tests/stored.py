@@ -48,4 +48,5 @@ def failure(name: str, **changes: Any) -> Record:
 
 def records(rows: Rows, status: Status | None = None) -> list[Record]:
     """The records of all shapes, or of those of one status."""
-    return [record for page in rows.pages(status=status) for record in page]
+    _, ids = rows.wanted(state=status or "")
+    return [record for page in rows.pages(ids) for record in page]

@@ -3,7 +3,7 @@
 In come records and processed shapes; out come the same records and shapes.
 """
 
-from pcretrieve.catalogue.catalogue import Catalogue, CatalogueLike, thumbnails
+from pcretrieve.catalogue.catalogue import Catalogue, CatalogueLike, mark, thumbnails
 from pcretrieve.catalogue.copies import backup, merge_catalogues
 from pcretrieve.catalogue.records import Content, Record, numbered_id
 
@@ -13,6 +13,7 @@ __all__ = [
     "Content",
     "Record",
     "backup",
+    "mark",
     "merge_catalogues",
     "numbered_id",
     "thumbnails",

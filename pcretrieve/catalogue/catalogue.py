@@ -26,6 +26,7 @@ from pcretrieve.catalogue.arrays import (
 )
 from pcretrieve.catalogue.cache import ArrayCache
 from pcretrieve.catalogue.records import (
+    MARKS,
     OWN,
     Content,
     Entry,
@@ -37,8 +38,14 @@ from pcretrieve.catalogue.records import (
     stored_options,
 )
 from pcretrieve.catalogue.rows import Rows, file_of
-from pcretrieve.errors import CatalogueError, InputError, PcretrieveError, ShapeError
-from pcretrieve.options import PipelineOptions
+from pcretrieve.errors import (
+    CatalogueError,
+    InputError,
+    OptionError,
+    PcretrieveError,
+    ShapeError,
+)
+from pcretrieve.options import PipelineOptions, check_many
 from pcretrieve.values import FloatArray, Need, Shape, TriangleMesh
 
 if TYPE_CHECKING:
@@ -191,13 +198,12 @@ class Catalogue(Mapping[str, Record]):
         """Records in alphabetical order of their ids: all, or those that match.
 
         status: ``done`` or ``failed``.
-        incomplete: poor and incomplete scans alone.
+        incomplete: poor and incomplete scans alone, whatever their status.
         offset, limit: how many are left out first, and how many there are at most.
         """
-        pages = self.rows.pages(
-            status=status, incomplete=incomplete, offset=offset, limit=limit
-        )
-        return [record for page in pages for record in page]
+        state = "incomplete" if incomplete else status or ""
+        _, ids = self.rows.wanted(state=state, offset=offset, limit=limit)
+        return [record for page in self.rows.pages(ids) for record in page]
 
     def labels(self) -> dict[str, str | None]:
         """The class of each shape, including scans that failed, by id in alphabetical order."""
@@ -287,6 +293,49 @@ class Catalogue(Mapping[str, Record]):
 
 #: A catalogue, or its path or URL.
 CatalogueLike: TypeAlias = "Catalogue | str | Path"
+
+
+def mark(
+    catalogue: CatalogueLike,
+    shape_ids: Sequence[str],
+    decision: str | None,
+    note: str | None = None,
+) -> None:
+    """Keep what a person decided about scans, as ``Record.mark`` and ``Record.note``.
+
+    A decision stays when its scan is processed again, moved, merged into another catalogue or backed up. It
+    goes when the file gets another content, as by a new scan.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The catalogue.
+    shape_ids : sequence of str
+        The shapes, or scans that failed.
+    decision : {"rescan", "accept", "note"} or None
+        What is to be done: scan again; nothing, the scan will do; nothing is said but the note. None forgets
+        the decision.
+    note : str, optional
+        Why.
+
+    Raises
+    ------
+    InputError
+        If one of the ids does not exist; nothing is changed then.
+    OptionError
+        If there is no such decision, or a note has no text.
+    """
+    check_many("shape_ids", shape_ids)
+    if decision is not None and decision not in MARKS:
+        raise OptionError(
+            f"a decision must be one of {', '.join(MARKS)}, got {decision!r}"
+        )
+    if decision == "note" and not note:
+        raise OptionError(
+            "a note must have a text, got none: write it after the word note"
+        )
+    with Catalogue.opened(catalogue) as store:
+        store.rows.mark(shape_ids, decision, note or None)
 
 
 def thumbnails(location: str, ids: Sequence[str]) -> list[bytes | None]:

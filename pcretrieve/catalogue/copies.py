@@ -56,8 +56,8 @@ def merge_catalogues(
     """Store the shapes of several catalogues in one, such as those of ``ingest(shard=...)``.
 
     Of a path that several catalogues have, the first finished shape is kept, or the first failure if none is
-    finished, with the label that one of them has. The merge is associative, and continues after an
-    interruption if it is started again.
+    finished, with the label and the decision (`mark`) that one of them has. The merge is associative, and
+    continues after an interruption if it is started again.
 
     Parameters
     ----------
@@ -228,6 +228,8 @@ def _without_names(entry: Entry, number: int) -> Entry:
         path=str(number),
         content_hash=token_hex(),
         label=None,
+        mark=None,
+        note=None,
         steps=tuple(replace(step, notes=()) for step in entry.record.steps),
         added="",
         stamp=None,
@@ -237,48 +239,42 @@ def _without_names(entry: Entry, number: int) -> Entry:
 
 def _merge(stores: Sequence[Rows]) -> MergedCatalogues:
     """Store in the first catalogue the shapes of the others."""
-    chosen, labels = _chosen(stores)
+    chosen = _chosen(stores)
     target, n_stored = stores[0], 0
     n_added = sum(number > 0 for number, _ in chosen.values())
     for number, store in enumerate(stores[1:], 1):
         ids = [origin.id for place, origin in chosen.values() if place == number]
         for start in range(0, len(ids), STORED_AT_ONCE):
             entries = store.entries(ids[start : start + STORED_AT_ONCE])
-            for at, entry in enumerate(entries):
-                # It may have moved.
-                label = labels.get(entry.record.path, entry.record.label) or None
-                if entry.record.label != label:
-                    entries[at] = replace(
-                        entry, record=replace(entry.record, label=label)
-                    )
             target.add(entries)
             n_stored += len(entries)
             logger.info("stored: %d of %d shapes", n_stored, n_added)
-    held = {
-        path: origin.label or "" for path, (place, origin) in chosen.items() if place == 0
-    }
-    target.revise(
-        labels={
-            path: labels[path] for path, label in held.items() if labels[path] != label
-        }
-    )
-    return MergedCatalogues(n_added, len(held))
+    labels: dict[str, str] = {}
+    for stored in target.origins():
+        _, wanted = chosen.get(stored.path, (0, stored))
+        if wanted.label is not None and wanted.label != stored.label:
+            labels[stored.path] = wanted.label
+        if wanted.mark and (wanted.mark, wanted.note) != (stored.mark, stored.note):
+            target.mark([stored.id], wanted.mark, wanted.note)
+    target.revise(labels=labels)
+    return MergedCatalogues(n_added, len(chosen) - n_added)
 
 
-def _chosen(
-    stores: Sequence[Rows],
-) -> tuple[dict[str, tuple[int, Record]], dict[str, str]]:
-    """By path, the number of the store whose shape is kept and the row in it; and its label.
+def _chosen(stores: Sequence[Rows]) -> dict[str, tuple[int, Record]]:
+    """By path, the number of the store whose shape is kept, and the row in it, with the label and the mark.
 
     Conflicts are an error, before anything is written.
     """
     chosen: dict[str, tuple[int, Record]] = {}
     labels: dict[str, str] = {}
+    marks: dict[str, Record] = {}
     conflicts: list[str] = []
     for number, store in enumerate(stores):
         for origin in store.origins():
             path = origin.path
             earlier, other = chosen.setdefault(path, (number, origin))
+            if origin.mark is not None:
+                marks.setdefault(path, origin)
             places = f"in {stores[earlier].location} and in {store.location}"
             if (
                 origin.label != labels.setdefault(path, origin.label or "")
@@ -308,4 +304,11 @@ def _chosen(
             f"catalogues with conflicts cannot be merged: {'; '.join(conflicts[:NAMED])}{more}. Remove the "
             "shape from one of both (pcretrieve remove), or ingest its file again"
         )
-    return chosen, labels
+    for path, (number, origin) in chosen.items():
+        kept = marks.get(path, origin)
+        if kept.content_hash != origin.content_hash:
+            kept = origin
+        label = labels[path] or None
+        row = replace(origin, label=label, mark=kept.mark, note=kept.note)
+        chosen[path] = number, row
+    return chosen

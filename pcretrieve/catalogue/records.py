@@ -60,6 +60,9 @@ TABLES = {
         "metres_per_unit": "double precision",  # length of the unit of the area; NULL: unknown
         "stamp": "{text}",  # by which an unchanged file is known without reading it; NULL: unknown
         "checksum": "bigint NOT NULL",  # of the record: `checksum`
+        # Last, because catalogues get them that were made without: `Rows`.
+        "mark": "{text}",  # what a person decided: rescan, accept or note; NULL: nothing
+        "note": "{text}",  # in the words of that person
     },
     "provenance": {
         "shape": "integer PRIMARY KEY",
@@ -97,6 +100,9 @@ INDEXES = (
     "CREATE INDEX incomplete_shapes ON shapes (id) WHERE grade <> 'good'",
 )
 
+# The setting of catalogues whose shapes have the columns of marks.
+HAS_MARKS = "has_marks"
+
 # Number of rows that are read at a time.
 READ_AT_ONCE = 1000
 
@@ -113,7 +119,11 @@ def created(
         yield f"CREATE TABLE {table} ({', '.join(lines)}){ordered}".format_map(words), ()
     for statement in (*INDEXES, *further):
         yield statement, ()
-    names = {"schema_version": str(SCHEMA_VERSION), "revision": uuid4().hex}
+    names = {
+        "schema_version": str(SCHEMA_VERSION),
+        "revision": uuid4().hex,
+        HAS_MARKS: "yes",
+    }
     for setting in {**settings, **names}.items():
         yield inserting("meta"), setting
 
@@ -181,6 +191,9 @@ def changed_row(location: str, how: str) -> ChangedRow:
 
 Status = Literal["done", "failed"]
 
+#: What a person may decide about a scan: see `mark`.
+MARKS = ("rescan", "accept", "note")
+
 #: The digest under which the signatures by the options of the catalogue are stored.
 OWN = "own"
 
@@ -205,6 +218,7 @@ class Record:
     """The provenance of one shape: everything except its arrays.
 
     area: area of the first surface, in the square of the unit of the scan: see `metres_per_unit`.
+    mark, note: what a person decided about the scan, and why: see `mark`.
     """
 
     id: str
@@ -225,6 +239,8 @@ class Record:
     added: str = ""
     grade: Grade | None = None
     stamp: str | None = None
+    mark: str | None = None
+    note: str | None = None
 
     @property
     def is_incomplete(self) -> bool:
@@ -285,11 +301,12 @@ RECORDS = (
 FIELDS = [one.name for one in fields(Record) if one.name != "grade"]
 STEP_FIELDS = [one.name for one in fields(Step)]
 
-# Columns with the checksum: not itself, and not the stamp, without which a file is read once more.
+# Columns with the checksum: not itself, and not the stamp, without which a file is read once more. A mark
+# counts where there is one, so that a record without has the checksum that it had before there were marks.
 SUMMED = [
     name
     for name in SHAPE_COLUMNS + PROVENANCE_COLUMNS
-    if name not in ("checksum", "stamp")
+    if name not in ("checksum", "stamp", "mark", "note")
 ]
 
 # Numbers with a fraction, which databases return as float, also if they were stored as int.
@@ -302,6 +319,8 @@ def checksum(row: Mapping[str, Any]) -> int:
         float(row[name]) if name in REAL and row[name] is not None else row[name]
         for name in SUMMED
     ]
+    if row["mark"] is not None:
+        values += [row["mark"], row["note"]]
     # PostgreSQL cannot store the character 0, in the place of which it has the symbol for it.
     return zlib.crc32(json.dumps(values).replace("\\u0000", "\\u2400").encode())
 

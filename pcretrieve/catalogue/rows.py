@@ -7,7 +7,7 @@ cut because a database went away is run again from its start.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from operator import lt
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.catalogue.arrays import intact, packed, unpacked
 from pcretrieve.catalogue.records import (
+    HAS_MARKS,
     PAYLOADS,
     PROVENANCE_COLUMNS,
     RECORDS,
@@ -27,7 +28,6 @@ from pcretrieve.catalogue.records import (
     Entry,
     Payload,
     Record,
-    Status,
     UnknownShape,
     check_version,
     checksum,
@@ -69,8 +69,14 @@ STATES = {
 }
 
 
-# Columns by which shapes are sorted, before their ids.
-ORDERS = {"id": (), "label": ("label IS NULL", "label"), "added": ("added",)}
+# Columns by which shapes are sorted, before their ids. From the largest error on, failed scans are the first,
+# and scans whose error is not known the last.
+ORDERS = {
+    "id": (),
+    "label": ("label IS NULL", "label"),
+    "added": ("added",),
+    "error": ("status = 'failed'", "expected_error IS NOT NULL", "expected_error"),
+}
 
 
 class Listed(NamedTuple):
@@ -120,7 +126,10 @@ class Rows:
         #: The path of a file, or a URL without a password, as messages name the catalogue.
         self.location: str = self.database.location
         try:
-            check_version(self.location, self.settings())
+            settings = self.settings()
+            check_version(self.location, settings)
+            if HAS_MARKS not in settings:
+                self._add_marks()
         except BaseException:
             self.close()
             raise
@@ -168,38 +177,18 @@ class Rows:
     def __len__(self) -> int:
         return int(self._all("SELECT count(*) FROM shapes WHERE status = 'done'")[0][0])
 
-    def pages(
-        self,
-        *,
-        status: Status | None = None,
-        incomplete: bool = False,
-        offset: int = 0,
-        limit: int | None = None,
-    ) -> Iterator[list[Record]]:
-        """The records, including failed ones, in ascending order of id, in pages that are read one by one."""
-        chosen = "AND status = ?" if status else ""
-        # In the words of the index.
-        chosen += " AND grade <> 'good'" if incomplete else ""
-        query = f"{RECORDS} WHERE id > ? {chosen} ORDER BY id LIMIT ? OFFSET ?"
-        after, left = "", limit
-        while left is None or left > 0:
-            size = PAGE if left is None else min(PAGE, left)
-            rows = self._all(query, [after, *([status] if status else []), size, offset])
-            if rows:
-                yield [record_of(row, self.location) for row in rows]
-            if len(rows) < size:
-                return
-            after, offset = rows[-1][1], 0
-            left = None if left is None else left - size
+    def pages(self, shape_ids: Sequence[str]) -> Iterator[list[Record]]:
+        """The records of some ids, in their order, in pages that are read one by one; no unknown ids."""
+        for start in range(0, len(shape_ids), PAGE):
+            here = shape_ids[start : start + PAGE]
+            found = {record.id: record for record in self.several(here)}
+            yield [found[shape_id] for shape_id in here if shape_id in found]
 
     def origins(self) -> list[Record]:
         """All records without their provenance, in ascending order of id, which are read much faster."""
-        rows = self._all(
-            "SELECT id, path, content_hash, label, status, stamp FROM shapes ORDER BY id"
-        )
-        return [
-            Record(row[0], row[1], row[2], row[3], row[4], stamp=row[5]) for row in rows
-        ]
+        names = ("id", "path", "content_hash", "label", "status", "stamp", "mark", "note")
+        rows = self._all(f"SELECT {', '.join(names)} FROM shapes ORDER BY id")
+        return [Record(**dict(zip(names, row, strict=True))) for row in rows]
 
     def labels(self) -> dict[str, str | None]:
         """The class of each shape, including failed ones, by id in ascending order."""
@@ -215,8 +204,9 @@ class Rows:
         *,
         label: str = "",
         state: Literal["", "done", "incomplete", "failed"] = "",
+        marked: str = "",
         days: tuple[str, str] | None = None,
-        order: Literal["id", "label", "added"] = "id",
+        order: Literal["id", "label", "added", "error"] = "id",
         descending: bool = False,
         limit: int | None = None,
         offset: int = 0,
@@ -225,6 +215,7 @@ class Rows:
 
         label: their class; any if it is empty.
         state: any, failed ones too, if it is empty.
+        marked: what was decided about them, or "any"; nothing too, if it is empty.
         days: the first and the last day on which they were stored, as 2026-01-31; UTC.
         descending: whether the order is reversed; if it is not, shapes of no class are the last.
         """
@@ -232,6 +223,11 @@ class Rows:
         if label:
             conditions.append("label = ?")
             values.append(label)
+        if marked == "any":
+            conditions.append("mark IS NOT NULL")
+        elif marked:
+            conditions.append("mark = ?")
+            values.append(marked)
         if days is not None or order == "added":
             tables += " LEFT JOIN provenance ON shape = number"
         if days is not None:
@@ -355,7 +351,7 @@ class Rows:
 
         An earlier shape of the path is replaced, and its id kept. An id that belongs to another path, which
         another process may have stored since the record was made, is replaced by one with the next free
-        number. A failure never replaces a finished shape.
+        number. A failure never replaces a finished shape. A mark stays as long as the content of the file.
         """
         record = entry.record
 
@@ -363,12 +359,14 @@ class Rows:
             return bool(self._all("SELECT 1 FROM shapes WHERE id = ?", [shape_id]))
 
         with self.database.writing():
-            earlier = self._all(
-                "SELECT id, status FROM shapes WHERE path = ?", [record.path]
+            query = (
+                "SELECT id, status, content_hash, mark, note FROM shapes WHERE path = ?"
             )
-            shape_id, status = (
-                earlier[0] if earlier else (free_id(record, is_taken), None)
-            )
+            rows = self._all(query, [record.path])
+            nothing = free_id(record, is_taken), None, None, None, None
+            shape_id, status, content_hash, mark, note = rows[0] if rows else nothing
+            if record.mark is None and content_hash == record.content_hash:
+                record = replace(record, mark=mark, note=note)
             if not (status == "done" and record.status == "failed"):
                 self._insert([replace(entry, record=replace(record, id=shape_id))])
                 if "done" in (status, record.status):
@@ -395,6 +393,25 @@ class Rows:
             self._delete("id", shape_ids)
             self._changed()
         self.database.scrub()
+
+    @repeated
+    def mark(
+        self, shape_ids: Collection[str], mark: str | None, note: str | None
+    ) -> None:
+        """Store what was decided; InputError, without a change, if one of the ids does not exist."""
+        with self.database.writing():
+            records = {record.id: record for record in self.several(shape_ids)}
+            for shape_id in shape_ids:
+                if shape_id not in records:
+                    raise self.unknown(shape_id)
+            rows = [
+                row_of(replace(record, mark=mark, note=note))
+                for record in records.values()
+            ]
+            self.database.each(
+                "UPDATE shapes SET mark = ?, note = ?, checksum = ? WHERE id = ?",
+                [(mark, note, row["checksum"], row["id"]) for row in rows],
+            )
 
     @repeated
     def forget(self, column: str, value: str | int) -> None:
@@ -517,6 +534,16 @@ class Rows:
                 )
 
     # --- inside -----------------------------------------------------------------------------------------
+
+    @repeated
+    def _add_marks(self) -> None:
+        """Add the columns of marks to a catalogue that was made before there were marks."""
+        with self.database.writing():
+            # Another process may have added them in the meantime.
+            if HAS_MARKS not in self.settings():
+                for column in ("mark", "note"):
+                    self.database.execute(f"ALTER TABLE shapes ADD COLUMN {column} text")
+                self.keep_setting(HAS_MARKS, "yes")
 
     def _records(self, column: str, values: Collection[str]) -> list[Record]:
         """The records with some ids, paths or content hashes, in ascending order of id."""

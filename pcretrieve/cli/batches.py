@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -16,6 +17,7 @@ from typing import NoReturn
 import click
 
 import pcretrieve as pr
+from pcretrieve.cli.catalogue import cells_of
 from pcretrieve.cli.messages import (
     Progress,
     duration,
@@ -49,6 +51,10 @@ from pcretrieve.errors import CatalogueError, InputError
 
 # Largest number of names in the message about names in a label file that match no scan.
 QUOTED = 5
+
+# Number of the worst scans that an ingest ends with.
+WORST = 3
+WORST_COLUMNS = {"GRADE": "text", "ERROR": "number", "REASON": "words"}
 
 # Share of a batch from which on a reason that its scans have in common is said once.
 COMMON = 1 / 3
@@ -318,6 +324,20 @@ def _say_summary(summary: pr.Summary, catalogue: str, labels: str | None = None)
         reason, n = _commonest_reason(incomplete)
         if n > COMMON * len([*summary.done, *summary.held]):
             say(f"the same is wrong with {n} of them: {reason}")
+    if not summary.planned:
+        _say_worst([*failures, *incomplete])
+
+
+def _say_worst(records: Sequence[pr.Record]) -> None:
+    """Print the worst scans and why, but for those that somebody has accepted."""
+    worst = sorted(
+        (record for record in records if record.mark != "accept"),
+        key=lambda record: record.grade.error if record.grade else math.inf,
+        reverse=True,
+    )
+    cells = map(cells_of, worst[:WORST])
+    rows = ([one[name] or "-" for name in ("ID", *WORST_COLUMNS)] for one in cells)
+    write_table({"WORST SCANS": "text"} | WORST_COLUMNS, rows, err=True)
 
 
 def _result(

@@ -1,14 +1,15 @@
-"""Commands that look after a catalogue: list, show, remove, and the group `catalogue`."""
+"""Commands that look after a catalogue: list, show, mark, remove, and the group `catalogue`."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from datetime import datetime, timedelta
 from functools import partial
 from itertools import chain
 from pathlib import Path
+from typing import Literal
 
 import click
 
@@ -26,6 +27,7 @@ from pcretrieve.cli.options import (
     complete_ids,
     opened,
     option,
+    rare_option,
     refuse,
 )
 from pcretrieve.cli.output import (
@@ -33,6 +35,8 @@ from pcretrieve.cli.output import (
     Columns,
     Result,
     print_text,
+    prints_json,
+    write_csv,
     write_lines,
     write_steps,
     write_table,
@@ -42,58 +46,82 @@ from pcretrieve.errors import InputError
 
 MIB = 1 << 20
 
-START = {"ID": "text", "GRADE": "text", "CLASS": "text"}
-COLUMNS = {
-    "stored": START | {"EULER": "number", "SECONDS": "number", "FILE": "path"},
-    "incomplete": START | {"FILE": "path", "REASON": "words"},
-    "failed": {
-        "ID": "text",
-        "STAGE": "text",
-        "CLASS": "text",
-        "FILE": "path",
-        "REASON": "words",
-    },
-}
+START = {"ID": "text", "GRADE": "text", "CLASS": "text", "ERROR": "number"}
+END = {"FILE": "path", "REASON": "words"}
+FAILED = {"ID": "text", "STAGE": "text", "CLASS": "text"} | END
+# Those of --csv, whose last one has the whole path.
+CSV = (*START, "MARK", "NOTE", "STAGE", "REASON", "PATH")
+
+# What `pcretrieve mark` stores.
+MARKS = ("rescan", "accept", "note")
 
 
 @command("list")
 def list_command(
+    *,
     catalogue: str = catalogue_option,
     failed: bool = option("--failed", "Only shapes that failed, with the reason."),
     incomplete: bool = option(
-        "--incomplete", "Only poor and incomplete scans, with the reasons."
+        "--incomplete", "Only poor and incomplete scans, with all reasons."
     ),
-    limit: int | None = option("--limit N", "List at most N shapes.", COUNT),
-    offset: int = option("--offset N", "Skip N shapes.", NUMBER, default=0),
+    label: str | None = option("--class NAME", "Only shapes of this class."),
+    marked: Literal["rescan", "accept", "note", "any"] | None = option(
+        "--marked", "Only shapes that `pcretrieve mark` has marked."
+    ),
+    worst: int | None = option(
+        "--worst N", "The N worst: failed ones, then the largest errors.", COUNT
+    ),
+    as_csv: bool = option("--csv", "Print a CSV file."),
+    sort: Literal["id", "class", "added", "error"] = rare_option(
+        "--sort", "By error, failed scans and large errors come first.", default="id"
+    ),
+    limit: int | None = rare_option("--limit N", "List at most N shapes.", COUNT),
+    offset: int = rare_option("--offset N", "Skip N shapes.", NUMBER, default=0),
 ) -> Result:
-    """List shapes: id, grade, class, Euler characteristic, seconds, path.
+    """List shapes: id, grade, class, expected error, path, and the first reason of the grade.
 
-    The grade is good, poor, incomplete or failed; done means that it is not known.
+    The grade is good, poor, incomplete or failed; done means that it is not known. The error is that of the
+    signature: two poses of a body are about .1 apart, two similar bodies .5.
 
     \b
-    pcretrieve list --catalogue bodies.sqlite --failed
+    pcretrieve list --catalogue bodies.sqlite --worst 20
+    pcretrieve list --catalogue bodies.sqlite --class p1 --csv
     """
+    if prints_json() and as_csv:
+        raise click.UsageError("choose one of --json and --csv")
     store = opened(catalogue, any_numbers=True)
-    pages = store.rows.pages(
-        status="failed" if failed else None,
-        incomplete=incomplete,
+    by_error = bool(worst) or sort == "error"
+    _, ids = store.rows.wanted(
+        label=label or "",
+        state="failed" if failed else "incomplete" if incomplete else "",
+        marked=marked or "",
+        order="error" if by_error else "label" if sort == "class" else sort,
+        descending=by_error,
+        limit=worst or limit,
         offset=offset,
-        limit=limit,
     )
-    records = chain.from_iterable(pages)
+    records = chain.from_iterable(store.rows.pages(ids))
     which = "failed" if failed else "incomplete" if incomplete else "stored"
 
     def show() -> None:
+        if as_csv:
+            _write_csv(records)
+            return
         counts: Counter[str] = Counter()
-        row = partial(_row, columns=COLUMNS[which], counts=counts)
-        if not write_table(COLUMNS[which], map(row, records)):
+        columns = FAILED if failed else START | END
+        if store.rows.wanted(marked="any", limit=1)[0]:
+            columns = {"ID": "text", "MARK": "text"} | columns
+        row = partial(
+            _row, columns=columns, counts=counts, is_whole=which == "incomplete"
+        )
+        if not write_table(columns, map(row, records)):
             after = f" after the first {offset}" if offset else ""
-            say(f"no shape is {which} in {catalogue}{after}")
+            such = "of this kind" if label or marked else which
+            say(f"no shape is {such} in {catalogue}{after}")
         if which == "stored" and counts:
             found = ", ".join(f"{n} {name}" for name, n in sorted(counts.items()))
-            say(
-                f"{found}; for reasons: {', '.join(f'--{name}' for name in sorted(counts))}"
-            )
+            options = ", ".join(f"--{name}" for name in sorted(counts))
+            say(f"{found}; for all reasons: {options}")
 
     return Result(map(_facts, records), show=show)
 
@@ -102,23 +130,43 @@ def _facts(record: pr.Record) -> dict[str, object]:
     return asdict(record) | {"seconds": round(record.seconds, 3)}
 
 
-def _row(record: pr.Record, columns: Columns, counts: Counter[str]) -> list[str]:
+def cells_of(record: pr.Record) -> dict[str, str]:
+    """The cells of a shape, by heading; empty where nothing is known."""
+    grade = record.grade
+    reasons = [record.message] if record.message else grade.reasons if grade else ()
+    return {
+        "ID": record.id,
+        "MARK": record.mark or "",
+        "NOTE": record.note or "",
+        "GRADE": grade.name if grade else record.status,
+        "STAGE": record.stage or "",
+        "CLASS": record.label or "",
+        "ERROR": "" if grade is None else f"{grade.error:.2f}",
+        "REASON": "".join(reasons[:1]).removeprefix(f"{record.path}: "),
+        "FILE": shown_path(record.path),
+        "PATH": record.path,
+    }
+
+
+def _write_csv(records: Iterable[pr.Record]) -> None:
+    from pcretrieve.values.files import csv_text
+
+    rows = ([cells[name] for name in CSV] for cells in map(cells_of, records))
+    write_csv(csv_text([name.lower() for name in CSV], rows))
+
+
+def _row(
+    record: pr.Record, columns: Columns, counts: Counter[str], *, is_whole: bool
+) -> list[str]:
     """The cells of a shape; shapes that have reasons are counted by the option that lists them."""
     if record.status == "failed" or record.is_incomplete:
         counts["failed" if record.status == "failed" else "incomplete"] += 1
-    cells = {
-        "ID": record.id,
-        "GRADE": record.grade.name if record.grade else record.status,
-        "STAGE": record.stage or "-",
-        "CLASS": record.label or "-",
-        "EULER": "-" if record.euler is None else str(record.euler),
-        "SECONDS": f"{record.seconds:.2f}",
-        "FILE": shown_path(record.path),
-        "REASON": (record.message or str(record.grade or "")).removeprefix(
-            f"{record.path}: "
-        ),
-    }
-    return [cells[name] for name in columns]
+    cells = cells_of(record)
+    if is_whole:
+        cells["REASON"] = str(record.grade)
+    cells["REASON"] = "; ".join(filter(None, (record.note, cells["REASON"])))
+    # Before the last cell, an empty one would be taken for the next column.
+    return [cells[name] or ("" if name == "REASON" else "-") for name in columns]
 
 
 @command("show")
@@ -160,6 +208,45 @@ def _show(record: pr.Record, stored: dict[str, int]) -> None:
     write_table({"": "text", " ": "words"}, rows)
     print_text("")
     write_steps(record.steps)
+
+
+@command("mark")
+def mark_command(
+    words: tuple[str, ...] = argument(
+        "ID... [rescan|accept|note] [TEXT]", shell_complete=complete_ids, required=True
+    ),
+    catalogue: str = catalogue_option,
+    clear: bool = option("--clear", "Forget what was decided."),
+) -> Result:
+    """Keep what you decide about scans: to scan again, to accept, or a note.
+
+    `list --marked rescan` shows what is to be scanned again. A decision stays when scans are processed again,
+    merged or backed up, until the file has another content.
+
+    \b
+    pcretrieve mark cat0 rescan "the left foot is missing" -c bodies.sqlite
+    pcretrieve mark cat0 cat1 accept -c bodies.sqlite
+    pcretrieve mark cat0 --clear -c bodies.sqlite
+    """
+    ids, decision, note = (words, None, None) if clear else _decision(words)
+    ids = tuple(dict.fromkeys(ids))
+    pr.mark(catalogue, ids, decision, note)
+    done = "cleared" if decision is None else f"marked ({decision})"
+    say(f"{done}: {', '.join(ids)}")
+    return Result({"ids": ids, "mark": decision, "note": note})
+
+
+def _decision(
+    words: tuple[str, ...],
+) -> tuple[tuple[str, ...], str, str | None]:
+    """The ids, the decision and the text in the words of a command."""
+    if len(words) > 2 and words[-2] in MARKS:
+        return words[:-2], words[-2], words[-1]
+    if len(words) > 1 and words[-1] in MARKS:
+        return words[:-1], words[-1], None
+    raise click.UsageError(
+        "after the ids, write rescan, accept or note, and then, in quotes, why; or give --clear"
+    )
 
 
 @command("remove")

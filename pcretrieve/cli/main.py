@@ -64,6 +64,7 @@ COMMANDS = {
     "duplicates": ("search", "Find shapes that look the same"),
     "list": ("catalogue", "List the shapes of a catalogue"),
     "show": ("catalogue", "Show how a shape was made"),
+    "mark": ("catalogue", "Keep a decision: rescan, accept, or a note"),
     "remove": ("catalogue", "Remove shapes from a catalogue"),
     "catalogue": (CATALOGUE, f"Look after catalogues: {', '.join(CATALOGUE)}"),
     "lab": (LAB, "The laboratory: signatures, distances, settings"),

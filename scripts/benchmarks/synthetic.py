@@ -190,7 +190,7 @@ def written_in(path: Path, n_shapes: int, n_repeats: int) -> WritingTimes:
     """Median times of adding shapes to a catalogue, and removing them."""
     times = []
     with Catalogue(path) as catalogue:
-        (page,) = catalogue.rows.pages(limit=n_shapes)
+        page = catalogue.records(limit=n_shapes)
         stored = catalogue.rows.entries([record.id for record in page])
         new = [
             replace(

@@ -215,6 +215,7 @@ def test_a_copy_without_names_answers_and_has_no_names(
     with Catalogue(path) as store, store.rows.database.writing():
         store.rows.keep_setting("batch", "{'computer': 'of anna'}")
         store.rows.keep_setting("up", "z")
+    pr.mark(path, [REMOVED], "rescan", "of anna: a foot is missing")
     whitening = tmp_path / "of-anna.whitening"
     options = {"retrieval": {"calibration": str(whitening)}}
     with closing(sqlite3.connect(path)) as connection, connection:
@@ -223,6 +224,8 @@ def test_a_copy_without_names_answers_and_has_no_names(
     copy = tmp_path / "copy.sqlite"
     run("catalogue", "backup", path, copy, "--without-names")
     named = [
+        b"foot",
+        b"rescan",
         b"anna",
         b"ben",
         b"carl",

@@ -13,11 +13,12 @@ import pytest
 from commands import run
 from stored import content, failure, records
 
+import pcretrieve as pr
 from pcretrieve import Catalogue, PipelineOptions, merge_catalogues
 from pcretrieve.catalogue import Record, postgresql as postgresql_module
-from pcretrieve.catalogue.records import OWN, PAYLOADS, Entry, settings_of
+from pcretrieve.catalogue.records import HAS_MARKS, OWN, PAYLOADS, Entry, settings_of
 from pcretrieve.catalogue.rows import Rows
-from pcretrieve.errors import CatalogueError, OptionError
+from pcretrieve.errors import CatalogueError, InputError, OptionError
 from pcretrieve.values import Grade, Step
 
 SETTINGS = {"options": "{}", "numbers_version": "7"}
@@ -71,8 +72,8 @@ def test_records_are_found(
         assert records(again) == records(rows)
     assert records(rows) == [*(done(name).record for name in "abcd"), failed("e").record]
     monkeypatch.setattr("pcretrieve.catalogue.rows.PAGE", 2)
-    assert [ids(page) for page in rows.pages(offset=1, limit=3)] == [["b", "c"], ["d"]]
-    assert [ids(page) for page in rows.pages(status="done")] == [["a", "b"], ["c", "d"]]
+    pages = rows.pages(["d", "b", "nobody", "a"])
+    assert [ids(page) for page in pages] == [["d", "b"], ["a"]]
     assert ids(records(rows, "failed")) == ["e"]
     assert rows.origins()[1] == Record("b", "/b.ply", "hash-b", "label", "done")
     assert rows.origins()[4] == Record("e", "/e.ply", "", None, "failed")
@@ -94,11 +95,18 @@ def test_wanted_shapes_are_those_of_a_sorted_list(rows: Rows) -> None:
     rows.store(done("B", label=None, added=added.format(1)))
     rows.store(failed("f", label="z", added=added.format(3)))
     rows.store(done("g", label="", added=added.format(3), grade=bad))
+    rows.store(done("h", grade=Grade("poor", 0.9, ("noise",))))
     every = records(rows)
     keys = {
         "id": lambda one: one.id,
         "label": lambda one: (one.label is None, one.label or "", one.id),
         "added": lambda one: (one.added, one.id),
+        "error": lambda one: (
+            one.status == "failed",
+            one.grade is not None,
+            one.grade.error if one.grade else 0.0,
+            one.id,
+        ),
     }
     judged = {"": every, "incomplete": [one for one in every if one.is_incomplete]}
     for state in ("done", "failed"):
@@ -119,6 +127,11 @@ def test_wanted_shapes_are_those_of_a_sorted_list(rows: Rows) -> None:
             )
             n_found += len(expected)
     assert n_found > 100
+    rows.mark(["g", "a"], "rescan", "a foot is missing")
+    rows.mark(["f"], "accept", None)
+    assert rows.wanted(marked="rescan") == (2, ["a", "g"])
+    assert rows.wanted(marked="any", state="failed") == (1, ["f"])
+    assert rows.wanted(marked="note") == (0, [])
     assert sorted(rows.classes(9)) == ["", "label", "z"] and len(rows.classes(2)) == 2
 
 
@@ -205,6 +218,89 @@ def test_a_shape_does_not_take_the_path_of_another(rows: Rows) -> None:
     assert records(rows) == before
     rows.revise(moved={"/a.ply": "/new.ply"})
     assert [record.path for record in rows.several(["a", "b"])] == ["/new.ply", "/b.ply"]
+
+
+# --- marks ----------------------------------------------------------------------------------------------
+
+WHY = "the left foot is missing"
+
+
+def marked(record: Record) -> tuple[str | None, str | None]:
+    return record.mark, record.note
+
+
+def test_a_mark_stays_until_the_file_has_another_content(rows: Rows) -> None:
+    rows.mark(["a", "e"], "rescan", WHY)
+    assert rows.record("a") == replace(done("a").record, mark="rescan", note=WHY)
+    assert rows.origins()[0].note == WHY
+    # Processed again, failed again, moved.
+    rows.store(done("a", area=3.0))
+    rows.store(failed("e", message="another reason"))
+    rows.revise(moved={"/a.ply": "/new.ply"}, labels={"/new.ply": "other"})
+    assert marked(rows.record("a")) == marked(rows.record("e")) == ("rescan", WHY)
+    with pytest.raises(InputError, match="holds no shape 'nobody'"):
+        rows.mark(["b", "nobody"], "accept", None)
+    assert marked(rows.record("b")) == (None, None)
+    rows.mark(["e"], None, None)
+    assert rows.record("e").mark is None
+    # The person was scanned again.
+    rows.store(done("a", path="/new.ply", content_hash="new"))
+    assert marked(rows.record("a")) == (None, None)
+
+
+def test_a_catalogue_without_marks_gets_their_columns(
+    rows: Rows, new_location: str
+) -> None:
+    """As one that was made before there were marks; others may open it at the same time."""
+    before = records(rows)
+    for column in ("mark", "note"):
+        rows.database.execute(f"ALTER TABLE shapes DROP COLUMN {column}")
+    with rows.database.writing():
+        rows.keep_setting(HAS_MARKS, None)
+    for _ in range(2):
+        with Rows(new_location, SETTINGS, create=False) as again:
+            assert records(again) == before
+    with Rows(new_location, SETTINGS, create=False) as again:
+        again.mark(["a"], "accept", None)
+        again.store(done("new"))
+        assert ids(records(again)) == ["a", "b", "c", "d", "e", "new"]
+        assert again.record("a").mark == "accept"
+
+
+def test_a_merge_keeps_the_marks_of_all_parts(tmp_path: Path) -> None:
+    """The first one, if a shape has several; none, if it is of a file with another content."""
+    other = failed("c", content_hash="other")
+    parts = catalogues(tmp_path, done("a"), done("a"), done("b"), other, done("c"))
+    for part, name, note in zip(parts[1:4], "abc", ("one", "two", "three"), strict=True):
+        pr.mark(part, [name], "note", note)
+    for number, order in enumerate((parts, parts[::-1])):
+        whole = tmp_path / f"whole{number}.sqlite"
+        merge_catalogues(order, whole)
+        with Catalogue(whole) as store:
+            notes = {record.id: record.note for record in store.records()}
+        assert notes == {"a": "one", "b": "two", "c": None}
+    merge_catalogues(parts[1:2], parts[0])
+    with Catalogue(parts[0]) as store:
+        assert marked(store.record("a")) == ("note", "one")
+    pr.mark(parts[0], ["a"], "accept")
+    merge_catalogues(parts[1:2], parts[0])
+    with Catalogue(parts[0]) as store:
+        assert marked(store.record("a")) == ("accept", None)
+    pr.backup(parts[0], tmp_path / "copy.sqlite")
+    with Catalogue(tmp_path / "copy.sqlite") as store:
+        assert marked(store.record("a")) == ("accept", None)
+
+
+def test_marks_are_those_that_are_known(tmp_path: Path) -> None:
+    (path,) = catalogues(tmp_path, done("a"))
+    for decision, note, said in (
+        ("again", None, "must be one of rescan, accept, note, got 'again'"),
+        ("note", "", "a note must have a text"),
+    ):
+        with pytest.raises(OptionError, match=said):
+            pr.mark(path, ["a"], decision, note)
+    with pytest.raises(OptionError, match="shape_ids"):
+        pr.mark(path, "a", "accept")
 
 
 # --- merges ---------------------------------------------------------------------------------------------

@@ -91,6 +91,7 @@ ASKED: dict[str, tuple[str, int, set[str], bool]] = {
     "report": ("-c c.sqlite -o report.html", 0, {"page"}, True),
     "list": ("-c c.sqlite --limit 2", 0, {"id", "path", "status", "grade"}, False),
     "show": ("e1 -c c.sqlite", 0, {"id", "steps", "stored_bytes"}, False),
+    "mark": ("e1 accept -c c.sqlite", 0, {"ids", "mark", "note"}, False),
     "remove": ("e3 -c fewer.sqlite", 0, {"removed"}, False),
     "catalogue merge": ("c.sqlite -o all.sqlite", 0, {"n_added", "n_held"}, False),
     "catalogue check": ("-c c.sqlite --sample 1", 0, {"is_whole", "defects"}, True),

@@ -119,7 +119,7 @@ def test_a_similar_name_is_suggested(eggs: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setenv("PCRETRIEVE_CATALOGUE", str(eggs))
     for words, said in (
         ("qurey a", "there is no command 'qurey'; did you mean 'query'?"),
-        ("list --faield", "did you mean '--failed'?"),
+        ("list --faild", "did you mean '--failed'?"),
         (
             "show egg01",
             "holds no shape 'egg01'; `pcretrieve list` names them; did you mean 'Egg01'?",

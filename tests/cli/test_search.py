@@ -155,6 +155,12 @@ def test_incomplete_scans_are_counted_and_a_query_says_so(tmp_path: Path) -> Non
     advice = done.stderr.split("`")[1].split()
     assert advice == ["pcretrieve", "list", "--incomplete", "-c", str(catalogue)]
     assert "the mesh has holes" in run(*advice[1:]).stdout
+    worst = done.stderr.splitlines()[-1].split()
+    assert worst[:2] == ["open", "incomplete"] and worst[3:6] == ["the", "mesh", "has"]
+    # Nobody needs to see again what somebody has accepted.
+    run("mark", "open", "accept", "-c", catalogue)
+    again = run("ingest", *scans, "-c", catalogue, "--surface", "keep", "--workers", 1)
+    assert "1 incomplete" in again.stderr and "WORST" not in again.stderr
     assert json.loads(done.stdout)["result"]["incomplete"] == ["open"]
     asked = run("query", "-c", catalogue, tmp_path / "other.off")
     assert (

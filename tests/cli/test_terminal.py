@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import fcntl
+import io
 import json
 import os
 import pty
@@ -18,9 +20,9 @@ from pathlib import Path
 
 import pytest
 import shapes
-from commands import result, run
+from commands import refusal, result, run
 
-from pcretrieve import Catalogue, Grade, PipelineOptions, describe, process
+from pcretrieve import Catalogue, Grade, PipelineOptions, backup, describe, process
 from pcretrieve.catalogue import Content, Record
 from pcretrieve.cli import messages
 from pcretrieve.cli.output import write_table
@@ -235,10 +237,12 @@ def test_programs_get_whole_values_under_headings(
 ) -> None:
     monkeypatch.chdir(folder)
     lines = run("list", "-c", "c.sqlite").stdout.splitlines()
-    assert lines[0].split() == ["ID", "GRADE", "CLASS", "EULER", "SECONDS", "FILE"]
-    assert [line.split()[-1] for line in lines[1:]] == [
-        "bad.off",
-        *(f"{DEEP}/egg{n}.off" for n in range(3)),
+    assert lines[0].split() == ["ID", "GRADE", "CLASS", "ERROR", "FILE", "REASON"]
+    assert [line.split()[4:] for line in lines[1:]] == [
+        ["bad.off", "no", "scan"],
+        [f"{DEEP}/egg0.off"],
+        [f"{DEEP}/egg1.off", *REASON.split()],
+        [f"{DEEP}/egg2.off"],
     ]
     row = run("list", "-c", "c.sqlite", "--incomplete").stdout
     assert row.endswith(f"  incomplete, may answer wrongly: {REASON}\n")
@@ -252,6 +256,41 @@ def test_programs_get_whole_values_under_headings(
     }
     assert len(starts) == 1, "columns are aligned"
     assert not any("\x1b" in line for line in (*lines, *rows))
+
+
+def test_the_worst_scans_are_the_first(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PCRETRIEVE_CATALOGUE", str(tmp_path / "marked.sqlite"))
+    backup(folder / "c.sqlite", tmp_path / "marked.sqlite")
+    order = ["bad", "egg1", "egg0", "egg2"]
+    for words, expected in (
+        ("--worst 9", order),
+        ("--worst 2", order[:2]),
+        ("--sort error --offset 1", order[1:]),
+        ("--worst 2 --class egg", order[1:3]),
+        ("--sort class", ["egg0", "egg1", "egg2", "bad"]),
+    ):
+        assert [row["id"] for row in result("list", *words.split())] == expected, words
+    assert "MARK" not in run("list").stdout
+    run("mark", "egg1", "bad", "rescan", "a, foot")
+    run("mark", "egg0", "accept")
+    rows = list(csv.reader(io.StringIO(run("list", "--worst", 3, "--csv").stdout)))
+    bad, egg1, egg0 = (dict(zip(rows[0], row, strict=True)) for row in rows[1:])
+    assert (bad["error"], bad["reason"], bad["stage"]) == ("", "no scan", "read")
+    assert (egg1["error"], egg1["reason"]) == ("0.40", REASON)
+    assert (egg1["mark"], egg1["note"]) == ("rescan", "a, foot")
+    assert (egg0["mark"], egg0["note"], egg0["path"][-8:]) == ("accept", "", "egg0.off")
+    table = run("list", "--marked", "rescan", "--worst", 5).stdout.splitlines()
+    assert [line.split()[:2] for line in table[1:]] == [
+        ["bad", "rescan"],
+        ["egg1", "rescan"],
+    ]
+    assert table[2].endswith(f"a, foot; {REASON}")
+    run("mark", "bad", "egg1", "--clear")
+    assert [row["id"] for row in result("list", "--marked", "any")] == ["egg0"]
+    assert "write rescan, accept or note" in refusal("mark", "egg1")
+    assert "choose one" in refusal("list", "--csv", "--json")
 
 
 def test_colours_are_for_terminals_that_want_them(folder: Path) -> None:
