@@ -25,7 +25,8 @@ from benchmarks.paper.spectra import (
     truncation_errors,
     unit_area_spectrum,
 )
-from benchmarks.sensors import SENSORS, left_by
+from benchmarks.people import POSES, joints
+from benchmarks.sensors import KINDS, MORE_POINTS, SENSORS, USUAL_POINTS, drawn, left_by
 
 from pcretrieve import ModalSpectrum, write_mesh
 from pcretrieve.points.neighbors import nearest
@@ -214,3 +215,41 @@ def test_a_hole_that_is_a_damage_is_larger_than_those_of_the_sensor(seed: int) -
         nearest(each, ball.mesh.vertices, 1)[0].max() for each in (points, pierced)
     )
     assert whole < damaged
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_sensor_that_is_drawn_measures_the_surface(kind: str) -> None:
+    ball = shapes.icosphere(4)
+    body = Body("ball", "ball", ball, {"crown": int(ball.vertices[:, 1].argmax())})
+    counts = []
+    for seed in range(2):
+        points = drawn(kind, body, np.random.default_rng(seed))
+        again = drawn(kind, body, np.random.default_rng(seed))
+        assert (points == again).all()
+        off = np.abs(np.linalg.norm(points, axis=1) - 1)
+        # Ten times the usual noise; flying points and strays are few.
+        assert (off < 0.03).mean() > 0.9
+        counts.append(len(points))
+    assert len(set(counts)) == len(counts)
+    assert USUAL_POINTS[0] / 4 < min(counts) and max(counts) < 1.01 * MORE_POINTS[1]
+
+
+def test_a_damaged_scan_by_a_drawn_sensor_has_fewer_points() -> None:
+    body = Body("ball", "ball", shapes.icosphere(4))
+    rng = np.random.default_rng(0)
+    points = drawn("uniform", body, rng)
+    assert left_by("whole", points, body, rng).all()
+    assert 0.5 < left_by("side", points, body, rng).mean() < 0.6
+    assert 0 < left_by("hole", points, body, rng).mean() < 1
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_wider_poses_bend_knees_and_elbows_one_way(pose: str) -> None:
+    drawn_angles = {}
+    for width in (1.0, 1.3):
+        rng = np.random.default_rng(0)
+        turns = [joints(pose, rng, width) for _ in range(60)]
+        drawn_angles[width] = np.array([turn["spine01"].magnitude() for turn in turns])
+        for side in "LR":
+            assert all(turn[f"lowerleg01.{side}"].as_rotvec()[0] >= 0 for turn in turns)
+    assert drawn_angles[1.3].std() > drawn_angles[1.0].std()

@@ -108,14 +108,14 @@ def anny(sources: Sources, n: int, n_poses: int) -> list[list[Body]]:
         path for paths in poses.values() for path in paths if path.stem.endswith("_stand")
     ]
     whole = read_mesh(standing[0])
-    seal = _seal(whole)
-    places = standing_places(_sealed(whole, seal))
+    seal = skin_of(whole)
+    places = standing_places(sealed(whole, seal))
     chosen = [(label, paths) for label, paths in poses.items() if len(paths) >= n_poses][
         :n
     ]
     return [
         [
-            Body(path.stem, label, _sealed(read_mesh(path), seal), places)
+            Body(path.stem, label, sealed(read_mesh(path), seal), places)
             for path in paths[:n_poses]
         ]
         for label, paths in chosen
@@ -129,7 +129,7 @@ N_RAYS, LEAST_CAVITY = 128, 60
 HEAD = 0.87
 
 
-def _seal(mesh: TriangleMesh) -> Positions:
+def skin_of(mesh: TriangleMesh) -> Positions:
     """The faces of the outer skin of a mesh of Anny: without eyes, their sockets and the mouth inside."""
     part = components(mesh)
     skin = part == np.bincount(part).argmax()
@@ -163,7 +163,7 @@ def open_edges(faces: IntArray) -> Positions:
     return edges[~np.isin(edges[:, 0] * n + edges[:, 1], edges[:, 1] * n + edges[:, 0])]
 
 
-def _sealed(mesh: TriangleMesh, skin: Positions) -> TriangleMesh:
+def sealed(mesh: TriangleMesh, skin: Positions) -> TriangleMesh:
     """Some faces of a mesh, whose openings are closed by a vertex in the middle of each."""
     faces = mesh.faces[skin]
     vertices, caps = [mesh.vertices], [faces]

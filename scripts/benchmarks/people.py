@@ -7,11 +7,17 @@ with local changes of limbs, hips, torso, neck, hands, feet and head drawn in ad
 height and weight still differ. Poses are standing, walking, reaching, sitting and folded, each angle drawn
 within the limits of its joint. Nine cameras scan each body. They see no soles, and parts that touch are one.
 
+With ``--sensors``, the sensor of each scan is drawn instead: some cameras, uniform points, a turntable, or
+depth steps, with points, noise, holes and unseen places of its own. The angles of the joints are from wider
+ranges, poses come more than once, and a quarter of the scans have a damage: the end of a limb, the head or a
+patch is missing, or one side is thin. The names of the files and columns of the labels say which.
+
 The model is that of R. Brégier et al., "Human mesh modeling for Anny body", arXiv 2511.03589 (2025); the
 package is under the licence Apache 2.0, its shapes under CC0. It is for developers only:
 
     pip install anny                       # in an environment that has pcretrieve; torch comes with it
     scripts/make_people --out people --people 1000 --seed 1
+    scripts/make_people --out many --people 1000 --seed 5 --poses 4 --sensors cameras uniform turntable steps
     pcretrieve ingest people --labels people/labels.csv --catalogue people.sqlite
 
 Each person and each scan has a random generator of its own, so that a run that was interrupted goes on.
@@ -19,20 +25,25 @@ Each person and each scan has a random generator of its own, so that a run that 
 
 from __future__ import annotations
 
+import argparse
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from benchmarks.bodies import Body, sealed, skin_of
 from benchmarks.measuring import argument_parser, progress
+from benchmarks.sensors import DAMAGES, KINDS, WHOLE, drawn, left_by
 from benchmarks.simulation import RigOptions, scan
 from benchmarks.simulation.samples import moved, random_motion, write_ply
 from pcretrieve.formats import write_mesh
-from pcretrieve.values import TriangleMesh
+from pcretrieve.retrieval import Positions
+from pcretrieve.values import FloatArray, TriangleMesh
 from pcretrieve.values.files import write_file
 
 EPILOG = """example:
@@ -81,6 +92,12 @@ CHANGED = (
 # Nine cameras, the lowest of which see the soles at more than the largest angle of incidence.
 RIG = RigOptions(elevations=(5.0, 45.0, -12.0), n_points=20_000)
 
+# How much wider the ranges of angles are for scans by several sensors, and the share of these with a damage.
+WIDER, DAMAGED = 1.3, 0.25
+
+# How far the armpit is below the joint of the shoulder, relative to the height.
+ARMPIT = 0.04
+
 
 class People:
     """Bodies of the model, by the number of the person."""
@@ -104,8 +121,19 @@ class People:
         rng = np.random.default_rng((self._seed, person, 0))
         return [str(name) for name in rng.permutation(POSES)[:number]]
 
-    def body(self, person: int, pose: str) -> TriangleMesh:
-        """The surface of a person in a pose, y up, in metres."""
+    def body(
+        self,
+        person: int,
+        pose: str,
+        *,
+        posing: np.random.Generator | None = None,
+        width: float = 1.0,
+    ) -> TriangleMesh:
+        """The surface of a person in a pose, y up, in metres.
+
+        posing: what draws the angles; by default one for the person and the pose.
+        width: how much wider than usual the ranges of angles are.
+        """
         torch = self._torch
         rng = np.random.default_rng((self._seed, person, 1))
         torch.manual_seed(int(rng.integers(2**31)))
@@ -114,10 +142,9 @@ class People:
             name: torch.tensor([value]) for name, value in self._changes(rng).items()
         }
         motions = torch.eye(4).repeat(1, self._model.bone_count, 1, 1)
-        turns = joints(
-            pose, np.random.default_rng((self._seed, person, 2 + POSES.index(pose)))
-        )
-        for bone, turn in turns.items():
+        if posing is None:
+            posing = np.random.default_rng((self._seed, person, 2 + POSES.index(pose)))
+        for bone, turn in joints(pose, posing, width).items():
             matrix = torch.as_tensor(turn.as_matrix(), dtype=torch.float32)
             motions[0, self._model.bone_labels.index(bone), :3, :3] = matrix
         with torch.no_grad():
@@ -129,6 +156,45 @@ class People:
         # Z up, and the face looks along -y.
         x, y, z = found["vertices"][0].double().numpy().T
         return TriangleMesh(np.column_stack([x, z, -y]), self.faces)
+
+    @cached_property
+    def _skin(self) -> Positions:
+        """The faces of the outer skin."""
+        return skin_of(self.body(0, "stand"))
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        """The vertices of the crown and of the armpits."""
+        with self._torch.no_grad():
+            rest = self._model(
+                pose_parameters=self._torch.eye(4).repeat(1, self._model.bone_count, 1, 1)
+            )
+        vertices, heads = (
+            rest[name][0].double().numpy()
+            for name in ("rest_vertices", "rest_bone_heads")
+        )
+        down = ARMPIT * np.ptp(vertices[:, 2]) * np.array([0.0, 0.0, 1.0])
+        places = {"crown": int(vertices[:, 2].argmax())}
+        for side in "LR":
+            shoulder = heads[self._model.bone_labels.index(f"upperarm01.{side}")]
+            apart = np.linalg.norm(vertices - (shoulder - down), axis=1)
+            places[f"armpit.{side}"] = int(apart.argmin())
+        return places
+
+    def scanned(
+        self, person: int, number: int, kinds: Sequence[str]
+    ) -> tuple[str, str, str, FloatArray]:
+        """A scan of a person by a sensor of one of some kinds: its pose, kind, damage and points (n, 3)."""
+        rng = np.random.default_rng((self._seed, person, 100 + number))
+        pose, kind = str(rng.choice(POSES)), str(rng.choice(kinds))
+        damage = str(rng.choice(DAMAGES)) if rng.random() < DAMAGED else WHOLE
+        surface = self.body(person, pose, posing=rng, width=WIDER)
+        body = Body(
+            f"{person}-{number}", str(person), sealed(surface, self._skin), self._places
+        )
+        points = drawn(kind, body, rng)
+        points = points[left_by(damage, points, body, rng)]
+        return pose, kind, damage, moved(random_motion(rng), points)
 
     def _changes(self, rng: np.random.Generator) -> dict[str, float]:
         """Local changes by their names, nearly the same on the left and on the right."""
@@ -142,21 +208,25 @@ class People:
         return changes
 
 
-def joints(pose: str, rng: np.random.Generator) -> dict[str, Rotation]:
+def joints(
+    pose: str, rng: np.random.Generator, width: float = 1.0
+) -> dict[str, Rotation]:
     """Turns of bones about the axes of the room: x to the left of the body, y to its back, z up.
 
-    At rest the arms point down and away from the body by about 45 degrees. All angles are in degrees.
+    At rest the arms point down and away from the body by about 45 degrees. All angles are in degrees. Their
+    ranges are so much wider about their middles; knees and elbows bend one way only.
     """
 
     def turn(
         x: float = 0.0, y: float = 0.0, z: float = 0.0, error: float = 0.0
     ) -> Rotation:
         return Rotation.from_euler(
-            "xyz", np.array([x, y, z]) + rng.normal(0, error, 3), degrees=True
+            "xyz", np.array([x, y, z]) + rng.normal(0, width * error, 3), degrees=True
         )
 
     def between(low: float, high: float) -> float:
-        return float(rng.uniform(low, high))
+        more = (width - 1) * (high - low) / 2
+        return float(rng.uniform(low - more, high + more))
 
     # Of each side: how far the arm is raised, swung ahead and bent, and turned inwards; how far the leg is
     # bent in hip and knee, and spread.
@@ -188,8 +258,9 @@ def joints(pose: str, rng: np.random.Generator) -> dict[str, Rotation]:
             between(20, 45),
             between(0, 35),
         )
-        crouch = between(0, 50)
+        crouch = max(0.0, between(0, 50))
         hips, knees = [0.9 * crouch] * 2, [1.3 * crouch] * 2
+    bent, knees = [max(0.0, each) for each in bent], [max(0.0, each) for each in knees]
     turns = {}
     for side, sign, row in (("L", 1, 0), ("R", -1, 1)):
         turns[f"upperarm01.{side}"] = turn(x=-ahead[row], error=3) * turn(
@@ -235,20 +306,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="seed of all random numbers (default: %(default)s)",
     )
     add("--bodies", action="store_true", help="write surfaces, not scans")
+    add(
+        "--sensors",
+        nargs="+",
+        choices=KINDS,
+        help="draw the sensor of each scan from these, a wider pose and some damages",
+    )
     given = parser.parse_args(arguments)
     try:
         people = People(given.seed)
     except ImportError as error:
         parser.error(f"{error}: pip install anny, which installs torch too")
     given.out.mkdir(parents=True, exist_ok=True)
-    labels = io.StringIO(newline="")
-    table = csv.writer(labels, lineterminator="\n")
-    table.writerow(("file", "class"))
+    if given.sensors:
+        _write_drawn(people, given)
+        return
+    rows = [("file", "class")]
     for person in progress(range(given.people), "people"):
         name = f"person-{given.seed}-{person:05}"
         for pose in people.poses(person, given.poses):
             path = given.out / f"{name}_{pose}.ply"
-            table.writerow((path.name, name))
+            rows.append((path.name, name))
             if path.exists():
                 continue
             body = people.body(person, pose)
@@ -257,4 +335,29 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 continue
             rng = np.random.default_rng((given.seed, person, 10 + POSES.index(pose)))
             write_ply(path, moved(random_motion(rng), scan(body, RIG, rng).points))
-    write_file(given.out / "labels.csv", labels.getvalue().encode())
+    _write_table(given.out, rows)
+
+
+def _write_drawn(people: People, given: argparse.Namespace) -> None:
+    """Write scans by sensors that are drawn at random; those that are there are not made again."""
+    rows = [("file", "class", "pose", "sensor", "damage")]
+    for person in progress(range(given.people), "people"):
+        name = f"person-{given.seed}-{person:05}"
+        for number in range(given.poses):
+            there = sorted(given.out.glob(f"{name}_{number}_*.ply"))
+            if there:
+                pose, kind, damage = there[0].stem.split("_")[2:]
+            else:
+                pose, kind, damage, points = people.scanned(person, number, given.sensors)
+            path = given.out / f"{name}_{number}_{pose}_{kind}_{damage}.ply"
+            if not there:
+                write_ply(path, points)
+            rows.append((path.name, name, pose, kind, damage))
+    _write_table(given.out, rows)
+
+
+def _write_table(folder: Path, rows: Iterable[Sequence[str]]) -> None:
+    """Write the labels of a folder of scans."""
+    text = io.StringIO(newline="")
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    write_file(folder / "labels.csv", text.getvalue().encode())

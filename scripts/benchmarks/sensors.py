@@ -7,6 +7,7 @@ hands and horses. The y axis points up.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
@@ -54,9 +55,14 @@ def outer_points(
     return points, faces
 
 
-def noisy(mesh: TriangleMesh, points: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Points with isotropic noise."""
-    return np.asarray(points + rng.normal(0, NOISE * mesh.diagonal, points.shape))
+def noisy(
+    mesh: TriangleMesh,
+    points: FloatArray,
+    rng: np.random.Generator,
+    noise: float = NOISE,
+) -> FloatArray:
+    """Points with isotropic noise, relative to the diagonal."""
+    return np.asarray(points + rng.normal(0, noise * mesh.diagonal, points.shape))
 
 
 def _uniform(
@@ -76,17 +82,30 @@ def _uniform(
 
 # --- a depth camera beside a turntable ----------------------------------------------------------------------
 
-# The camera: views, elevation in degrees, side of its pictures in pixels, and the points of all views.
-N_VIEWS, ELEVATION, PIXELS, N_POINTS = 16, 8.0, 260, 40_000
+
+@dataclass(frozen=True, slots=True)
+class DepthOptions:
+    """A depth camera that is turned round a body; lengths are relative to the height of the body.
+
+    n_views, elevations: views at equal angles, and their angles above the horizon, in turn; degrees.
+    pixels: side of the square pictures; pixels.
+    n_points: largest number of points of all views.
+    step, noise: steps of the depth, and its noise before rounding; those of a body as tall as a person.
+    slip, tilt: errors of the registration of a view: of coordinates, and of angles; degrees.
+    """
+
+    n_views: int = 16
+    elevations: tuple[float, ...] = (8.0,)
+    pixels: int = 260
+    n_points: int = 40_000
+    step: float = 0.002 / 1.7
+    noise: float = 0.0008 / 1.7
+    slip: float = 0.0009 / 1.7
+    tilt: float = 0.06
+
 
 # Angles of incidence at which the first measurements are lost, and all; degrees.
 FIRST_LOST, ALL_LOST = 70.0, 86.0
-
-# Steps of the depth and its noise before rounding, of a body as tall as a person: relative to the height.
-DEPTH_STEP, DEPTH_NOISE = 0.002 / 1.7, 0.0008 / 1.7
-
-# Errors of the registration of a view: of coordinates, relative to the height, and of angles; degrees.
-SLIP, TILT = 0.0009 / 1.7, 0.06
 
 # Share of the height from below that is not seen, and the largest share of it of the scalp, from the crown.
 SOLES, SCALP = 0.02, 0.075
@@ -95,15 +114,33 @@ SOLES, SCALP = 0.02, 0.075
 LOST_HAIR, N_PATCHES, PATCH = (0.3, 0.6), 14, 0.02
 
 
-def _turntable(body: Body, rng: np.random.Generator) -> FloatArray:
-    """Points of all views of one camera, merged with the errors of a registration."""
-    mesh = body.mesh
+def _turntable(
+    body: Body,
+    rng: np.random.Generator,
+    options: DepthOptions = DepthOptions(),
+) -> FloatArray:
+    """Points of all views of one camera, without what such a camera does not see of soles and hair."""
+    mesh, height = body.mesh, _height(body.mesh)
+    points = depth_views(mesh, options, rng)
+    points = points[points[:, 1] > mesh.vertices[:, 1].min() + SOLES * height]
+    if "crown" in body.places:
+        points = points[
+            ~_lost_hair(points, mesh.vertices[body.places["crown"]], height, rng)
+        ]
+    return np.asarray(points[rng.permutation(len(points))[: options.n_points]])
+
+
+def depth_views(
+    mesh: TriangleMesh, options: DepthOptions, rng: np.random.Generator
+) -> FloatArray:
+    """(n, 3) the points of all views, merged with the errors of a registration."""
     height = _height(mesh)
-    rig = RigOptions(n_views=N_VIEWS, elevations=(ELEVATION,))
-    scene, rays = RayScene(mesh.vertices, mesh.faces), _pixel_rays(rig.distance)
+    rig = RigOptions(n_views=options.n_views, elevations=options.elevations)
+    scene = RayScene(mesh.vertices, mesh.faces)
+    rays = _pixel_rays(rig.distance, options.pixels)
     middle = mesh.vertices.mean(axis=0)
     views = []
-    for view in range(N_VIEWS):
+    for view in range(options.n_views):
         pose = camera_pose(mesh, rig, view)
         aimed = rays @ pose[:3, :3].T
         depth, normals, _ = scene.cast(np.broadcast_to(pose[:3, 3], aimed.shape), aimed)
@@ -114,29 +151,23 @@ def _turntable(body: Body, rng: np.random.Generator) -> FloatArray:
         lost = (angle - FIRST_LOST) / (ALL_LOST - FIRST_LOST)
         kept = np.flatnonzero(hit)[rng.random(len(lost)) > lost]
         # A ray has the length 1 along the axis of the camera, so that its measure is the depth.
-        measured = depth[kept] + rng.normal(0, DEPTH_NOISE * height, len(kept))
-        step = DEPTH_STEP * height
+        measured = depth[kept] + rng.normal(0, options.noise * height, len(kept))
+        step = options.step * height
         measured = step * np.round(measured / step)
         points = pose[:3, 3] + measured[:, np.newaxis] * aimed[kept]
-        turn = Rotation.from_euler("xyz", rng.normal(0, TILT, 3), degrees=True)
-        slip = rng.normal(0, SLIP * height, 3)
+        turn = Rotation.from_euler("xyz", rng.normal(0, options.tilt, 3), degrees=True)
+        slip = rng.normal(0, options.slip * height, 3)
         views.append((points - middle) @ turn.as_matrix().T + middle + slip)
-    points = np.concatenate(views)
-    points = points[points[:, 1] > mesh.vertices[:, 1].min() + SOLES * height]
-    if "crown" in body.places:
-        points = points[
-            ~_lost_hair(points, mesh.vertices[body.places["crown"]], height, rng)
-        ]
-    return np.asarray(points[rng.permutation(len(points))[:N_POINTS]])
+    return np.concatenate(views)
 
 
-def _pixel_rays(distance: float) -> FloatArray:
+def _pixel_rays(distance: float, pixels: int) -> FloatArray:
     """(p², 3) rays through the pixels, of which the third coordinate, along the axis, is 1."""
     # The field of view holds the bounding sphere.
     half = 0.5 / np.sqrt(distance**2 - 0.25)
-    ticks = half * ((2 * np.arange(PIXELS) + 1) / PIXELS - 1)
+    ticks = half * ((2 * np.arange(pixels) + 1) / pixels - 1)
     across, down = np.meshgrid(ticks, ticks)
-    return np.column_stack([across.ravel(), down.ravel(), np.ones(PIXELS**2)])
+    return np.column_stack([across.ravel(), down.ravel(), np.ones(pixels**2)])
 
 
 def _lost_hair(
@@ -178,6 +209,91 @@ SENSORS: dict[str, Callable[[Body, np.random.Generator], FloatArray]] = {
     "dense": lambda body, rng: _uniform(body.mesh, 200_000, 0, rng),
 }
 """Sensors by their names: functions that return the points of a body, (n, 3), in its frame."""
+
+
+# --- sensors drawn at random --------------------------------------------------------------------------------
+
+KINDS = ("cameras", "uniform", "turntable", "steps")
+
+# Number of points, of most scans and of one in ten; by their logarithms.
+USUAL_POINTS, MORE_POINTS, SHARE_OF_MORE = (8_000, 60_000), (60_000, 200_000), 0.1
+
+# Noise relative to the diagonal, by its logarithm; and the largest share of strays.
+NOISES, MOST_STRAYS = (0.0002, 0.003), 0.005
+
+# Number of views, and their elevations: one of three is level, one looks down and one looks up; degrees.
+VIEWS, LEVEL, DOWN, UP = (4, 40), (-5.0, 15.0), (15.0, 60.0), (-45.0, -5.0)
+
+# Steps of the depth relative to the height: 1 to 5 mm of a person.
+STEPS = (0.0006, 0.003)
+
+# Number of holes, and their radii relative to the length of the body, by their logarithms.
+MOST_HOLES, RADII = 8, (0.005, 0.04)
+
+# How often a place is not seen, its radius and the height of unseen soles, relative to the height.
+UNSEEN, UNSEEN_RADIUS, UNSEEN_SOLES = 0.25, (0.02, 0.05), (0.005, 0.025)
+
+
+def drawn(kind: str, body: Body, rng: np.random.Generator) -> FloatArray:
+    """(n, 3) the points of a body by a sensor of some kind, whose numbers are drawn at random."""
+    mesh = body.mesh
+    n = round(
+        _between(MORE_POINTS if rng.random() < SHARE_OF_MORE else USUAL_POINTS, rng)
+    )
+    noise, n_views = _between(NOISES, rng), int(rng.integers(VIEWS[0], VIEWS[1] + 1))
+    elevations = tuple(float(rng.uniform(*each)) for each in (LEVEL, DOWN, UP))
+    if kind == "uniform":
+        points = noisy(mesh, outer_points(mesh, n, rng)[0], rng, noise)
+    elif kind == "cameras":
+        rig = RigOptions(
+            n_views=n_views,
+            elevations=elevations,
+            n_points=None,
+            noise=noise,
+            n_holes=0,
+            outlier_share=0.0,
+        )
+        points = scan(mesh, rig, rng).points
+    else:
+        depth = DepthOptions(
+            n_views=max(8, n_views) if kind == "turntable" else n_views,
+            elevations=elevations[:1] if kind == "turntable" else elevations,
+            n_points=n,
+            step=_between(STEPS, rng),
+            noise=noise,
+        )
+        look = _turntable if kind == "turntable" else _seen
+        points = look(body, rng, depth)
+    points = _incomplete(points[rng.permutation(len(points))[:n]], body, rng)
+    n_strays = round(rng.uniform(0, MOST_STRAYS) * len(points))
+    return np.concatenate([points, strays(mesh, n_strays, rng)])
+
+
+def _seen(body: Body, rng: np.random.Generator, options: DepthOptions) -> FloatArray:
+    """Points of a body by a depth camera that loses neither soles nor hair."""
+    return depth_views(body.mesh, options, rng)
+
+
+def _between(limits: tuple[float, float], rng: np.random.Generator) -> float:
+    """A number between two limits, whose logarithm is uniform."""
+    return float(np.exp(rng.uniform(*np.log(limits))))
+
+
+def _incomplete(points: FloatArray, body: Body, rng: np.random.Generator) -> FloatArray:
+    """Points of a scan without holes, and sometimes without the soles and the places of a body."""
+    mesh, height, length = body.mesh, _height(body.mesh), _length(body.mesh)
+    kept = np.ones(len(points), dtype=bool)
+    for centre in uniform_points(mesh, int(rng.integers(MOST_HOLES + 1)), rng)[0]:
+        kept &= outside_holes(points, centre[np.newaxis], _between(RADII, rng) * length)
+    for vertex in body.places.values():
+        if rng.random() < UNSEEN:
+            radius = float(rng.uniform(*UNSEEN_RADIUS)) * height
+            kept &= outside_holes(points, mesh.vertices[[vertex]], radius)
+    if rng.random() < UNSEEN:
+        kept &= points[:, 1] > mesh.vertices[:, 1].min() + height * rng.uniform(
+            *UNSEEN_SOLES
+        )
+    return np.asarray(points[kept])
 
 
 # --- damages ------------------------------------------------------------------------------------------------
