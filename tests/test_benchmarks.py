@@ -26,10 +26,13 @@ from benchmarks.paper.spectra import (
     unit_area_spectrum,
 )
 from benchmarks.people import POSES, joints
+from benchmarks.recognition import Scans
 from benchmarks.sensors import KINDS, MORE_POINTS, SENSORS, USUAL_POINTS, drawn, left_by
+from benchmarks.transfer import found_by, mixed, without
 
 from pcretrieve import ModalSpectrum, write_mesh
 from pcretrieve.points.neighbors import nearest
+from pcretrieve.retrieval import fit_whitening
 from pcretrieve.values.topology import defects
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
@@ -253,3 +256,50 @@ def test_wider_poses_bend_knees_and_elbows_one_way(pose: str) -> None:
         for side in "LR":
             assert all(turn[f"lowerleg01.{side}"].as_rotvec()[0] >= 0 for turn in turns)
     assert drawn_angles[1.3].std() > drawn_angles[1.0].std()
+
+
+def scans_of_people(n_people: int, spread: float) -> Scans:
+    """Scans of people by four kinds of sensors, the parts of whose coordinates differ by a spread."""
+    rng = np.random.default_rng(0)
+    person = np.repeat(np.arange(n_people), len(KINDS))
+    parts = {
+        name: rng.normal(0, spread, (len(person), length)) + person[:, np.newaxis]
+        for name, length in (("hapt", 45), ("r-bihdm", 59), ("size", 1))
+    }
+    ids = [f"person-5-0_{n}_walk_{kind}_whole" for n in range(n_people) for kind in KINDS]
+    return Scans(parts, person, np.array(ids))
+
+
+def test_a_metric_that_is_mixed_keeps_what_people_differ_by() -> None:
+    scans = scans_of_people(60, 0.5)
+    unit = np.eye(105)
+    arrays = {"within": unit, "total": 3 * unit, "scale": np.ones(105)}
+    assert mixed(arrays, scans, 0.0) == arrays
+    found = mixed(arrays, scans, 0.5)
+    # The variance within these people is a quarter, of which sampling and the shrinkage leave about 3 %.
+    assert np.diag(found["within"]).mean() == pytest.approx(0.5 + 0.5 * 0.25, rel=0.03)
+    assert found["total"] - found["within"] == pytest.approx(2 * unit)
+
+
+def test_a_sensor_that_is_left_out_teaches_nothing() -> None:
+    scans = scans_of_people(10, 0.5)
+    for family, n_kinds in (("uniform", 3), ("depth", 2)):
+        rest = without(scans, family, fold=0)
+        # Two of ten people are in the fold.
+        assert len(rest.person) == 8 * n_kinds == len(rest.ids)
+        assert (np.bincount(rest.person) == n_kinds).all()
+    assert not any("uniform" in name for name in without(scans, "uniform").ids)
+
+
+def test_queries_are_compared_with_all_other_scans_or_those_by_other_sensors() -> None:
+    # Two scans of one person, of which another person's by the second sensor is nearer to the first.
+    points = np.array([[0.0], [2.0], [1.0], [9.0]])
+    person, sensor = np.array([0, 0, 1, 1]), np.array(["a", "b", "b", "a"])
+    metric = fit_whitening("none", points)
+    every = np.ones(4, dtype=bool)
+    among_all = found_by(metric, points, person, queries=every)
+    assert among_all.right.tolist() == [False, False, False, False]
+    assert sorted(among_all.same) == [2, 2, 8, 8]
+    crossed = found_by(metric, points, person, queries=every, sensor=sensor)
+    assert crossed.apart.tolist() == [1, 7, 1, 7]
+    assert crossed.right.tolist() == [False, True, False, False]

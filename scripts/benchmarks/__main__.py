@@ -35,6 +35,7 @@ BENCHMARKS = {
         "speed",
         "scans, eigenpairs and searches, beside the textbook's chain, LaPy and faiss",
     ),
+    "transfer": ("transfer", "the metric of people on a sensor that taught it nothing"),
     # Not of speed or quality: what these make or count is part of the repository.
     "house": ("house", "the size of the house; as scripts/house"),
     "make_people": ("people", "raw scans of simulated people; as scripts/make_people"),

@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import hypergeom
 from sklearn.neural_network import MLPRegressor
 
@@ -100,10 +101,14 @@ class SensorScans(NamedTuple):
 
 
 class Scans(NamedTuple):
-    """Coordinates of the three parts (n, 45), (n, 59), (n, 1), and the person (n,) of each of n scans."""
+    """Coordinates of the three parts (n, 45), (n, 59), (n, 1), and the person (n,) of each of n scans.
+
+    ids: (n,) of the shapes; files of `make_people --sensors` have the sensor in their names.
+    """
 
     parts: dict[str, FloatArray]
     person: Positions
+    ids: NDArray[np.str_]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -187,7 +192,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def scans_of(catalogues: Sequence[Path]) -> Scans:
     """The coordinates of all scans of some catalogues, of which no two have a person in common."""
     parts: dict[str, list[FloatArray]] = {"hapt": [], "r-bihdm": [], "size": []}
-    labels: list[str] = []
+    labels, ids = list[str](), list[str]()
     for number, path in enumerate(catalogues):
         with Catalogue(path) as catalogue:
             for method in BEGINS:
@@ -204,13 +209,31 @@ def scans_of(catalogues: Sequence[Path]) -> Scans:
                 np.log(np.array([[areas[shape_id]] for shape_id in table.ids]))
             )
             labels += [f"{number} {label}" for label in table.labels]
+            ids += table.ids
     person = np.unique(labels, return_inverse=True)[1]
-    return Scans({name: np.concatenate(blocks) for name, blocks in parts.items()}, person)
+    joined = {name: np.concatenate(blocks) for name, blocks in parts.items()}
+    return Scans(joined, person, np.array(ids))
 
 
 # Shrinkage of the covariance within people towards its own diagonal, and least variance within people
 # relative to the mean: some bins of hapt are empty for nearly all people.
 SHRINKAGE, LEAST = 0.03, 1e-3
+
+
+def people_means(points: FloatArray, person: Positions) -> tuple[FloatArray, FloatArray]:
+    """(p, L) means of the coordinates (n, L) of each person, and (L, L) the covariance within people."""
+    n_of = np.bincount(person)
+    sums = np.stack([np.bincount(person, column) for column in points.T], axis=1)
+    means = sums / n_of[:, np.newaxis]
+    apart = points - means[person]
+    return means, apart.T @ apart / (len(points) - len(n_of))
+
+
+def shrunk_within(within: FloatArray) -> FloatArray:
+    """A covariance within people, shrunk, and with a least variance."""
+    variances = np.diag(within)
+    floor = LEAST * variances.mean() * np.eye(len(within))
+    return np.asarray((1 - SHRINKAGE) * within + SHRINKAGE * np.diag(variances) + floor)
 
 
 def learned(scans: Scans) -> dict[str, FloatArray]:
@@ -221,15 +244,8 @@ def learned(scans: Scans) -> dict[str, FloatArray]:
     scale = np.repeat(scale, [part.shape[1] for part in scans.parts.values()])
     points = np.concatenate(list(scans.parts.values()), axis=1) / scale
     n_of = np.bincount(scans.person)
-    means = (
-        np.stack([np.bincount(scans.person, column) for column in points.T], axis=1)
-        / n_of[:, None]
-    )
-    apart = points - means[scans.person]
-    within = apart.T @ apart / (len(points) - len(n_of))
-    variances = np.diag(within)
-    floor = LEAST * variances.mean() * np.eye(len(within))
-    shrunk = (1 - SHRINKAGE) * within + SHRINKAGE * np.diag(variances) + floor
+    means, within = people_means(points, scans.person)
+    shrunk = shrunk_within(within)
     # The covariance between people without that of the means of a few scans.
     between = np.cov(means.T) - within * (1 / n_of).mean()
     weights, directions = np.linalg.eigh(between)
@@ -524,7 +540,8 @@ def _some(scans: Scans, chosen: Positions) -> Scans:
     """The scans of some people."""
     rows = np.isin(scans.person, chosen)
     person = np.unique(scans.person[rows], return_inverse=True)[1]
-    return Scans({name: part[rows] for name, part in scans.parts.items()}, person)
+    parts = {name: part[rows] for name, part in scans.parts.items()}
+    return Scans(parts, person, scans.ids[rows])
 
 
 def _lines(

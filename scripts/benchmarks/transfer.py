@@ -1,0 +1,283 @@
+"""Print how the metric of people fares on a sensor that taught it nothing, and learn from several sensors.
+
+    scripts/make_people --out many --people 400 --seed 5 --poses 4 --sensors cameras uniform turntable steps
+    pcretrieve ingest many --labels many/labels.csv -c many.sqlite
+    scripts/benchmark transfer many.sqlite                      # each kind of sensor left out once
+    scripts/make_people --out bodies --people 200 --seed 48 --bodies
+    scripts/benchmark transfer many.sqlite --anny bodies        # the same of others, by sensors of benchmarks
+    scripts/benchmark transfer many.sqlite --learn --share .2   # writes pcretrieve/retrieval/people.npz
+
+The covariance within people of the package, from nine cameras, gets a share of the covariance of scans whose
+sensors, poses and damages were drawn at random. What people differ by does not depend on the sensor, so that
+the covariance between people stays. A share of 0 is the metric of the package.
+
+The people of the scans are cut into five folds. A metric that learned from four of them, without one kind of
+sensor, ranks the scans of the fifth; queries are those by the kind that was left out. "crossed" finds each
+scan of other people among scans by all other sensors.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+import pcretrieve.retrieval
+from benchmarks.bodies import Mask
+from benchmarks.measuring import Column, Table, argument_parser, print_lines
+from benchmarks.recognition import (
+    ACCEPTED,
+    Scans,
+    SensorScans,
+    fused_points,
+    people_means,
+    scans_by,
+    scans_of,
+    shrunk_within,
+)
+from benchmarks.sensors import KINDS, SENSORS
+from pcretrieve.errors import BenchmarkError
+from pcretrieve.evaluation.measures import verification
+from pcretrieve.options import SignatureOptions
+from pcretrieve.retrieval import Positions, Whitening, fit_whitening, people
+from pcretrieve.retrieval.people import SAMPLE
+from pcretrieve.values import FloatArray
+from pcretrieve.values.files import write_file
+
+# Kinds that have the same errors are left out together.
+FAMILIES = {
+    "cameras": ("cameras",),
+    "uniform": ("uniform",),
+    "depth": ("turntable", "steps"),
+}
+
+# The family of a sensor of benchmarks.sensors.
+FAMILY_OF = {
+    "nine": "cameras",
+    "uniform": "uniform",
+    "sparse": "uniform",
+    "dense": "uniform",
+    "turntable": "depth",
+}
+
+N_FOLDS = 5
+
+TABLE = Table(
+    Column("left out", 10, align="<"),
+    Column("share", 5, ".2f"),
+    Column("taught", 6, ",d"),
+    Column("queries", 7, ",d"),
+    *(Column(title, 7, ".4f") for title in ("rank-1", "EER", "FNMR")),
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the tables, or learn."""
+    parser = argument_parser(__doc__)
+    parser.add_argument(
+        "catalogues", nargs="+", type=Path, help="catalogues of make_people --sensors"
+    )
+    parser.add_argument(
+        "--anny", type=Path, help="bodies of other people (make_people --bodies)"
+    )
+    parser.add_argument(
+        "--limit", type=int, default=200, help="people of --anny (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--sensors",
+        nargs="+",
+        choices=SENSORS,
+        default=["turntable", "uniform", "nine"],
+        help="sensors of --anny",
+    )
+    parser.add_argument(
+        "--share",
+        nargs="+",
+        type=float,
+        default=[0.0, 0.1, 0.2, 0.4],
+        help="shares of the new covariance (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--learn", action="store_true", help="write the metric of the first share"
+    )
+    given = parser.parse_args(arguments)
+    target = Path(pcretrieve.retrieval.__file__).with_name(SAMPLE)
+    arrays = {name: array.astype(float) for name, array in np.load(target).items()}
+    scans = scans_of(given.catalogues)
+    if given.learn:
+        learned = mixed(arrays, scans, given.share[0])
+        packed = io.BytesIO()
+        whole = {name: array.astype(np.float32) for name, array in learned.items()}
+        np.savez_compressed(packed, allow_pickle=False, **whole)
+        write_file(target, packed.getvalue())
+        return
+    print_lines(lines_of_kinds(scans, arrays, given.share))
+    if given.anny:
+        unseen = {name: scans_by(name, given.anny, given.limit) for name in given.sensors}
+        print_lines(lines_of_sensors(scans, unseen, arrays, given.share))
+
+
+def kinds_of(ids: Sequence[str]) -> list[str]:
+    """The kinds of sensors in names of files of `make_people --sensors`."""
+    kinds = [next((kind for kind in KINDS if f"_{kind}_" in name), "") for name in ids]
+    if not all(kinds):
+        raise BenchmarkError(
+            f"the scan {ids[kinds.index('')]} must have its sensor in its name: write scans with "
+            "make_people --sensors"
+        )
+    return kinds
+
+
+def mixed(
+    arrays: Mapping[str, FloatArray], scans: Scans, share: float
+) -> dict[str, FloatArray]:
+    """The arrays of `SAMPLE`, whose covariance within people has a share of that of some scans."""
+    if not share:
+        return dict(arrays)
+    points = np.concatenate(list(scans.parts.values()), axis=1) / arrays["scale"]
+    own = shrunk_within(people_means(points, scans.person)[1])
+    within = (1 - share) * arrays["within"] + share * own
+    total = arrays["total"] - arrays["within"] + within
+    return dict(arrays) | {"within": within, "total": total}
+
+
+def without(scans: Scans, family: str, fold: int | None = None) -> Scans:
+    """Scans by other kinds of sensors, of people of other folds; those of people with two of them."""
+    rows = ~np.isin(kinds_of(scans.ids.tolist()), FAMILIES[family])
+    if fold is not None:
+        rows &= scans.person % N_FOLDS != fold
+    rows &= (
+        np.bincount(scans.person[rows], minlength=scans.person.max() + 1)[scans.person]
+        > 1
+    )
+    person = np.unique(scans.person[rows], return_inverse=True)[1]
+    parts = {name: part[rows] for name, part in scans.parts.items()}
+    return Scans(parts, person, scans.ids[rows])
+
+
+def metric_of(arrays: Mapping[str, FloatArray]) -> Whitening:
+    """The whitening of people by the arrays of `SAMPLE`, for the default signature."""
+    known = people(SignatureOptions(), arrays)
+    if known is None:
+        raise TypeError("the metric of people must be known for the default signature")
+    return fit_whitening("people", known.mean[np.newaxis], people=known)
+
+
+class Found(NamedTuple):
+    """Distances of queries to scans of their people, to those of others, and whether the nearest is right."""
+
+    same: FloatArray
+    apart: FloatArray
+    right: FloatArray
+
+    def rates(self) -> tuple[int, float, float, float]:
+        """The number of queries, rank-1, the equal error rate and FNMR."""
+        pairs = verification(np.sort(self.same), np.sort(self.apart))
+        if pairs is None:
+            raise BenchmarkError(
+                f"each fold must have two people by each kind of sensor: give {10 * N_FOLDS} people"
+            )
+        right = float(self.right.mean())
+        return len(self.right), right, pairs.equal_error, pairs.missed(ACCEPTED)
+
+
+def joined(found: Collection[Found]) -> Found:
+    """The results of several rankings as one."""
+    return Found(*(np.concatenate(part) for part in zip(*found, strict=True)))
+
+
+def found_by(
+    metric: Whitening,
+    points: FloatArray,
+    person: Positions,
+    *,
+    queries: Mask,
+    sensor: NDArray[np.str_] | None = None,
+) -> Found:
+    """Compare queries, a mask (n,), with all scans; if sensors are given, with those by others only."""
+    placed = metric.apply(points)
+    same, apart, right = list[FloatArray](), list[FloatArray](), list[bool]()
+    for row in np.flatnonzero(queries):
+        gaps = np.linalg.norm(placed - placed[row], axis=1)
+        others = np.arange(len(points)) != row
+        if sensor is not None:
+            others &= sensor != sensor[row]
+        own, strange = (
+            gaps[others & (person == person[row])],
+            gaps[others & (person != person[row])],
+        )
+        if len(own) and len(strange):
+            same.append(own)
+            apart.append(strange)
+            right.append(bool(own.min() < strange.min()))
+    if not right:
+        return Found(np.zeros(0), np.zeros(0), np.zeros(0))
+    return Found(
+        np.concatenate(same), np.concatenate(apart), np.array(right, dtype=float)
+    )
+
+
+def lines_of_kinds(
+    scans: Scans, arrays: Mapping[str, FloatArray], shares: Sequence[float]
+) -> Iterator[str]:
+    """The table of scans by kinds of sensors that were left out, of people of the fold that was left out."""
+    points = fused_points(scans.parts, SignatureOptions())
+    kind = np.array(kinds_of(scans.ids.tolist()))
+    yield f"{len(points):,} scans of {scans.person.max() + 1:,} people"
+    yield TABLE.head
+    for family, kinds in FAMILIES.items():
+        for share in shares:
+            found, n_taught = [], 0
+            for fold in range(N_FOLDS):
+                teaching = without(scans, family, fold)
+                n_taught += len(teaching.person)
+                rows = scans.person % N_FOLDS == fold
+                metric = metric_of(mixed(arrays, teaching, share))
+                queries = np.isin(kind[rows], kinds)
+                found.append(
+                    found_by(metric, points[rows], scans.person[rows], queries=queries)
+                )
+            yield TABLE.row(family, share, n_taught // N_FOLDS, *joined(found).rates())
+
+
+def lines_of_sensors(
+    scans: Scans,
+    unseen: Mapping[str, SensorScans],
+    arrays: Mapping[str, FloatArray],
+    shares: Sequence[float],
+) -> Iterator[str]:
+    """The table of people who taught nothing, by sensors that taught nothing; and crossed."""
+    yield TABLE.head
+    for name, each in unseen.items():
+        for share in shares:
+            teaching = without(scans, FAMILY_OF[name])
+            metric = metric_of(mixed(arrays, teaching, share))
+            every = np.ones(len(each.points), dtype=bool)
+            found = found_by(metric, each.points, each.person, queries=every)
+            yield TABLE.row(name, share, len(teaching.person), *found.rates())
+    for share in shares:
+        found = crossed(scans, unseen, arrays, share)
+        yield TABLE.row("crossed", share, 0, *found.rates())
+
+
+def crossed(
+    scans: Scans,
+    unseen: Mapping[str, SensorScans],
+    arrays: Mapping[str, FloatArray],
+    share: float,
+) -> Found:
+    """Scans by each sensor among those by all others; the metric has not seen the sensor of the query."""
+    points = np.concatenate([each.points for each in unseen.values()])
+    person = np.concatenate([each.person for each in unseen.values()])
+    sensor = np.repeat([*unseen], [len(each.points) for each in unseen.values()])
+    found = []
+    for name in unseen:
+        metric = metric_of(mixed(arrays, without(scans, FAMILY_OF[name]), share))
+        found.append(
+            found_by(metric, points, person, queries=sensor == name, sensor=sensor)
+        )
+    return joined(found)
