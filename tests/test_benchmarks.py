@@ -283,12 +283,12 @@ def test_a_metric_that_is_mixed_keeps_what_people_differ_by() -> None:
 
 def test_a_sensor_that_is_left_out_teaches_nothing() -> None:
     scans = scans_of_people(10, 0.5)
-    for family, n_kinds in (("uniform", 3), ("depth", 2)):
-        rest = without(scans, family, fold=0)
+    for kinds, n_kinds in ((["uniform"], 3), (["turntable", "steps"], 2)):
+        rest = without(scans, kinds, fold=0)
         # Two of ten people are in the fold.
         assert len(rest.person) == 8 * n_kinds == len(rest.ids)
         assert (np.bincount(rest.person) == n_kinds).all()
-    assert not any("uniform" in name for name in without(scans, "uniform").ids)
+    assert not any("uniform" in name for name in without(scans, ["uniform"]).ids)
 
 
 def test_queries_are_compared_with_all_other_scans_or_those_by_other_sensors() -> None:
@@ -297,9 +297,13 @@ def test_queries_are_compared_with_all_other_scans_or_those_by_other_sensors() -
     person, sensor = np.array([0, 0, 1, 1]), np.array(["a", "b", "b", "a"])
     metric = fit_whitening("none", points)
     every = np.ones(4, dtype=bool)
-    among_all = found_by(metric, points, person, queries=every)
+    # One of ten strangers is nearer to 0 than 2 is, none nearer to 2 than 0 is.
+    others = np.array([[1.5], *([[50.0]] * 9)])
+    among_all = found_by(metric, points, person, queries=every, others=others)
     assert among_all.right.tolist() == [False, False, False, False]
     assert sorted(among_all.same) == [2, 2, 8, 8]
-    crossed = found_by(metric, points, person, queries=every, sensor=sensor)
+    crossed = found_by(
+        metric, points, person, queries=every, others=others, sensor=sensor
+    )
     assert crossed.apart.tolist() == [1, 7, 1, 7]
     assert crossed.right.tolist() == [False, True, False, False]
