@@ -84,7 +84,10 @@ from .ingestion.views import merge_views as merge_views
 from .options import MergeOptions as MergeOptions, PipelineOptions as PipelineOptions
 from .pages.inspection_page import inspect as inspect
 from .pages.map_page import draw_map as draw_map
-from .pages.queries_page import query_page as query_page
+from .pages.queries_page import (
+    duplicates_page as duplicates_page,
+    query_page as query_page,
+)
 from .pages.retrieval_page import report as report
 from .pipeline.process import (
     clean as clean,

@@ -62,6 +62,20 @@ def write_eggs(path: Path) -> None:
         )
 
 
+def write_many(path: Path) -> Path:
+    """A catalogue of two eggs of each of fourteen kinds."""
+    with Catalogue(path, OPTIONS, create=True) as store:
+        for kind in range(14):
+            for number in range(2):
+                size = (1 + 0.02 * number, 1, 1.3 + 0.1 * kind)
+                shape = process(shapes.ellipsoid(size, 2), OPTIONS)
+                name = f"Egg{kind}-{number}"
+                record = Record(name, f"/{name}.off", name, f"kind {kind}")
+                values = describe(shape, OPTIONS.signature).values
+                store.put(record, Content(shape, values))
+    return path
+
+
 def egg(folder: Path, width: float = 1.06) -> bytes:
     """An egg that is not in the catalogue, which is `egg.off` in a folder too."""
     write_mesh(shapes.ellipsoid((width, 1, 1.8), 3), folder / "egg.off")

@@ -194,10 +194,10 @@ class Rows:
         """The class of each shape, including failed ones, by id in ascending order."""
         return dict(self._all("SELECT id, label FROM shapes ORDER BY id"))
 
-    def classes(self, most: int) -> list[str]:
-        """The names of some classes, in no order: all, if they are at most so many."""
-        query = "SELECT DISTINCT label FROM shapes WHERE label IS NOT NULL LIMIT ?"
-        return [label for (label,) in self._all(query, [most])]
+    def classes(self, most: int) -> dict[str, int]:
+        """The sizes of some classes, in no order: of all, if they are at most so many."""
+        query = "SELECT label, count(*) FROM shapes WHERE label IS NOT NULL GROUP BY label LIMIT ?"
+        return dict(self._all(query, [most]))
 
     def wanted(
         self,

@@ -296,7 +296,7 @@ def duplicates_command(
     pairs = pr.duplicates(store, options=options, threshold=threshold)
     if page is not None:
         compared = options.of_copies if threshold is None else options
-        written = pr.query_page(store, pairs, page, options=compared)
+        written = pr.duplicates_page(store, pairs, page, options=compared)
         say(f"page: {shown_path(str(written))}", is_broken=False)
     rows = (
         (f"{one.distance:#.4g}", f"{one.limit:#.4g}", one.first, one.second)
@@ -347,6 +347,11 @@ def serve_command(
         "Let people keep their scans: files in this folder, shapes in the catalogue.",
         click.Path(exists=True, file_okay=False, writable=True, path_type=Path),
     ),
+    export: Path | None = option(
+        "--export FOLDER",
+        "Write the pages to a new folder, to mail or to put on a web server.",
+        click.Path(file_okay=False, path_type=Path),
+    ),
     max_upload: int = option(
         "--max-upload MB", "Refuse larger scans from browsers.", COUNT, default=200
     ),
@@ -374,9 +379,10 @@ def serve_command(
     \b
     pcretrieve serve --catalogue bodies.sqlite
     pcretrieve serve --catalogue bodies.sqlite --port 0 --keep scans/
+    pcretrieve serve --catalogue bodies.sqlite --export site/
     """
-    if read_only and keep is not None:
-        raise click.UsageError("choose one of --read-only and --keep")
+    if (read_only or export) and keep is not None:
+        raise click.UsageError("choose one of --read-only, --export and --keep")
     with pr.Catalogue(catalogue) as store:
         options = comparison.options(store.options)
     pr.serve(
@@ -385,12 +391,15 @@ def serve_command(
         port=port,
         read_only=read_only,
         keep=keep,
+        export=export,
         most_bytes=max_upload * MEGABYTE,
         timeout=timeout,
         memory=memory,
         up=up,
         on_start=_say_address,
     )
+    if export is not None:
+        write_lines(shown_path(str(export / "index.html")))
 
 
 def _say_address(address: str) -> None:

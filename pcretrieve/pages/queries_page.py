@@ -9,21 +9,19 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import pcretrieve as pr
 from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import write_page
 from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.values.files import check_target
 
-# Two near shapes, their distance and its limit.
-Pair = tuple[str, str, float, float]
+# Number of pairs that prove that there are no duplicates.
+N_PROOFS = 3
 
 
 def query_page(
     catalogue: pr.Catalogue | str | Path,
-    queries: str | Path | Iterable[str | Path | pr.Signature | Pair],
+    queries: str | Path | Iterable[str | Path | pr.Signature],
     path: str | Path,
     *,
     options: OptionsLike = None,
@@ -40,8 +38,7 @@ def query_page(
     catalogue : Catalogue, str or Path
         The catalogue that is searched.
     queries : str, Path, or iterable of str, Path or Signature
-        As for `search_many`. Scans that fail are listed on the page, with the reasons. Or the pairs that
-        `duplicates` has found, which are shown side by side.
+        As for `search_many`. Scans that fail are listed on the page, with the reasons.
     path : str or Path
         The HTML file. It needs no other file.
     options : OptionsLike, optional
@@ -72,10 +69,8 @@ def query_page(
         named = (one for one in (store.location, *many) if isinstance(one, (str, Path)))
         check_target(Path(path), [*map(Path, named)])
         thumbnails = Thumbnails(store, up)
-        pairs = [_paired(store, one) for one in many if isinstance(one, tuple)]
-        alone = [one for one in many if not isinstance(one, tuple)]
         asked |= {"options": chosen, "has_pictures": True, "up": thumbnails.up}
-        outcomes = pairs + list(pr.search_many(store, alone, **asked))
+        outcomes = list(pr.search_many(store, many, **asked))
         compared = {
             name: asked[name]
             for name in ("matrix", "labels", "min_score")
@@ -84,7 +79,9 @@ def query_page(
         written = write_page(
             path,
             "query.html",
-            title=_title(outcomes, "pairs" if pairs else "queries"),
+            title=Path(outcomes[0][0]).name
+            if len(outcomes) == 1
+            else f"{len(outcomes)} scans",
             catalogue=Path(store.location).name,
             panels=[
                 {"name": name} | _panel(store, one, thumbnails)
@@ -102,19 +99,79 @@ def query_page(
         return written
 
 
-def _title(outcomes: Sequence[tuple[str, object]], what: str) -> str:
-    """The name of the only query, or how many there are."""
-    if len(outcomes) == 1:
-        return Path(outcomes[0][0]).name
-    return f"{len(outcomes)} {what}"
+def duplicates_page(
+    catalogue: pr.Catalogue | str | Path,
+    pairs: Sequence[tuple[str, str, float, float]],
+    path: str | Path,
+    *,
+    options: OptionsLike = None,
+    up: str | None = None,
+) -> Path:
+    """Show the pairs that `duplicates` has found side by side on an HTML page.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The catalogue that was searched.
+    pairs : sequence of NearPair
+        The pairs. If there are none, the page shows the nearest pairs as a proof.
+    path : str or Path
+        The HTML file. It needs no other file.
+    options : OptionsLike, optional
+        Signature, distance and whitening by which the shapes were compared.
+    up : {"x", "-x", "y", "-y", "z", "-z"}, optional
+        The axis of the files that points upwards on pictures; by default found for each shape.
+
+    Returns
+    -------
+    Path
+        Absolute path of the page.
+
+    Raises
+    ------
+    CatalogueError
+        If the options require other spectra than the catalogue has.
+    InputError
+        If the page cannot be written.
+    """
+    with pr.Catalogue.opened(catalogue) as store:
+        chosen = pr.PipelineOptions.of(options, store.options)
+        check_target(Path(path), [Path(store.location)])
+        thumbnails = Thumbnails(store, up)
+        shown = [pair[:3] for pair in pairs] or _nearest_pairs(store, chosen)
+        names = {name for pair in shown for name in pair[:2]}
+        cards = {
+            record.id: (record, thumbnails.of(store, record))
+            for record in store.rows.several(names)
+        }
+        return write_page(
+            path,
+            "duplicates.html",
+            title=f"Duplicates in {Path(store.location).name}",
+            n_shapes=len(store),
+            n_found=len(pairs),
+            limit=pairs[0][3] if pairs else None,
+            pairs=[(cards[one], cards[other], gap) for one, other, gap in shown],
+            settings=settings_in_words(store, chosen) if len(store) else {},
+            version=pr.__version__,
+        )
 
 
-def _paired(catalogue: pr.Catalogue, pair: Pair) -> tuple[str, pr.Answer]:
-    """A pair as a query with one answer."""
-    first, second, distance, limit = pair
-    found = pr.Neighbors((second,), np.array([distance]))
-    name = f"{first} and {second}, less than {limit:#.3g} apart"
-    return name, pr.Answer(found, (catalogue.record(second),), query=first)
+def _nearest_pairs(
+    catalogue: pr.Catalogue, options: pr.PipelineOptions
+) -> list[tuple[str, str, float]]:
+    """The nearest pairs of all shapes, nearest first."""
+    if len(catalogue) < 2:
+        return []
+    made = pr.index(catalogue, options=options)
+    gaps: dict[tuple[str, str], float] = {}
+    for one in made.ids:
+        near = made.nearest(one, N_PROOFS + 1)
+        for other, gap in zip(near.ids, near.distances.tolist(), strict=True):
+            if other != one:
+                gaps[min(one, other), max(one, other)] = gap
+    ranked = sorted(gaps.items(), key=lambda pair: (pair[1], pair[0]))
+    return [(*pair, gap) for pair, gap in ranked[:N_PROOFS]]
 
 
 def settings_in_words(

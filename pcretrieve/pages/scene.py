@@ -18,10 +18,13 @@ from pcretrieve.values import FloatArray, RayScene, unit_vectors
 #: outliers are left out. Relative to the radius of the bounding ball of the body.
 VIEWER_SIZE = 1.25
 
-# Colours where a body is thicker and thinner than another one; the difference with the full colour, 6 cm of a
-# person, relative to the root of its area; the number of eigenpairs, and of places that are alike.
+# Colours where a body is as thick as another one, thicker and thinner. Differences relative to the root of
+# the area: that of three quarters of the skin of one person in two scans, which has no colour, and that of
+# the full colour, 6 cm of a person. The number of eigenpairs, and of places that are alike.
+ALIKE = np.array([0.93, 0.93, 0.91])
 THICKER = np.array([0.75, 0.15, 0.10])
 THINNER = np.array([0.12, 0.30, 0.75])
+USUAL = 0.0085
 FULL_COLOUR = 0.045
 N_PAIRS = 61
 N_ALIKE = 20
@@ -74,15 +77,15 @@ def surface_scene(
 ) -> dict[str, Any]:
     """A surface as the only layer, seen from its front; without `up`, this is found from the surface.
 
-    other: a surface to compare with: faces are red where this one is thicker, and blue where it is thinner.
+    other: a surface to compare with, in the same unit: faces are red where this one is thicker, blue where it
+        is thinner, and white where the difference is usual for one person.
     """
     cube, faces = Cube.around(mesh.vertices), encoded(mesh.faces.astype("<u4").tobytes())
     layer = cube.layer("surface", "surface", mesh.vertices, CLAY, width=0, faces=faces)
     if other is not None:
-        share = np.clip(thicker(mesh, other) / (FULL_COLOUR * mesh.area**0.5), -1, 1)[
-            :, None
-        ]  # (m, 1)
-        tints = CLAY + abs(share) * (np.where(share > 0, THICKER, THINNER) - CLAY)
+        differs = (thicker(mesh, other) / mesh.area**0.5)[:, None]  # (m, 1)
+        share = np.clip((abs(differs) - USUAL) / (FULL_COLOUR - USUAL), 0, 1)
+        tints = ALIKE + share * (np.where(differs > 0, THICKER, THINNER) - ALIKE)
         layer["tints"] = encoded(np.round(255 * tints).astype(np.uint8).tobytes())
     axes = body_axes(mesh.vertices, mesh.faces, up).tolist()
     return {"layers": [layer], "on": ["surface"], "axes": axes, "zoom": VIEWER_SIZE}

@@ -13,6 +13,7 @@ from collections import OrderedDict
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from pathlib import Path
 from threading import Barrier, local
 from typing import Any, TypeVar
 from urllib.parse import parse_qsl, quote, unquote
@@ -73,6 +74,9 @@ MOST_ANSWERS = 100
 # half a megabyte, and a tenth of a second, on each page.
 MOST_CLASSES = 500
 
+# Largest number of other scans of a class on the page of a shape.
+MOST_OTHERS = 24
+
 # Largest size of a form; bytes.
 LONGEST_FORM = 10_000
 
@@ -121,7 +125,7 @@ class Answers:
     def __init__(self) -> None:
         self._kept: OrderedDict[object, tuple[float, object, Response]] = OrderedDict()
 
-    def of(self, asked: _Asked, answer: Callable[[_Asked], Response]) -> Response:
+    def of(self, asked: Asked, answer: Callable[[Asked], Response]) -> Response:
         """The answer to a request: that to an earlier one, if it would be the same."""
         scope, pictures = asked.request.scope, asked.site.thumbnails
         address = scope["path"], scope["query_string"]
@@ -152,6 +156,7 @@ class Site:
     thumbnails: Thumbnails
     maps: Maps
     answers: Answers = field(default_factory=Answers)
+    exported: bool = False
 
     @property
     def jobs(self) -> Jobs:
@@ -175,7 +180,7 @@ class Site:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Asked:
+class Asked:
     """A request that a reader of the catalogue answers."""
 
     site: Site
@@ -185,31 +190,34 @@ class _Asked:
 
     @property
     def name(self) -> str:
+        """The id of a shape or of a job in the path."""
         return _name(self.request)
 
     @property
     def record(self) -> Record:
+        """The shape of the path."""
         return record_of(self.catalogue, self.name)
 
     @property
     def job(self) -> Job:
+        """The uploaded scan of the path."""
         return self.site.jobs.job(self.name)
 
     @property
-    def classes(self) -> list[str] | None:
-        """The classes that can be chosen; None if they are too many."""
+    def classes(self) -> dict[str, int] | None:
+        """The classes that can be chosen, and their sizes; None if they are too many."""
         found = self.catalogue.rows.classes(MOST_CLASSES + 1)
-        return sorted(found) if len(found) <= MOST_CLASSES else None
+        return dict(sorted(found.items())) if len(found) <= MOST_CLASSES else None
 
     @property
     def similar(self) -> Similar:
+        """What is asked of its neighbours."""
         return Similar.of(self.request.query_params)
 
     def page(self, template: str, **context: Any) -> Response:
         """A page by a template."""
-        return HTMLResponse(
-            page_of(template, title=self.site.title, **context), headers=FRESH
-        )
+        site = {"title": self.site.title, "exported": self.site.exported}
+        return HTMLResponse(page_of(template, **site, **context), headers=FRESH)
 
     def answer(self, job: Job | None = None) -> Answer:
         """The neighbours of the scan of a job, or else of the shape that the path names."""
@@ -250,12 +258,12 @@ class _Json(JSONResponse):
 # --- pages ------------------------------------------------------------------------------------------------
 
 
-def _collection(asked: _Asked) -> Response:
+def _collection(asked: Asked) -> Response:
     listing = Listing.of(asked.request.query_params)
     return asked.page(
         "collection.html",
         listing=listing,
-        found=listing_document(asked.catalogue, listing),
+        found=listing_document(asked.catalogue, listing, whole=asked.site.exported),
         classes=asked.classes,
         suffixes=() if asked.site.given_jobs is None else ONE_FILE,
         most_bytes=asked.site.most_bytes,
@@ -265,8 +273,11 @@ def _collection(asked: _Asked) -> Response:
     )
 
 
-def _shape(asked: _Asked) -> Response:
-    record = asked.record
+def _shape(asked: Asked) -> Response:
+    record, rows = asked.record, asked.catalogue.rows
+    others = (
+        rows.wanted(label=record.label, limit=MOST_OTHERS + 1)[1] if record.label else ()
+    )
     return asked.page(
         "shape.html",
         shape=shape_document(record),
@@ -274,22 +285,25 @@ def _shape(asked: _Asked) -> Response:
         found=asked.found() if record.status == "done" else None,
         classes=asked.classes,
         has_surface="meshes" in asked.catalogue.options.catalogue.keep,
+        others=[one for one in others if one != record.id][:MOST_OTHERS],
+        can_be_inspected=asked.site.given_jobs is not None
+        and Path(record.path).is_file(),
         can_be_turned=asked.site.given_jobs is not None
         and asked.site.thumbnails.up is None,
     )
 
 
-def _compare(asked: _Asked) -> Response:
-    pair, site = (
-        [asked.request.query_params.get(name, "") for name in ("a", "b")],
-        asked.site,
-    )
-    return asked.page(
-        "compare.html", **compared(asked.catalogue, pair, site.options, site.thumbnails)
-    )
+def _compare(asked: Asked) -> Response:
+    site, pair = asked.site, [asked.request.query_params.get(name, "") for name in "ab"]
+    context: dict[str, Any] = {"shapes": ()}
+    if all(pair):
+        context = compared(asked.catalogue, pair, site.options, site.thumbnails)
+    else:
+        context["ids"] = asked.catalogue.rows.wanted(state="done", limit=MOST_CLASSES)[1]
+    return asked.page("compare.html", pair=pair, **context)
 
 
-def _scan(asked: _Asked) -> Response:
+def _scan(asked: Asked) -> Response:
     job = asked.job
     described = job.described
     return asked.page(
@@ -303,7 +317,7 @@ def _scan(asked: _Asked) -> Response:
     )
 
 
-def _inspection(asked: _Asked) -> Response:
+def _inspection(asked: Asked) -> Response:
     job = asked.job
     if job.page is None:
         raise Refused(
@@ -328,7 +342,7 @@ def _table(name: str, answer: Answer) -> Response:
     )
 
 
-def _thumbnail(asked: _Asked) -> Response:
+def _thumbnail(asked: Asked) -> Response:
     picture = asked.site.thumbnails.of(asked.catalogue, asked.record)
     if picture is None:
         raise Refused(
@@ -341,18 +355,18 @@ def _thumbnail(asked: _Asked) -> Response:
     return Response(picture, headers=headers, media_type="image/png")
 
 
-def _scene(asked: _Asked) -> Response:
+def _scene(asked: Asked) -> Response:
     than, thumbnails = asked.request.query_params.get("than"), asked.site.thumbnails
     return _Json(scene_document(asked.catalogue, asked.name, thumbnails, than))
 
 
-def _glb(asked: _Asked) -> Response:
+def _glb(asked: Asked) -> Response:
     """The surface of a shape as a binary glTF file, in the unit of the scan."""
     content = mesh_of(asked.catalogue, asked.name).to_trimesh().export(file_type="glb")
     return _download(content, "shape.glb", "model/gltf-binary")
 
 
-def _scan_thumbnail(asked: _Asked) -> Response:
+def _scan_thumbnail(asked: Asked) -> Response:
     described = asked.job.described
     if described is None or described.picture is None:
         raise Refused("the scan has no picture, because it has no surface")
@@ -427,6 +441,14 @@ async def _turn(request: Request) -> Response:
     return RedirectResponse(f"/shape/{quote(name, safe='')}", 303, headers=FRESH)
 
 
+async def _inspect(request: Request) -> Response:
+    """The file of a stored shape is inspected, as uploaded scans are."""
+    site, name = _site(request), _name(request)
+    record = await site.searching.read(lambda catalogue: record_of(catalogue, name))
+    job = site.jobs.inspect(record.id, Path(record.path))
+    return RedirectResponse(f"/scan/{job.id}", 303, headers=FRESH)
+
+
 async def _kept(request: Request, fields: Mapping[str, str]) -> Record:
     label = fields.get("label", "").strip()
     future = _site(request).jobs.keep(
@@ -460,12 +482,13 @@ async def _events(jobs: Jobs, job_id: str) -> AsyncIterator[str]:
 TURNS = (
     Route("/up", _say_up, methods=["POST"]),
     Route("/shape/{id}/turn", _turn, methods=["POST"]),
+    Route("/shape/{id}/inspect", _inspect, methods=["POST"]),
 )
 
 # --- addresses --------------------------------------------------------------------------------------------
 
 # Answers from the catalogue. The first are one search, which takes milliseconds, or less.
-SEARCHES: dict[str, Callable[[_Asked], Response]] = {
+SEARCHES: dict[str, Callable[[Asked], Response]] = {
     "/shape/{id}": _shape,
     "/scan/{id}": _scan,
     "/shapes/{id}": lambda asked: _Json(shape_document(asked.record)),
@@ -478,13 +501,13 @@ SEARCHES: dict[str, Callable[[_Asked], Response]] = {
     ),
 }
 # Lists, which are kept.
-LISTS: dict[str, Callable[[_Asked], Response]] = {
+LISTS: dict[str, Callable[[Asked], Response]] = {
     "/": _collection,
     "/shapes": lambda asked: _Json(
         listing_document(asked.catalogue, Listing.of(asked.request.query_params))
     ),
 }
-OTHERS: dict[str, Callable[[_Asked], Response]] = {
+OTHERS: dict[str, Callable[[Asked], Response]] = {
     "/map": lambda asked: asked.page(
         "search_map.html", **asked.site.maps.shown(asked.catalogue)
     ),
@@ -531,18 +554,18 @@ def application(site: Site) -> Starlette:
 
 
 def _read(
-    answer: Callable[[_Asked], Response], readers: Readers
+    answer: Callable[[Asked], Response], readers: Readers
 ) -> Callable[[Request], Awaitable[Response]]:
     async def handler(request: Request) -> Response:
         arrived = time.monotonic()
         return await readers.read(
-            lambda catalogue: answer(_Asked(_site(request), catalogue, request, arrived))
+            lambda catalogue: answer(Asked(_site(request), catalogue, request, arrived))
         )
 
     return handler
 
 
-def _kept_answer(answer: Callable[[_Asked], Response]) -> Callable[[_Asked], Response]:
+def _kept_answer(answer: Callable[[Asked], Response]) -> Callable[[Asked], Response]:
     return lambda asked: asked.site.answers.of(asked, answer)
 
 
@@ -575,7 +598,8 @@ async def _nowhere(request: Request, error: Exception) -> Response:
 
 
 def _refusal(request: Request, status: int, message: str) -> Response:
-    page = page_of("refusal.html", title=_site(request).title, message=message)
+    title = _site(request).title
+    page = page_of("refusal.html", title=title, exported=False, message=message)
     return HTMLResponse(page, status, headers=FRESH)
 
 

@@ -16,7 +16,7 @@ from pcretrieve.ingestion.pool import in_processes
 from pcretrieve.pages.html import without_folders
 from pcretrieve.pages.map_page import map_drawing
 from pcretrieve.pages.thumbnails import Thumbnails
-from pcretrieve.values import FloatArray, unit_of
+from pcretrieve.values import FloatArray
 from pcretrieve.web.documents import record_of, shape_document
 from pcretrieve.web.requests import Refused
 
@@ -52,19 +52,16 @@ def compared(
     # Imported here, as below, so that the server starts sooner.
     from pcretrieve.pages.scene import measures
 
-    rows: list[tuple[str, float, float]] = []
+    measured: list[dict[str, float]] = []
     with suppress(Refused):
-        first, second = (
-            measures(*_mesh_and_up(catalogue, name, thumbnails)) for name in pair
-        )
-        rows = [(name, first[name], second[name]) for name in first if name in second]
+        measured = [measures(*_mesh_and_up(catalogue, name, thumbnails)) for name in pair]
     return {
         "shapes": [shape_document(record) for record in records],
-        "units": [unit_of(record.metres_per_unit or 0) or "" for record in records],
+        "units": [record.metres_per_unit for record in records],
         "distance": distance,
         "measure": options.retrieval.distance,
         "score": score,
-        "rows": rows,
+        "measured": measured,
     }
 
 
@@ -75,9 +72,13 @@ def scene_document(
     from pcretrieve.pages.scene import surface_scene
 
     mesh, up = _mesh_and_up(catalogue, shape_id, thumbnails)
-    return surface_scene(
-        mesh, up, None if other is None else _mesh_and_up(catalogue, other, thumbnails)[0]
-    )
+    if other is None:
+        return surface_scene(mesh, up)
+    than, _ = _mesh_and_up(catalogue, other, thumbnails)
+    own, its = (record_of(catalogue, one).metres_per_unit for one in (shape_id, other))
+    # Without a common unit, bodies of one area are compared.
+    factor = its / own if own and its else (mesh.area / than.area) ** 0.5
+    return surface_scene(mesh, up, TriangleMesh(factor * than.vertices, than.faces))
 
 
 def _mesh_and_up(

@@ -49,20 +49,23 @@ def shape_document(record: Record) -> Document:
     return document
 
 
-def listing_document(catalogue: Catalogue, listing: Listing) -> Document:
-    """A page of the collection."""
-    words, start = listing.q.casefold().split(), (listing.page - 1) * PAGE
+def listing_document(
+    catalogue: Catalogue, listing: Listing, *, whole: bool = False
+) -> Document:
+    """A page of the collection, or the whole."""
+    size = max(len(catalogue.labels()), 1) if whole else PAGE
+    words, start = listing.q.casefold().split(), (listing.page - 1) * size
     if words:  # compared by Python, because databases know ASCII letters alone
         _, ids = catalogue.rows.wanted(**listing.wanted)
         among = [one for one in ids if all(word in one.casefold() for word in words)]
-        total, chosen = len(among), among[start : start + PAGE]
+        total, chosen = len(among), among[start : start + size]
     else:
-        total, chosen = catalogue.rows.wanted(**listing.wanted, limit=PAGE, offset=start)
+        total, chosen = catalogue.rows.wanted(**listing.wanted, limit=size, offset=start)
     found = {record.id: record for record in catalogue.rows.several(chosen)}
     return {
         "total": total,
         "page": listing.page,
-        "pages": -(-total // PAGE),
+        "pages": -(-total // size),
         "shapes": [shape_document(found[one]) for one in chosen if one in found],
     }
 

@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from threading import Lock
 from typing import Any, Literal
+from urllib.parse import quote
 
 from pcretrieve import PipelineOptions, Record
 from pcretrieve.errors import (
@@ -125,6 +126,21 @@ class Jobs:
             self._open.add(job.id)
         return job
 
+    def inspect(self, name: str, scan: Path) -> Job:
+        """Have the file of a stored shape inspected, and nothing else."""
+        if not scan.is_file():
+            raise Refused(f"the file of {name!r} is not there any more")
+        job = self.begin(name)
+        job.state = "done"
+        with self._lock:
+            self._know(job)
+            # It stays open until it is inspected, and is counted among those that wait.
+            self._uninspected.add(job.id)
+        self._inspecting.submit(
+            self._inspect, job, scan, f"/shape/{quote(name, safe='')}"
+        )
+        return job
+
     def abandon(self, job: Job) -> None:
         """Remove a scan that was not received."""
         with self._lock:
@@ -135,10 +151,13 @@ class Jobs:
         """Have a scan processed."""
         job.scan = scan
         with self._lock:
-            self._jobs[job.id] = job
-            if len(self._jobs) > MOST_KNOWN:
-                self._jobs.popitem(last=False)
+            self._know(job)
         self._thread.submit(self._process, job, scan)
+
+    def _know(self, job: Job) -> None:
+        self._jobs[job.id] = job
+        if len(self._jobs) > MOST_KNOWN:
+            self._jobs.popitem(last=False)
 
     def job(self, job_id: str) -> Job:
         """The job of a name, with the stages that have ended until now; Refused if there is none."""
@@ -187,14 +206,14 @@ class Jobs:
             if can_be_inspected:
                 self._uninspected.add(job.id)
         if can_be_inspected:
-            self._inspecting.submit(self._inspect, job, scan)
+            self._inspecting.submit(self._inspect, job, scan, f"/scan/{job.id}")
         else:
             self._end(job, None)
 
-    def _inspect(self, job: Job, scan: Path) -> None:
+    def _inspect(self, job: Job, scan: Path, back: str) -> None:
         page = None
         try:
-            items = [(job.name, f"/scan/{job.id}", scan)]
+            items = [(job.name, back, scan)]
             running = in_processes(
                 self._inspected, items, idle=self._idle_inspecting, **self._limits
             )
@@ -213,6 +232,7 @@ class Jobs:
             job.remove()
         with self._lock:
             self._uninspected.discard(job.id)
+            self._open.discard(job.id)
             for earlier in list(self._jobs.values())[:-MOST_WHOLE]:
                 if earlier.inspection != "waiting":
                     earlier.page = None

@@ -72,7 +72,9 @@ class Listing(_Fields):
     q: str = ""
     label: str = ""
     state: Literal["", "done", "incomplete", "failed"] = ""
-    sort: Literal["id", "-id", "label", "-label", "added", "-added"] = "id"
+    sort: Literal[
+        "id", "-id", "label", "-label", "added", "-added", "error", "-error"
+    ] = "id"
     since: date | None = None
     until: date | None = None
     page: Annotated[int, Field(ge=1, le=10**9)] = 1

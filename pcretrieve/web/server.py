@@ -7,6 +7,7 @@ import secrets
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,6 +47,7 @@ def serve(
     memory: float = 4.0,
     up: str | None = None,
     keep: str | Path | None = None,
+    export: str | Path | None = None,
     on_start: Callable[[str], None] = lambda address: None,
 ) -> None:
     """Serve the search page of a catalogue to browsers of this computer, until Ctrl-C or SIGTERM.
@@ -74,6 +76,9 @@ def serve(
     keep : str or Path, optional
         A folder, in which uploaded scans are stored if that is asked for, as shapes of the catalogue. By
         default none can be kept.
+    export : str or Path, optional
+        A new or empty folder, to which the pages are written instead: a site that can be mailed, or put on a
+        web server, with relative links and without uploads.
     on_start : function, optional
         Called with the address that contains the token, as soon as the server accepts connections.
 
@@ -104,15 +109,20 @@ def serve(
         opened_site(
             catalogue,
             options,
-            read_only=read_only,
+            read_only=read_only or export is not None,
             most_bytes=most_bytes,
             timeout=timeout,
             memory=memory,
             up=up,
             keep=keep,
         ) as site,
-        _listening(port) as listener,
+        _listening(0 if export is not None else port) as listener,
     ):
+        if export is not None:
+            from pcretrieve.web.export import export_site
+
+            export_site(replace(site, exported=True), str(catalogue), Path(export))
+            return
         address = f"http://{ADDRESS}:{listener.getsockname()[1]}/?token={key}"
         site.searching.prepare(
             lambda catalogue: index(catalogue, options=site.options).load()
@@ -144,7 +154,7 @@ def opened_site(
         # Made now, so that what it lacks is said before the first request; failures have pages without one.
         if len(store) or not store.rows.failures():
             index(store, options=chosen)
-        title, thumbnails = Path(store.location).name, Thumbnails(store, up)
+        title, thumbnails = Path(store.location).stem, Thumbnails(store, up)
         scanned = store.options.model_copy(update={"signature": chosen.signature})
     location = str(catalogue)
     jobs = collection = None

@@ -41,6 +41,7 @@ LISTINGS: list[tuple[str, list[str]]] = [
     ("since=2999-01-01", []),
     ("until=2000-01-01", []),
     ("q=egg0&since=2000-01-01&until=2999-01-01", ["Egg00", "Egg01", "Egg02", "Egg03"]),
+    ("q=3&sort=-error", ["Egg23", "Egg13", "Egg03"]),
     ("q=egg0&sort=-added", ["Egg03", "Egg02", "Egg01", "Egg00"]),
 ]
 
@@ -94,7 +95,7 @@ ADDRESSES = {
             "/shapes/Egg00/scene?than=Egg20",
             "/shapes/Egg00/mesh.glb",
         ),
-        "/compare?a=Egg00&b=Egg01",
+        *("/compare?a=Egg00&b=Egg01", "/compare", "/compare?a=Egg00", "/?sort=-error"),
     ],
     400: [
         *(
@@ -111,7 +112,6 @@ ADDRESSES = {
         *(
             "/shapes/broken/mesh.glb",
             "/scans/none",
-            "/compare?a=Egg00",
             "/nothing",
             "//evil.example",
         ),
@@ -123,10 +123,10 @@ ADDRESSES = {
 def test_sizes_of_compared_shapes_name_their_unit(server: Server) -> None:
     for pair, said in (
         ("a=Egg10&b=Egg11", "&nbsp;m²</td>"),
-        ("a=Egg00&b=Egg10", "units differ"),
+        ("a=Egg00&b=Egg10", "volume / √area³</th>"),
     ):
         page = server.ask(f"/compare?{pair}").body.decode()
-        assert said in page and ("does not name" in page) == ("Egg00" in pair)
+        assert said in page and ("no common unit" in page) == ("Egg00" in pair)
 
 
 @pytest.mark.slow
@@ -140,6 +140,36 @@ def test_what_cannot_be_answered_is_said(server: Server) -> None:
                 assert set(answer.json) == {"error", "message"}
     for field in ("state", "since", "until", "sort", "page"):
         assert field in server.ask(f"/shapes?{field}=%3F").json["message"]
+
+
+def test_the_worst_scans_are_first_and_classes_have_their_sizes(server: Server) -> None:
+    page = server.ask("/?sort=-error").body.decode()
+    assert ids(page.encode())[:2] == ["broken", "Egg23"]
+    assert "<b>incomplete</b>: a large hole" in page
+    assert re.findall(r'&lt;kind (\d)&gt; <span class="soft">(\d+)</span>', page) == [
+        ("0", "4"),
+        ("1", "4"),
+        ("2", "4"),
+    ]
+
+
+def test_no_page_says_none(server: Server) -> None:
+    for path in (*ADDRESSES[200], *ADDRESSES[400], *ADDRESSES[404]):
+        text = server.ask(path)
+        if text.headers["content-type"].startswith("text/html"):
+            words = unescape(re.sub(r"<[^>]*>", " ", text.body.decode()))
+            assert "None" not in words.split(), path
+
+
+def test_a_missing_id_is_asked_for(server: Server) -> None:
+    page = server.ask("/compare?a=Egg00").body.decode()
+    assert 'name="a" value="Egg00"' in page and '<option value="Egg01">' in page
+
+
+def test_the_file_of_a_shape_is_inspected_where_it_is(server: Server) -> None:
+    gone = server.ask("/shape/Egg00/inspect", method="POST")
+    assert gone.status == 404 and b"is not there any more" in gone.body
+    assert b"Inspect this scan" not in server.ask("/shape/Egg00").body
 
 
 def test_a_damaged_row_is_told(eggs: Path, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 from browsers import DESKTOP, PHONE, opened, origin, overflow, violations
 from processes import wait_for
-from search_server import Server, egg, running
+from search_server import Server, egg, running, write_many
 
 from pcretrieve import Catalogue, search
 from pcretrieve.ingestion.recomputing import find_defects
@@ -32,6 +32,7 @@ PAGES = (
         "/shape/broken",
         "/map",
         "/compare?a=Egg00&b=Egg23",
+        "/compare",
     ),
     "/shape/Egg00?min_score=1&label=%3Ckind+2%3E",
 )
@@ -108,6 +109,7 @@ def test_a_chosen_scan_is_answered_and_kept_when_it_is_asked_for(
             page.locator("input[type=file]").set_input_files(tmp_path / "egg.off")
             page.wait_for_url("**/scan/*")
             page.get_by_role("heading", name="Nearest shapes").wait_for()
+            page.get_by_text(re.compile("Processed in")).click()
             assert page.locator("#stages").get_by_text("spectrum").is_visible()
             assert names(page) == list(
                 search(eggs, tmp_path / "egg.off", k=12).neighbors.ids
@@ -122,9 +124,15 @@ def test_a_chosen_scan_is_answered_and_kept_when_it_is_asked_for(
             page.locator("input[name=label]").press("Enter")
             page.wait_for_url("**/shape/anna%20sits")
             page.get_by_role("heading", name="anna sits").wait_for()
+            page.get_by_role("button", name="Inspect this scan").click()
+            page.wait_for_url("**/inspection")
+            page.get_by_role("link", name="Back to the shape").click()
+            page.get_by_role("heading", name="anna sits").wait_for()
         assert (folder / "anna sits.off").read_bytes() == scan
         found = keeper.outcome("again.off", scan)
         nearest = keeper.ask(f"/scans/{found['job']}/similar?k=1").json["neighbors"][0]
+        said = keeper.ask(f"/scan/{found['job']}").body.decode()
+        assert "This is anna" in said and "This is the stored scan" in said
     assert (nearest["id"], nearest["label"]) == ("anna sits", "anna")
     assert nearest["distance"] == pytest.approx(0, abs=1e-6)
     with Catalogue(collection) as store:
@@ -200,8 +208,6 @@ def test_keys_suffice(page: Page) -> None:
         if not choosers:
             page.wait_for_timeout(50)  # in which events arrive, unlike in time.sleep
     assert choosers[0].element.get_attribute("name") == "scan"
-    reached(page, "summary")
-    page.keyboard.press("Enter")
     reached(page, "input[type=search]")
     page.keyboard.type("egg2")
     page.get_by_text("3 shapes").wait_for()
@@ -221,6 +227,47 @@ def reached(page: Page, selector: str) -> None:
             assert style != "none", f"{selector} does not show that it has the focus"
             return
     raise AssertionError(f"{selector} is not reached by the key Tab")
+
+
+def test_what_is_pressed_is_as_large_as_a_finger(
+    browser: Browser, server: Server
+) -> None:
+    """Links within a sentence are as high as its lines; WCAG 2.2 excepts them."""
+    assert wait_for(lambda: b'id="waiting"' not in server.ask("/map").body)
+    found = set[str]()
+    with opened(browser, server.address, PHONE) as page:
+        for address in PAGES:
+            page.goto(f"{origin(server.address)}{address}")
+            small = page.locator("a, button, input, select, summary").evaluate_all(
+                """all => all.filter(it => it.checkVisibility() && !it.closest("p, svg, .skip")
+                  && !it.matches("[type=hidden], .unseen, .skip, [type=checkbox]"))
+                  .filter(it => it.getBoundingClientRect().height < 44).map(it => it.outerHTML)"""
+            )
+            found |= {f"{address}: {each[:120]}" for each in small}
+    assert not found, "\n".join(found)
+
+
+def test_a_shape_of_many_classes_lights_up_its_class(
+    browser: Browser, tmp_path: Path
+) -> None:
+    many = tmp_path / "many.sqlite"
+    with Catalogue(write_many(many)) as store:
+        assert len(set(store.labels().values())) > 12
+    with running(many, "--read-only") as server:
+        assert wait_for(lambda: b'id="waiting"' not in server.ask("/map").body)
+        with opened(browser, server.address) as page:
+            assert page.get_by_role("heading", name="many").is_visible()
+            page.get_by_text("14 classes").click()
+            page.get_by_label("Search classes").fill("13")
+            assert page.locator(".classes li:visible").all_inner_texts() == ["kind 13\n2"]
+            page.get_by_role("link", name="Map").click()
+            page.locator(".map svg a").first.wait_for()
+            assert page.locator(".key").count() == 0
+            page.get_by_label("Find a class or a shape").fill("kind 7")
+            lit = page.locator(".map a.lit").evaluate_all(
+                "all => all.map(it => it.dataset.id)"
+            )
+            assert sorted(lit) == ["Egg7-0", "Egg7-1"]
 
 
 def test_pages_are_accessible_and_fit(

@@ -1,5 +1,6 @@
 "use strict";
-// A map of pictures: wheel and buttons zoom, Shift and drag moves, and a line round shapes, or a class, chooses.
+// A map of pictures: wheel, two fingers and buttons zoom, Shift and drag moves, and a line round shapes, or a class,
+// chooses. Of many classes, which are grey, that of the shape under the pointer lights up.
 const map = document.querySelector(".map");
 if (map) {
   const MOST_PICTURES = 300;  // in view at a time, of more there are dots
@@ -52,15 +53,43 @@ if (map) {
     }));
   }
 
+  const light = (lit) => { for (const {link} of shapes) link.classList.toggle("lit", lit(link)); };
+  function tell(link) {
+    const group = shapes.filter((shape) => shape.link.dataset.group === link.dataset.group);
+    told.textContent = link.getAttribute("aria-label") + (map.classList.contains("many") ? ` (${group.length})` : "");
+    light((each) => each.dataset.group === link.dataset.group);
+    line.before(link);  // in front of the other pictures
+  }
+  const field = map.querySelector("input");
+  if (field) field.addEventListener("input", () => {
+    const asked = field.value.trim().toLowerCase();
+    const found = asked ? shapes.filter(({link}) => link.ariaLabel.toLowerCase().includes(asked)) : [];
+    choose(found.length > MOST_PICTURES ? [] : found);
+    light((link) => found.some((shape) => shape.link === link));
+    if (asked) told.textContent = found.length + (found.length === 1 ? " shape" : " shapes");
+  });
+
   const at = (event) => new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse());
-  let places = [], before = null, moves = false;
-  svg.addEventListener("pointerdown", (event) => { [before, places, moves] = [event, [at(event)], false]; });
+  let places = [], before = null, moves = false, tapped = null, over = null;
+  const fingers = new Map();
+  svg.addEventListener("pointerdown", (event) => {
+    [before, places, moves] = [event, [at(event)], false];
+    fingers.set(event.pointerId, event);
+    if (fingers.size > 1) { before = null; moves = true; line.removeAttribute("points"); }
+  });
+  for (const end of ["pointerup", "pointercancel"]) svg.addEventListener(end, (event) => fingers.delete(event.pointerId));
   svg.addEventListener("pointermove", (event) => {
-    const over = event.target.closest("a");
-    if (over && !before && told.textContent !== over.ariaLabel) {
-      told.textContent = over.ariaLabel;
-      line.before(over);  // in front of the other pictures
+    if (fingers.size === 2 && fingers.has(event.pointerId)) {
+      const [other] = [...fingers].filter(([id]) => id !== event.pointerId).map(([, finger]) => finger);
+      const last = fingers.get(event.pointerId), apart = (one) => Math.hypot(one.clientX - other.clientX, one.clientY - other.clientY);
+      const [here, there] = [at(event), at(last)];
+      Object.assign(view, {x: view.x + (there.x - here.x) / 2, y: view.y + (there.y - here.y) / 2});
+      fingers.set(event.pointerId, event);
+      zoom(apart(event) / (apart(last) || 1), at(other));
+      return;
     }
+    const under = event.target.closest("a");
+    if (under && !before && under !== over) tell(over = under);
     if (!before || !moves && Math.hypot(event.clientX - before.clientX, event.clientY - before.clientY) < 6) return;
     if (!moves) svg.setPointerCapture(event.pointerId);
     moves = true;
@@ -78,13 +107,18 @@ if (map) {
     line.removeAttribute("points");
     before = null;
   });
-  svg.addEventListener("click", (event) => { if (moves) event.preventDefault(); }, true);
+  svg.addEventListener("click", (event) => {
+    const link = event.target.closest("a"), isTouch = event.pointerType === "touch";
+    // A finger has no way to point without a click: the first tap names a shape, the second opens it.
+    if (moves || isTouch && link && link !== tapped) event.preventDefault();
+    if (isTouch && link && !moves) tell(tapped = link);
+  }, true);
   svg.addEventListener("mousedown", (event) => event.preventDefault());  // nothing is selected or dragged away
   svg.addEventListener("wheel", (event) => {
     event.preventDefault();
     zoom(Math.exp(-0.002 * event.deltaY), at(event));
   }, {passive: false});
-  svg.addEventListener("focusin", (event) => { told.textContent = event.target.getAttribute("aria-label"); });
+  svg.addEventListener("focusin", (event) => tell(event.target));
   map.addEventListener("click", ({target}) => {
     const {group, zoom: by} = (target.closest("button") || target).dataset;
     if (by) zoom(Number(by), {x: view.x + view.w / 2, y: view.y + view.h / 2});

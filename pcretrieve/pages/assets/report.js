@@ -18,21 +18,31 @@
     };
     const filter = () => {
       const asked = find.value.toLowerCase().split(/\s+/);
-      let shown = 0;
-      for (const article of articles) {
+      let found = 0;
+      for (const article of panels.children) {
         const wrong = !errors || !errors.checked || article.querySelector(".wrong");
-        article.hidden = !wrong || !asked.every((word) => words.get(article).includes(word));
-        shown += !article.hidden;
+        const fits = wrong && asked.every((word) => words.get(article).includes(word));
+        found += fits;
+        article.hidden = !fits || found > most;
       }
-      count.textContent = shown + " of " + articles.length;
+      count.textContent = found + " of " + articles.length;
+      all.hidden = found <= most;
+      all.textContent = "Show all " + found;
     };
-    const sort = () => panels.append(...[...articles].sort(orders[order.value]));
+    const sort = () => { panels.append(...[...articles].sort(orders[order.value])); filter(); };
+    // The first are enough to see what goes wrong.
+    let most = Number(panels.dataset.most);
+    const all = document.createElement("button");
+    all.type = "button";
+    all.addEventListener("click", () => { most = Infinity; filter(); });
+    panels.after(all);
     // A link leads to a query that the search has hidden: the search ends.
     const reveal = () => {
       const target = articles.find((article) => "#" + article.id === location.hash);
       if (!target || !target.hidden) return;
       find.value = "";
       if (errors) errors.checked = false;
+      most = Infinity;
       filter();
       target.scrollIntoView();
     };
@@ -44,11 +54,19 @@
     addEventListener("hashchange", reveal);
     // A browser may have kept the fields of an earlier visit.
     sort();
-    filter();
+    reveal();
   }
 
   for (const table of document.querySelectorAll("table.sortable")) {
-    const body = table.tBodies[0];
+    const body = table.tBodies[0], most = Number(table.dataset.most || Infinity);
+    if (body.rows.length > most) {
+      const all = document.createElement("button"), fold = (isFolded) => [...body.rows].forEach((row, place) => { row.hidden = isFolded && place >= most; });
+      all.type = "button";
+      all.textContent = "Show all " + body.rows.length;
+      all.addEventListener("click", () => { fold(false); all.remove(); });
+      table.after(all);
+      fold(true);
+    }
     table.querySelectorAll("thead th").forEach((head, column) => {
       const button = document.createElement("button");
       button.append(...head.childNodes);
@@ -59,7 +77,10 @@
         head.setAttribute("aria-sort", down ? "descending" : "ascending");
         const text = (row) => row.cells[column].textContent;
         const rows = [...body.rows].sort((a, b) => compare(text(a), text(b)));
+        // Rows that are folded stay so by their places.
+        const hidden = [...body.rows].map((row) => row.hidden);
         body.append(...(down ? rows.reverse() : rows));
+        [...body.rows].forEach((row, place) => { row.hidden = hidden[place]; });
       });
     });
   }
