@@ -65,6 +65,7 @@ from .gallery.fitted import (
     stored_signature as stored_signature,
 )
 from .gallery.groups import (
+    NearPair as NearPair,
     cluster as cluster,
     duplicates as duplicates,
     places as places,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -63,7 +63,9 @@ SCAN = {"SCAN": "text"}
 # Of several queries: what is said of each, and the score of its nearest shape.
 SAID = {"SCAN": "text", "VERDICT": "text", "CLASS": "text", "SCORE": "number"}
 
-PAIR = {"DISTANCE": "number", "LIMIT": "number", "FIRST": "text", "SECOND": "text"}
+PAIR = {"DISTANCE": "number", "LIMIT": "number", "EVIDENCE": "text"}
+PAIR |= {"FIRST": "text", "SECOND": "text"}
+COLUMNS_OF_PAIRS = ("first", "second", "distance", "limit", "evidence")
 
 
 @dataclass(frozen=True)
@@ -277,6 +279,7 @@ def duplicates_command(
         "Find pairs up to this distance.  [default: moments up to .03]",
         Number(min=0),
     ),
+    as_csv: bool = rare_option("--csv", "Print one table of all pairs, as CSV."),
     comparison: Comparison,
     page: Path | None = option(
         "--html PAGE",
@@ -285,27 +288,51 @@ def duplicates_command(
 ) -> Result:
     """Find copies of shapes: at another resolution, mirrored, or two scans of one body in one pose.
 
-    The table has the distance, its limit and both ids, nearest first. Distances are those of the moments of
-    the surfaces, which must be stored; the signatures of copies are alike too. With --threshold, distances
-    are those of the signatures.
+    The table has the distance, its limit, the evidence and both ids, nearest first; pairs of two classes are
+    in a second table. Distances are those of the moments of the surfaces, which must be stored; the
+    signatures of copies are alike too. The evidence is one file, one surface, or one body in one pose. With
+    --threshold, distances are those of the signatures.
 
     \b
     pcretrieve duplicates --catalogue bodies.sqlite --html pairs.html
     """
+    if prints_json() and as_csv:
+        raise click.UsageError("choose one of --json and --csv")
     store, options = comparison.opened(catalogue)
     pairs = pr.duplicates(store, options=options, threshold=threshold)
     if page is not None:
         compared = options.of_copies if threshold is None else options
         written = pr.duplicates_page(store, pairs, page, options=compared)
         say(f"page: {shown_path(str(written))}", is_broken=False)
-    rows = (
-        (f"{one.distance:#.4g}", f"{one.limit:#.4g}", one.first, one.second)
-        for one in pairs
-    )
     say(f"{len(pairs)} {'pair' if len(pairs) == 1 else 'pairs'}")
-    return Result(
-        [pair._asdict() for pair in pairs], options, partial(write_table, PAIR, rows)
-    )
+    show = partial(_write_pairs_csv if as_csv else _write_pairs, pairs)
+    return Result([pair._asdict() for pair in pairs], options, show)
+
+
+def _write_pairs(pairs: Sequence[pr.NearPair]) -> None:
+    one_class = [pair for pair in pairs if pair.is_of_one_class]
+    write_table(PAIR, map(_pair_row, one_class))
+    if mixed := [pair for pair in pairs if not pair.is_of_one_class]:
+        write_lines(
+            *[""] * bool(one_class), "Of two classes: a wrong label, or two bodies"
+        )
+        columns = PAIR | {"CLASSES": "text"}
+        rows = ((*_pair_row(pair), ", ".join(map(str, pair.classes))) for pair in mixed)
+        write_table(columns, rows)
+
+
+def _pair_row(pair: pr.NearPair) -> tuple[str, ...]:
+    """A row below `PAIR`."""
+    numbers = (f"{pair.distance:#.4g}", f"{pair.limit:#.4g}")
+    return (*numbers, pair.evidence, pair.first, pair.second)
+
+
+def _write_pairs_csv(pairs: Sequence[pr.NearPair]) -> None:
+    from pcretrieve.values.files import csv_text
+
+    header = (*COLUMNS_OF_PAIRS, "first_class", "second_class")
+    rows = ((*pair[: len(COLUMNS_OF_PAIRS)], *pair.classes) for pair in pairs)
+    write_csv(csv_text(header, rows))
 
 
 @command("map")

@@ -25,6 +25,7 @@ from pcretrieve.options import (
     options_difference,
 )
 from pcretrieve.retrieval import SignatureIndex, Whitening, people, table_whitening
+from pcretrieve.retrieval.people import Reference
 from pcretrieve.retrieval.scores import fit_scores
 from pcretrieve.retrieval.whitening import read_whitening
 from pcretrieve.values import (
@@ -246,12 +247,16 @@ def _made_index(table: SignatureTable, options: PipelineOptions) -> SignatureInd
     """Fit the whitening and the scores of signatures."""
     retrieval, known = options.retrieval, people(options.signature)
     whitening = calibrated(options) or table_whitening(table, retrieval, people=known)
-    reference = None
-    is_usual = retrieval.distance == RetrievalOptions().distance
-    if known is not None and whitening.kind == "people" and is_usual:
-        reference = known.reference
+    reference = reference_of(options, whitening)
     scores = fit_scores(table, whitening, retrieval, reference=reference)
     return SignatureIndex(table, retrieval, whitening=whitening, scores=scores)
+
+
+def reference_of(options: PipelineOptions, whitening: Whitening) -> Reference | None:
+    """What distances after a whitening mean, by people who are in no collection; None if it is unknown."""
+    is_usual = options.retrieval.distance == RetrievalOptions().distance
+    known = people(options.signature) if whitening.kind == "people" and is_usual else None
+    return None if known is None else known.reference
 
 
 def _index_name(options: PipelineOptions, revision: str) -> str:

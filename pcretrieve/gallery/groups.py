@@ -4,25 +4,34 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from typing import NamedTuple
+from itertools import product
+from typing import Literal, NamedTuple
 
 import numpy as np
 
+from pcretrieve.arrays import vertex_normals
 from pcretrieve.catalogue import Catalogue, CatalogueLike
 from pcretrieve.catalogue.cache import short_digest
+from pcretrieve.descriptors.hapt import in_principal_frame
 from pcretrieve.errors import OptionError
-from pcretrieve.gallery.fitted import SMALLEST_KEPT, index
+from pcretrieve.gallery.fitted import SMALLEST_KEPT, index, reference_of
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.retrieval import SignatureIndex, pairwise
-from pcretrieve.values import FloatArray
+from pcretrieve.retrieval.people import RATES
+from pcretrieve.values import FloatArray, TriangleMesh
 
 # Largest distance of two copies of one body in one pose, by the logarithms of their moments: see
 # docs/decisions.md, SAME.
 SAME = 0.03
 
 # Two people of one build in one pose have equal moments too. Copies are shapes whose signatures are nearer
-# than this share of the pairs of two classes, where there are classes.
-FALSE_COPIES = 0.01
+# than this share of the pairs of two classes, or of two people by other scans where there are no classes.
+FALSE_COPIES = 1e-4
+
+# Largest distance of two surfaces that are one, along the normals, relative to √A; at this share of their
+# vertices: see docs/decisions.md, ONE_SURFACE.
+ONE_SURFACE = 0.007
+SURFACE_SHARE = 0.95
 
 # Effective number of neighbours of a point of t-SNE: by more, islands mix when shapes are moved apart.
 PERPLEXITY = 12.0
@@ -46,12 +55,25 @@ GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 
 class NearPair(NamedTuple):
-    """Two near shapes."""
+    """Two near shapes.
+
+    evidence: what makes them copies: one ``file``; one ``surface``, mirrored or not, such as two meshes of
+        one scan, or two scans of a body that did not move; or one ``body`` in one pose. Empty if only
+        signatures are compared.
+    classes: their classes, of which two are a wrong label, or two bodies.
+    """
 
     first: str
     second: str
     distance: float
     limit: float
+    evidence: Literal["file", "surface", "body", ""] = ""
+    classes: tuple[str | None, str | None] = (None, None)
+
+    @property
+    def is_of_one_class(self) -> bool:
+        """Whether the classes of both are the same, as far as they are known."""
+        return None in self.classes or self.classes[0] == self.classes[1]
 
 
 def places(
@@ -114,12 +136,13 @@ def duplicates(
         Signatures, distance and whitening. By default those of the catalogue.
     threshold : float, optional
         The largest distance of a pair. By default the moments of the surfaces are compared, up to `SAME`, and
-        then the signatures, up to the distance of a hundredth of the pairs of two classes.
+        then the signatures, up to the distance of one in 10,000 pairs of two classes, or of two people where
+        there are no classes.
 
     Returns
     -------
     list of NearPair
-        Ids, distance and limit of each pair, nearest first.
+        Ids, distance and limit of each pair, what makes it one, and its classes; nearest first.
 
     Raises
     ------
@@ -133,13 +156,21 @@ def duplicates(
         if not len(store):
             return []
         if threshold is not None:
-            return near_pairs(index(store, options=chosen), threshold)
-        alike = near_pairs(index(store, options=chosen.of_copies), SAME)
-        if not alike:
-            return []
-        made = index(store, options=chosen)
-        limit = np.inf if made.scores is None else made.scores.limit(FALSE_COPIES)
-        return [pair for pair in alike if _distance(made, pair) <= limit]
+            found = near_pairs(index(store, options=chosen), threshold)
+        else:
+            alike = near_pairs(index(store, options=chosen.of_copies), SAME)
+            made = index(store, options=chosen) if alike else None
+            limit = np.inf if made is None else _largest_distance(made, chosen)
+            found = [
+                pair._replace(evidence=_evidence(store, pair))
+                for pair in alike
+                if made is not None and _distance(made, pair) <= limit
+            ]
+        label = store.labels()
+        return [
+            pair._replace(classes=(label[pair.first], label[pair.second]))
+            for pair in found
+        ]
 
 
 def cluster(
@@ -214,6 +245,48 @@ def plane_map(points: FloatArray) -> FloatArray:
         gaps = np.diff(along[order], prepend=along.min())
         along[order] = np.cumsum(np.minimum(gaps, WIDEST * gaps.mean()))
     return _framed(_apart(_framed(places), min(GAP, SHARE / np.sqrt(len(places)))))
+
+
+def _largest_distance(made: SignatureIndex, options: PipelineOptions) -> float:
+    """The largest distance of the signatures of copies."""
+    if made.scores is not None and len(made.scores.limits):
+        return made.scores.limit(FALSE_COPIES)
+    reference = reference_of(options, made.whitening)
+    if reference is None:
+        return np.inf
+    return float(np.interp(FALSE_COPIES, RATES, reference.apart))
+
+
+def _evidence(store: Catalogue, pair: NearPair) -> Literal["file", "surface", "body"]:
+    """What two shapes whose moments and signatures are alike have in common."""
+    one, other = store[pair.first], store[pair.second]
+    if one.content_hash == other.content_hash:
+        return "file"
+    gap = _surface_gap(store.mesh(pair.first), store.mesh(pair.second))
+    return "surface" if gap <= ONE_SURFACE else "body"
+
+
+def _surface_gap(one: TriangleMesh, other: TriangleMesh) -> float:
+    """How far two surfaces are apart, turned and mirrored as they fit best, relative to √A.
+
+    The quantile `SURFACE_SHARE` over the vertices of one of the distance from the tangent plane at the
+    nearest vertex of the other, the smaller one of both ways: the vertices of a coarse copy lie on the fine
+    surface, whose vertices lie beside the faces of the copy. The principal axes are the same but for their
+    signs.
+    """
+    from scipy.spatial import cKDTree
+
+    surfaces = [in_principal_frame(mesh) for mesh in (one, other)]
+    normals = [vertex_normals(each.vertices, each.faces) for each in surfaces]
+    trees = [cKDTree(each.vertices) for each in surfaces]
+    gaps = []
+    for signs, (of, by) in product(product((1.0, -1.0), repeat=3), ((0, 1), (1, 0))):
+        points = surfaces[of].vertices * signs
+        nearest = trees[by].query(points)[1]
+        offsets = points - surfaces[by].vertices[nearest]
+        apart = np.abs((offsets * normals[by][nearest]).sum(axis=1))
+        gaps.append(float(np.quantile(apart, SURFACE_SHARE)))
+    return min(gaps)
 
 
 def _distance(index: SignatureIndex, pair: NearPair) -> float:

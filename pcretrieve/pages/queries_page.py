@@ -9,6 +9,8 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import pcretrieve as pr
 from pcretrieve.options import OptionsLike
 from pcretrieve.pages.html import write_page
@@ -101,7 +103,7 @@ def query_page(
 
 def duplicates_page(
     catalogue: pr.Catalogue | str | Path,
-    pairs: Sequence[tuple[str, str, float, float]],
+    pairs: Sequence[pr.NearPair],
     path: str | Path,
     *,
     options: OptionsLike = None,
@@ -138,8 +140,8 @@ def duplicates_page(
         chosen = pr.PipelineOptions.of(options, store.options)
         check_target(Path(path), [Path(store.location)])
         thumbnails = Thumbnails(store, up)
-        shown = [pair[:3] for pair in pairs] or _nearest_pairs(store, chosen)
-        names = {name for pair in shown for name in pair[:2]}
+        shown = pairs or _nearest_pairs(store, chosen)
+        names = {name for pair in shown for name in (pair.first, pair.second)}
         cards = {
             record.id: (record, thumbnails.of(store, record))
             for record in store.rows.several(names)
@@ -150,8 +152,8 @@ def duplicates_page(
             title=f"Duplicates in {Path(store.location).name}",
             n_shapes=len(store),
             n_found=len(pairs),
-            limit=pairs[0][3] if pairs else None,
-            pairs=[(cards[one], cards[other], gap) for one, other, gap in shown],
+            limit=pairs[0].limit if pairs else None,
+            pairs=[(cards[pair.first], cards[pair.second], pair) for pair in shown],
             settings=settings_in_words(store, chosen) if len(store) else {},
             version=pr.__version__,
         )
@@ -159,7 +161,7 @@ def duplicates_page(
 
 def _nearest_pairs(
     catalogue: pr.Catalogue, options: pr.PipelineOptions
-) -> list[tuple[str, str, float]]:
+) -> list[pr.NearPair]:
     """The nearest pairs of all shapes, nearest first."""
     if len(catalogue) < 2:
         return []
@@ -171,7 +173,7 @@ def _nearest_pairs(
             if other != one:
                 gaps[min(one, other), max(one, other)] = gap
     ranked = sorted(gaps.items(), key=lambda pair: (pair[1], pair[0]))
-    return [(*pair, gap) for pair, gap in ranked[:N_PROOFS]]
+    return [pr.NearPair(*pair, gap, np.inf) for pair, gap in ranked[:N_PROOFS]]
 
 
 def settings_in_words(

@@ -423,8 +423,8 @@ def test_copies_of_other_resolution_are_duplicates(near: Path) -> None:
     page = near.with_name("pairs.html")
     done = run("duplicates", "-c", near, "--html", page)
     assert [line.split()[2:] for line in done.stdout.splitlines()[1:]] == [
-        ["1", "2"],
-        ["4", "5"],
+        ["surface", "1", "2"],
+        ["surface", "4", "5"],
     ]
     assert done.stderr == f"page: {page}\n2 pairs\n"
     assert re.findall('alt="(.*?)" src="data:', page.read_text("utf-8")) == [
@@ -433,7 +433,42 @@ def test_copies_of_other_resolution_are_duplicates(near: Path) -> None:
         "4",
         "5",
     ]
-    assert result("duplicates", "-c", near) == [pair._asdict(), coarse._asdict()]
+    found = result("duplicates", "-c", near)
+    assert found == [
+        one._asdict() | {"classes": [*one.classes]} for one in (pair, coarse)
+    ]
+
+
+def test_copies_of_two_classes_are_in_a_table_of_their_own(tmp_path: Path) -> None:
+    """And copies of a file are told from surfaces that are the same."""
+    catalogue = tmp_path / "mixed.sqlite"
+    with pr.Catalogue(catalogue, pr.PipelineOptions(), create=True) as store:
+        for row, (width, label) in enumerate([(1.0, "a"), (1.0, "a"), (1.0001, "b")]):
+            shape = pr.process(shapes.ellipsoid((width, 1, 1.8), 3))
+            values = pr.describe(shape, store.options.signature).values
+            record = Record(f"{row}", f"/{row}.off", f"hash {label}", label)
+            store.put(record, Content(shape, values))
+    found = pr.duplicates(catalogue)
+    assert {(one.first, one.second): one.evidence for one in found} == {
+        ("0", "1"): "file",
+        ("0", "2"): "surface",
+        ("1", "2"): "surface",
+    }
+    first, second = run("duplicates", "-c", catalogue).stdout.split(
+        "Of two classes: a wrong label, or two bodies\n"
+    )
+    assert [line.split()[2:] for line in first.splitlines()[1:]] == [
+        ["file", "0", "1"],
+        [],
+    ]
+    assert [line.split()[2:] for line in second.splitlines()[1:]] == [
+        ["surface", one, "2", "a,", "b"] for one in "01"
+    ]
+    printed = run("duplicates", "-c", catalogue, "--csv").stdout
+    rows = [tuple(row.values()) for row in csv.DictReader(printed.splitlines())]
+    assert [(row[0], row[1], *row[4:]) for row in rows] == [
+        (one.first, one.second, one.evidence, *one.classes) for one in found
+    ]
 
 
 def test_a_map_is_a_picture_or_a_page(near: Path, tmp_path: Path) -> None:

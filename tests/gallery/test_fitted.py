@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
+from scipy.spatial.transform import Rotation
 
 from pcretrieve import Catalogue, PipelineOptions, SignatureIndex
 from pcretrieve.catalogue import Content, Record
@@ -20,7 +21,7 @@ from pcretrieve.gallery.fitted import index, signatures
 from pcretrieve.gallery.groups import places
 from pcretrieve.pipeline.process import process
 from pcretrieve.retrieval import coordinates, fit_whitening
-from pcretrieve.values import Shape
+from pcretrieve.values import Shape, TriangleMesh
 
 
 @cache
@@ -229,3 +230,19 @@ def test_people_of_one_build_are_no_copies(tmp_path: Path) -> None:
         }
         moments = index(store, options=FEW.of_copies)
         assert len(groups.near_pairs(moments, groups.SAME)) == 48 * 47 // 2
+
+
+def test_surfaces_are_compared_in_any_place_size_and_handedness() -> None:
+    """A body whose upper half is turned by 10° is farther from itself than a mirrored coarse copy."""
+    body = shapes.body(4)
+    turn = Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix()
+    copy = TriangleMesh(body.vertices @ turn * [-3, 3, 3] + 1, body.faces[:, ::-1])
+    assert groups._surface_gap(body, copy) < 1e-9
+    assert groups._surface_gap(body, shapes.body(5)) < groups.ONE_SURFACE
+    height = body.vertices[:, 2]
+    angle = np.radians(10) * np.clip(height / np.ptp(height), 0, 1)
+    x, y, z = body.vertices.T
+    bent = np.column_stack(
+        [x * np.cos(angle) - z * np.sin(angle), y, x * np.sin(angle) + z * np.cos(angle)]
+    )
+    assert groups._surface_gap(body, TriangleMesh(bent, body.faces)) > groups.ONE_SURFACE
