@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from benchmarks.synthetic import synthetic_catalogue, synthetic_id
 from commands import NAMES
 
 import pcretrieve
@@ -88,6 +89,19 @@ def test_starting_is_light(arguments: tuple[str, ...]) -> None:
     imported = imported_by(*arguments)
     assert "pcretrieve" in imported
     assert imported.isdisjoint(HEAVY)
+
+
+def test_a_query_by_id_fits_and_imports_nothing_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After the first one, which keeps the index: SciPy alone would take half of the time."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    path = tmp_path / "c.sqlite"
+    synthetic_catalogue(path, pcretrieve.PipelineOptions(), 100, 1)
+    query = ("-m", "pcretrieve", "query", "-c", str(path), synthetic_id(7))
+    assert "scipy" in imported_by(*query)
+    slow = {"scipy", "sklearn", "numba", "open3d", "trimesh", "rich"}
+    assert imported_by(*query).isdisjoint(slow)
 
 
 @pytest.mark.parametrize(

@@ -40,8 +40,9 @@ logger = logging.getLogger(__name__)
 # Version of the arrays of an index, which is incremented when their meaning changes.
 FORMAT = 14
 
-# Smallest number of shapes for which an index is stored, or a map.
-SMALLEST_KEPT = 1_000
+# Smallest number of shapes for which an index is stored, or a map. The scores of 600 shapes, with the import
+# of what fits them, would be two thirds of a query by id.
+SMALLEST_KEPT = 100
 
 # Number of computed signatures that are stored together, so that few are lost after an interruption.
 KEPT_AT_ONCE = 100
@@ -119,7 +120,7 @@ def stored_signature(
 def index(catalogue: CatalogueLike, *, options: OptionsLike = None) -> SignatureIndex:
     """The index of the signatures of a catalogue, with its whitening and its scores.
 
-    The index of a large catalogue is stored in the cache folder of the user, and opened from there until
+    The index of 100 shapes or more is stored in the cache folder of the user, and opened from there until
     shapes or labels change.
 
     Parameters
