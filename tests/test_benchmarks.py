@@ -28,7 +28,7 @@ from benchmarks.paper.spectra import (
 from benchmarks.people import POSES, joints
 from benchmarks.recognition import Scans
 from benchmarks.sensors import KINDS, MORE_POINTS, SENSORS, USUAL_POINTS, drawn, left_by
-from benchmarks.transfer import found_by, mixed, without
+from benchmarks.transfer import EXCESS, found_by, widened, without
 
 from pcretrieve import ModalSpectrum, write_mesh
 from pcretrieve.points.neighbors import nearest
@@ -270,14 +270,16 @@ def scans_of_people(n_people: int, spread: float) -> Scans:
     return Scans(parts, person, np.array(ids))
 
 
-def test_a_metric_that_is_mixed_keeps_what_people_differ_by() -> None:
-    scans = scans_of_people(60, 0.5)
+def test_a_metric_learns_what_exceeds_it_and_keeps_what_people_differ_by() -> None:
+    scans = scans_of_people(400, 1.0)
+    # The size scatters by a variance of 25; all other coordinates as the package says.
+    scans.parts["size"][:, 0] += 4.9 * np.random.default_rng(1).normal(0, 1, 1600)
     unit = np.eye(105)
     arrays = {"within": unit, "total": 3 * unit, "scale": np.ones(105)}
-    assert mixed(arrays, scans, 0.0) == arrays
-    found = mixed(arrays, scans, 0.5)
-    # The variance within these people is a quarter, of which sampling and the shrinkage leave about 3 %.
-    assert np.diag(found["within"]).mean() == pytest.approx(0.5 + 0.5 * 0.25, rel=0.03)
+    found = widened(arrays, scans, 0.5)
+    assert widened(arrays, scans, 0.0)["within"] == pytest.approx(unit)
+    assert found["within"][-1, -1] == pytest.approx(1 + 0.5 * (25 - EXCESS), rel=0.1)
+    assert found["within"][:-1, :-1] == pytest.approx(unit[:-1, :-1], abs=0.1)
     assert found["total"] - found["within"] == pytest.approx(2 * unit)
 
 
