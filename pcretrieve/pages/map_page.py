@@ -79,7 +79,7 @@ def draw_map(
     with Catalogue.opened(catalogue) as store:
         chosen = PipelineOptions.of(options, store.options).without_labels
         made = index(store, options=chosen)
-        title = f"Map of {Path(store.location).name}"
+        title = f"Map of {Path(store.location).stem}"
         drawn = places(store, options=chosen)
         if target.suffix.lower() == ".png":
             from pcretrieve.draw.plot import draw_places

@@ -84,7 +84,7 @@ def query_page(
             title=Path(outcomes[0][0]).name
             if len(outcomes) == 1
             else f"{len(outcomes)} scans",
-            catalogue=Path(store.location).name,
+            catalogue=Path(store.location).stem,
             panels=[
                 {"name": name} | _panel(store, one, thumbnails)
                 for name, one in outcomes
@@ -149,7 +149,7 @@ def duplicates_page(
         return write_page(
             path,
             "duplicates.html",
-            title=f"Duplicates in {Path(store.location).name}",
+            title=f"Duplicates in {Path(store.location).stem}",
             n_shapes=len(store),
             n_found=len(pairs),
             limit=pairs[0].limit if pairs else None,

@@ -209,7 +209,7 @@ def report(
         return write_page(
             path,
             "report.html",
-            title=f"Retrieval in {Path(store.location).name}",
+            title=f"Retrieval in {Path(store.location).stem}",
             facts=facts,
             **_shown(panels),
             measured=measured.measures,

@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 import shapes
 from commands import refusal, run
-from search_server import NASTY
+from search_server import NASTY, write_many
 
 from pcretrieve import (
     Answer,
     PipelineOptions,
     Record,
     draw_map,
+    duplicates_page,
     ingest,
     matrix,
     query_page,
@@ -204,7 +205,8 @@ def test_the_page_of_one_scan_says_what_the_search_found(
     answer, words = answer_of(eggs, folder / "new.off", 4), words_of(page)
     assert answer.label == "<kind 1>"
     assert f"{answer}" in words
-    assert "The scan is good" in words
+    assert f"This is {answer.label}, sure" in words
+    assert "The scan is" not in words, "a grade is said where it is not good"
     assert re.findall(r'<b class="name">(.*?)</b>', page.read_text("utf-8")) == list(
         answer.neighbors.ids
     )
@@ -245,6 +247,32 @@ def test_the_command_prints_what_it_prints_and_writes_the_page(
         before = target.read_bytes()
         refusal(*asked, "--html", target)
         assert target.read_bytes() == before
+
+
+def test_several_scans_are_counted_by_what_was_found(eggs: Path, folder: Path) -> None:
+    egg(0.4, folder / "flat.off", width=3.0)
+    scans = [folder / name for name in ("new.off", "flat.off", "bad/garbage.ply")]
+    page = query_page(eggs, scans, folder / "three.html", false_match_rate=1e-4)
+    assert "3 scans: 1 recognised, 1 stranger, 1 failed" in words_of(page)
+    assert "None" not in words_of(page).split()
+
+
+def test_that_there_are_no_duplicates_is_shown_by_the_nearest_pairs(
+    eggs: Path, tmp_path: Path
+) -> None:
+    page = duplicates_page(eggs, [], tmp_path / "none.html")
+    words = words_of(page)
+    assert "No duplicates among 12 shapes The nearest pairs" in words
+    shown = re.findall(r"distance ([\d.]+)", words)
+    gaps = np.sort(matrix(eggs).values[np.triu_indices(12, 1)])[:3]
+    assert [float(gap) for gap in shown] == pytest.approx(gaps.tolist(), rel=0.005)
+
+
+def test_duplicates_are_side_by_side(eggs: Path, tmp_path: Path) -> None:
+    run("duplicates", "-c", eggs, "--threshold", 1e9, "--html", tmp_path / "all.html")
+    words = words_of(tmp_path / "all.html")
+    assert "66 pairs of duplicates among 12 shapes" in words and NASTY in words
+    assert str(tmp_path) not in words and "/secret" not in words
 
 
 # --- in a browser -------------------------------------------------------------------------------------
@@ -292,12 +320,27 @@ def test_queries_and_classes_are_searched_and_sorted_without_a_server(
 
 
 @pytest.mark.slow
+def test_a_report_is_folded_after_the_worst(browser: Browser, tmp_path: Path) -> None:
+    written = report(write_many(tmp_path / "many.sqlite"), tmp_path / "many.html")
+    with browsers.opened(browser, written.as_uri()) as page:
+        assert shown(page) == queries_of(written)[:20]
+        assert page.locator("#count").inner_text() == "28 of 28"
+        page.get_by_label("Search", exact=True).fill("kind 13")
+        assert len(shown(page)) == 2
+        page.get_by_label("Search", exact=True).fill("")
+        page.get_by_role("button", name="Show all 28").click()
+        assert len(shown(page)) == 28
+
+
+@pytest.mark.slow
 def test_pages_are_accessible_and_fit_a_phone(
     browser: Browser, eggs: Path, folder: Path, written: Path
 ) -> None:
     queries: list[str | Path] = ["Egg21", folder / "bad", folder / "new.off"]
     search = query_page(eggs, queries, folder / "browser.html", k=4)
-    for file in (written, search, draw_map(eggs, folder / "map.html")):
+    one = query_page(eggs, folder / "new.off", folder / "single.html", k=4)
+    doubles = duplicates_page(eggs, [], folder / "doubles.html")
+    for file in (written, search, one, doubles, draw_map(eggs, folder / "map.html")):
         for size, dark in ((browsers.DESKTOP, False), (browsers.PHONE, True)):
             with browsers.opened(browser, file.as_uri(), size, dark=dark) as page:
                 assert browsers.overflow(page) <= 0
