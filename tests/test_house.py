@@ -287,8 +287,9 @@ def test_what_is_heavy_is_imported_when_it_is_used() -> None:
         at_once = {
             name.split(".")[0] for name, is_at_once in imported(path) if is_at_once
         }
-        # The application of the search page is imported by `serve` alone.
-        assert at_once.isdisjoint(HEAVY) or path.name == "application.py", path
+        # The application of the search page, and its export, are imported by `serve` alone.
+        is_served = path.name in ("application.py", "export.py")
+        assert at_once.isdisjoint(HEAVY) or is_served, path
 
 
 def test_compiled_functions_call_none_of_another_module() -> None:

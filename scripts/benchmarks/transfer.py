@@ -140,9 +140,9 @@ def kinds_of(ids: Sequence[str]) -> list[str]:
     return kinds
 
 
-# How many times the variance of the package scans must have in a direction. A few hundred scans know the others
-# less well than thousands by nine cameras do. With 1, 2, 4 or 8, rank-1 of 1,000 by left-out kinds
-# of sensors is alike; with 4 or 8, that by nine cameras falls least.
+# How many times the variance of the package scans must have in a direction. A few hundred scans know the
+# others less well than thousands by nine cameras do. With 1, 2, 4 or 8, rank-1 of 1,000 by left-out kinds of
+# sensors is alike; with 4 or 8, that by nine cameras falls least.
 EXCESS = 4.0
 
 
