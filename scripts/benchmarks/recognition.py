@@ -30,7 +30,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import hypergeom
 from sklearn.neural_network import MLPRegressor
 
 import pcretrieve.retrieval
@@ -49,7 +48,7 @@ from benchmarks.sets import to_faces
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
 from pcretrieve.errors import BenchmarkError, ShapeError
-from pcretrieve.evaluation.measures import verification
+from pcretrieve.evaluation.measures import recognition_curve, verification
 from pcretrieve.gallery.answers import SURE
 from pcretrieve.gallery.fitted import signatures
 from pcretrieve.options import (
@@ -77,10 +76,8 @@ from pcretrieve.retrieval.scores import (
 from pcretrieve.values import FloatArray, PointCloud, SignatureTable
 from pcretrieve.values.files import write_file
 
-SIZES = (100, 300, 1000, 3000, 10_000)
-
-# The smallest gallery that the power of n is fitted to, and the weight of the size: that of a body scanner.
-FITTED_FROM = 100
+# The smallest collection of the curve, and the weight of the size: that of a body scanner.
+SMALLEST = 100
 SIZE_WEIGHT = PipelineOptions.of("body-scanner").signature.size_weight
 
 TABLE = Table(
@@ -608,8 +605,8 @@ class Row(NamedTuple):
 # Share of pairs of two people that are accepted where the share of refused pairs of one person is stated.
 ACCEPTED = 1e-3
 
-# Number of queries whose distances are computed at once, and the least error, of which a logarithm is taken.
-BLOCK, TINY = 256, 1e-9
+# Number of queries whose distances are computed at once.
+BLOCK = 256
 
 
 def recognition(points: FloatArray, person: Positions) -> list[Row]:
@@ -639,27 +636,16 @@ def recognition(points: FloatArray, person: Positions) -> list[Row]:
             "the scans must be of two people or more, some person with two of them"
         )
     missed, equal = errors_of_pairs.missed(ACCEPTED), errors_of_pairs.equal_error
-    nearer, n_people = np.concatenate(n_nearer), len(first)
-    known = [size for size in SIZES if size < n_people] + [n_people]
-    # Of the people who are nearer than the query's own scans, how many are in a random gallery.
-    rates = np.array(
-        [
-            [np.mean(hypergeom.cdf(r - 1, n_people - 1, nearer, n - 1)) for r in (1, 5)]
-            for n in known
-        ]
-    )
-    used = np.array(known) >= FITTED_FROM
-    beyond = [size for size in SIZES if size > n_people] if used.sum() > 1 else []
-    errors = np.log(np.maximum(1 - rates[used, 0], TINY))
-    slope, level = (
-        np.polyfit(np.log(np.array(known)[used]), errors, 1) if beyond else (0.0, 0.0)
-    )
-    fitted = [
-        [max(0.0, 1 - np.exp(slope * np.log(size) + level)), np.nan] for size in beyond
-    ]
-    rates = np.concatenate([rates, np.reshape(fitted, (-1, 2))])
-    sizes = known + beyond
+    curve = recognition_curve(np.concatenate(n_nearer), person, len(first))
     return [
-        Row(size, rank_1, rank_5, equal, missed, "fitted" if size > n_people else "")
-        for size, (rank_1, rank_5) in zip(sizes, rates.tolist(), strict=True)
+        Row(
+            point.n_classes,
+            point.rank_1,
+            point.rank_5,
+            equal,
+            missed,
+            "fitted" if point.is_fitted else "",
+        )
+        for point in curve
+        if point.n_classes >= min(SMALLEST, len(first))
     ]
