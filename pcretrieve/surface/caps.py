@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcretrieve.arrays import grid_points, joined_by
+from pcretrieve.arrays import grid_points, joined_by, unit_vectors
 from pcretrieve.points.neighbors import nearest, neighborhoods
 from pcretrieve.surface.fairing import domed, faces_at, faired, membrane, with_ring
 from pcretrieve.surface.field import normals_of
@@ -81,6 +81,17 @@ FARTHEST_GAP = 8.0
 
 # Distance from a rim, in radii of the limb, within which normals are made to point away from its axis.
 BESIDE_END = 0.5
+
+# The same of deep holes, above and below the rim of the coarse surface, which recedes where normals point
+# inwards; and the least cosine between these and the direction to the axis.
+RECEDED = 2.0
+BELOW_RIM = 1.0
+INWARDS = 0.3
+
+# Largest share of the normals round a deep hole that face away from it, by this cosine, if any are turned: at
+# crowns it is .07, in holes of faces and shins .3 or more, because these are as deep as the part.
+AWAY = 0.7
+MOST_AWAY = 0.2
 
 
 class Capped(NamedTuple):
@@ -191,23 +202,54 @@ def slope_of(
     axis: (3,) float64, the unit normal of the flat patch that closes the hole.
     points, normals: (n, 3) float64, of the surface.
     """
-    middle = rim.mean(axis=0)
-    radius = float(np.linalg.norm(rim - middle, axis=1).mean())
-    offsets = points - middle
-    along = offsets @ axis / radius
-    beside = (offsets**2).sum(axis=1) / radius**2 - along**2
-    near = (along < ABOVE_RIM) & (along > -1) & (beside < BESIDE_RIM**2)
+    along, across = _about(rim, axis, points)
+    near = (along < ABOVE_RIM) & (along > -BELOW_RIM) & _is_beside(across)
+    along, normals = along[near], normals[near]
     if near.sum() < 3:
         return 1.0, 0.0
     # The flood fill may have come in by the hole, and have turned normals at its rim inwards.
-    outwards = np.sign(
-        np.einsum("ij,ij->i", normals[near], offsets[near] + radius * axis)
-    )
-    tilt, along = outwards * (normals[near] @ axis), along[near]
+    away = across[near] + np.outer(along + 1, axis)
+    tilt = np.sign(np.einsum("ij,ij->i", normals, away)) * (normals @ axis)
     # The slope of the regression line; np.polyfit warns where all points have one height.
     centred = along - along.mean()
     steepness = centred @ tilt / max(centred @ centred, np.finfo(np.float64).tiny)
     return float(tilt[along > -ABOVE_RIM].mean()), float(steepness)
+
+
+def _about(
+    rim: FloatArray, axis: FloatArray, points: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(n,) heights of points above the rim of a hole, (n, 3) offsets from its axis; in radii of the rim."""
+    middle = rim.mean(axis=0)
+    offsets = (points - middle) / np.linalg.norm(rim - middle, axis=1).mean()
+    along = offsets @ axis
+    return along, offsets - np.outer(along, axis)
+
+
+def _is_beside(across: FloatArray) -> Mask:
+    """(n,) whether points, by their offsets from the axis of a hole, are of the part in which it is."""
+    return np.asarray((across**2).sum(axis=1) < BESIDE_RIM**2)
+
+
+def outwards_at_rims(found: Capped, cloud: PointCloud) -> PointCloud:
+    """The points, whose normals round deep holes point away from the axes of the holes.
+
+    The flood fill may have come in by a hole and have turned them inwards, so that the surface recedes.
+    """
+    surface, normals = found.surface, normals_of(cloud).copy()
+    for number in np.unique(found.cap[found.cap != NO_CAP]):
+        here = found.cap == number
+        axis = surface.area_vectors[here].sum(axis=0)
+        axis /= np.linalg.norm(axis)
+        rim = np.intersect1d(surface.faces[here], surface.faces[~here])
+        if slope_of(surface.vertices[rim], axis, cloud.points, normals)[0] >= DEEP:
+            continue
+        along, across = _about(surface.vertices[rim], axis, cloud.points)
+        near = (along > -BELOW_RIM) & (along < RECEDED) & _is_beside(across)
+        if (normals[near] @ axis < -AWAY).mean() < MOST_AWAY:
+            towards = np.einsum("ij,ij->i", normals, unit_vectors(across))
+            normals[near & (towards < -INWARDS)] *= -1
+    return replace(cloud, normals=normals)
 
 
 def ends_a_part(tilt: float, steepness: float) -> bool:

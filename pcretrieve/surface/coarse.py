@@ -11,7 +11,7 @@ from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.density import local_spacings
 from pcretrieve.points.neighbors import PLANE_NEIGHBORS, Neighborhoods, neighborhoods
 from pcretrieve.points.voxels import Voxels, sampled
-from pcretrieve.surface.caps import Capped, capped, limbs_continued
+from pcretrieve.surface.caps import Capped, capped, limbs_continued, outwards_at_rims
 from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.marching import level_set
 from pcretrieve.surface.poisson import poisson
@@ -249,21 +249,27 @@ def coarse_surface(
     Returns Capped, PointCloud: the surface, and the points with those of `limbs_continued`.
     """
     # See docs/decisions.md, LEVEL, for scans with sensor positions.
-    n = 2**options.fill_depth
-    surface = (
-        _level_set(cloud, local_spacings(neighbors), n)
-        if cloud.viewpoints is None
-        else None
-    )
-    if surface is None:
+    if cloud.viewpoints is not None:
         surface = _poisson_surface(cloud, options.fill_depth)
-    elif (components(surface) > 0).mean() > LEAST_PIECE:
+        return capped(surface, cloud, spacing=spacing), cloud
+    n = 2**options.fill_depth
+    spacings = local_spacings(neighbors)
+    level = _level_set(cloud, spacings, n)
+    if level is not None and (components(level) > 0).mean() > LEAST_PIECE:
         known = limbs_continued(cloud, spacing)
-        around = neighborhoods(known.points, PLANE_NEIGHBORS + 1)
-        again = _level_set(known, local_spacings(around), n)
+        around = local_spacings(neighborhoods(known.points, PLANE_NEIGHBORS + 1))
+        again = _level_set(known, around, n)
         if again is not None:
-            surface, cloud = again, known
-    return capped(surface, cloud, spacing=spacing), cloud
+            level, cloud, spacings = again, known, around
+    surface = level or _poisson_surface(cloud, options.fill_depth)
+    found = capped(surface, cloud, spacing=spacing)
+    turned = outwards_at_rims(found, cloud)
+    if (normals_of(turned) == normals_of(cloud)).all():
+        return found, cloud
+    again = _level_set(turned, spacings, n)
+    if again is None:
+        return found, cloud
+    return capped(again, turned, spacing=spacing), turned
 
 
 def _level_set(cloud: PointCloud, spacings: FloatArray, n: int) -> TriangleMesh | None:

@@ -120,7 +120,8 @@ def domed(
 
     Fairing cannot raise a flat patch to more than half of a sphere. The flat patch is the stereographic
     projection of the sphere, which keeps the form of faces. The rim is moved back to where it was, and
-    what it moves spreads over the patch as a membrane.
+    what it moves spreads over the patch as a membrane. A rim below the widest place of a head is longer than
+    wide; the sphere is stretched, so that the head is as high as it is long.
 
     axis: (3,) float64, the unit vector from the middle of the rim to that of the patch.
     angle: between the axis and the rim, at the centre of the sphere.
@@ -133,7 +134,8 @@ def domed(
     angles = 2 * np.arctan(distance / radius * np.tan(angle / 2))
     rises = np.outer(np.cos(angles) - np.cos(angle), axis)
     outwards = (np.sin(angles) / np.maximum(distance, TINY))[:, np.newaxis] * across
-    sphere = (rises + outwards) * radius / np.sin(angle)
+    longest = distance[is_rim].max() if angle > np.pi / 2 else radius
+    sphere = (longest * rises + radius * outwards) / np.sin(angle)
     moved: FloatArray = vertices.copy()
     moved[free] = (sphere + membrane(vertices - sphere, faces, free))[free]
     return moved

@@ -48,6 +48,9 @@ from pcretrieve.values.files import write_file
 OF_PEOPLE = ("people", "simulated", "tosca-people")
 RADII = (1.0, 2.0, 3.0, 4.0, 6.0)
 
+# The place where no ball is cut out, but all that is near the ground.
+SOLES = "soles"
+
 TABLE = Table(
     Column("people", 12, align="<"),
     Column("hole at", 8, align="<"),
@@ -106,7 +109,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
         default=8,
         help="people of each kind (default: %(default)s)",
     )
-    add("--places", nargs="+", choices=PLACES, default=list(PLACES), metavar="PLACE")
+    add(
+        "--places",
+        nargs="+",
+        choices=(*PLACES, SOLES),
+        default=list(PLACES),
+        metavar="PLACE",
+        help="of holes; soles: the radius is the height below which nothing is seen, in "
+        "percent of that of the body",
+    )
     add(
         "--radii",
         nargs="+",
@@ -268,7 +279,11 @@ def cloud_of(task: Task) -> PointCloud:
     rng = np.random.default_rng((task.seed, *body.name.encode()))
     points, faces = outer_points(mesh, task.n_points, rng)
     measured = noisy(mesh, points, rng)
-    if task.radius:
+    if task.place == SOLES:
+        height = mesh.vertices[:, 1] - mesh.vertices[:, 1].min()
+        lowest = mesh.vertices[:, 1].min() + task.radius / 100 * height.max()
+        measured = measured[points[:, 1] > lowest]
+    elif task.radius:
         centre, radius = body.places[task.place], task.radius / 100 * mesh.diagonal
         # The corners of a face of which a part is in the ball are at most an edge outside.
         longest = np.linalg.norm(np.diff(mesh.vertices[mesh.faces], axis=1), axis=2).max()
