@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import shapes
 
 from pcretrieve.surface.caps import (
     NO_CAP,
+    Capped,
     base_of,
     capped,
     ends_a_part,
     limbs_continued,
+    outwards_at_rims,
     slope_of,
 )
 from pcretrieve.surface.field import normals_of
-from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
+from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh, unit_vectors
 
 N = 11  # vertices of a side of the sheet
 
@@ -173,6 +176,23 @@ def test_normals_that_the_flood_fill_turned_count_as_the_others() -> None:
     rim, up = points[points[:, 2] == 0], np.array([0.0, 0.0, 1.0])
     turned = np.where(points[:, 2:] > -0.3, -points, points)
     assert slope_of(rim, up, points, turned) == slope_of(rim, up, points, points)
+
+
+@pytest.mark.parametrize(("length", "is_mended"), [(3.0, True), (1.0, False)])
+def test_normals_round_a_deep_hole_point_away_from_its_axis(
+    length: float, is_mended: bool
+) -> None:
+    """But not if the hole is as deep as the body, as that of a face: there, they may face the hole."""
+    whole = shapes.ellipsoid((1, 1, length), subdivisions=4)
+    in_hole = whole.vertices[:, 2] > 0
+    closed = np.where(in_hole[:, np.newaxis], whole.vertices * [1, 1, 0], whole.vertices)
+    cap = np.where(in_hole[whole.faces].any(axis=1), 0, NO_CAP)
+    found = Capped(TriangleMesh(closed, whole.faces), cap, cap > 0)
+    points = whole.vertices[~in_hole]
+    outwards = unit_vectors(points / np.square([1, 1, length]))
+    turned = np.where(points[:, 2:] > -0.3 * length, -outwards, outwards)
+    normals = normals_of(outwards_at_rims(found, PointCloud(points, normals=turned)))
+    assert np.array_equal(normals, outwards if is_mended else turned)
 
 
 def test_a_tube_ends_in_its_hole_and_a_ball_does_not() -> None:

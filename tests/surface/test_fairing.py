@@ -46,6 +46,15 @@ def test_a_deep_hole_of_a_sphere_becomes_the_sphere(angle: float, error: float) 
     assert np.abs(np.linalg.norm(closed[cap], axis=1) - 1).max() < error
 
 
+def test_a_long_head_that_is_cut_below_its_widest_place_becomes_as_high_as_long() -> None:
+    head = shapes.ellipsoid((1, 0.7, 1), subdivisions=4)
+    angle = np.radians(105)
+    cap = head.vertices[:, 2] > np.cos(angle)
+    flat = membrane(head.vertices, head.faces, cap)
+    closed = domed(flat, head.faces, cap, np.array([0.0, 0.0, 1.0]), angle)
+    assert closed[:, 2].max() == pytest.approx(1, abs=0.05)
+
+
 def test_a_fair_patch_does_not_depend_on_the_unit() -> None:
     vertices, cap = flattened(BALL, 45)
     closed = faired(vertices, BALL.faces, cap)
