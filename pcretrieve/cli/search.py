@@ -408,8 +408,8 @@ def serve_command(
     pcretrieve serve --catalogue bodies.sqlite --port 0 --keep scans/
     pcretrieve serve --catalogue bodies.sqlite --export site/
     """
-    if (read_only or export) and keep is not None:
-        raise click.UsageError("choose one of --read-only, --export and --keep")
+    if read_only and keep is not None:
+        raise click.UsageError("choose one of --read-only and --keep")
     with pr.Catalogue(catalogue) as store:
         options = comparison.options(store.options)
     pr.serve(

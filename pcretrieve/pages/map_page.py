@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -139,10 +138,9 @@ def class_groups(
     found = [
         (name, np.flatnonzero([label == name for label in classes])) for name in names
     ]
-    colours = [*itertools.islice(itertools.cycle(COLOURS), len(names) - 1), UNKNOWN]
     return [
-        (name, rows, colour)
-        for (name, rows), colour in zip(found, colours, strict=True)
+        (name, rows, UNKNOWN if name is None else COLOURS[number % len(COLOURS)])
+        for number, (name, rows) in enumerate(found)
         if len(rows)
     ]
 

@@ -141,19 +141,18 @@ def duplicates_page(
         check_target(Path(path), [Path(store.location)])
         thumbnails = Thumbnails(store, up)
         shown = pairs or _nearest_pairs(store, chosen)
-        names = {name for pair in shown for name in (pair.first, pair.second)}
-        cards = {
-            record.id: (record, thumbnails.of(store, record))
-            for record in store.rows.several(names)
-        }
+
+        def card(shape_id: str) -> tuple[pr.Record, bytes | None]:
+            record = store.record(shape_id)
+            return record, thumbnails.of(store, record)
+
         return write_page(
             path,
             "duplicates.html",
             title=f"Duplicates in {Path(store.location).stem}",
             n_shapes=len(store),
-            n_found=len(pairs),
-            limit=pairs[0].limit if pairs else None,
-            pairs=[(cards[pair.first], cards[pair.second], pair) for pair in shown],
+            found=pairs,
+            pairs=[(card(pair.first), card(pair.second), pair) for pair in shown],
             settings=settings_in_words(store, chosen) if len(store) else {},
             version=pr.__version__,
         )

@@ -40,6 +40,7 @@ from pcretrieve.pages.thumbnails import Thumbnails
 from pcretrieve.values import UPWARD
 from pcretrieve.web.comparison import Maps, compared, mesh_of, scene_document
 from pcretrieve.web.documents import (
+    PAGE,
     job_document,
     listing_document,
     record_of,
@@ -73,6 +74,9 @@ MOST_ANSWERS = 100
 # Largest number of classes that a page names for a choice; with more, the name is typed. Ten thousand take
 # half a megabyte, and a tenth of a second, on each page.
 MOST_CLASSES = 500
+
+# More shapes than any catalogue has, all of which are on the only page of an exported site.
+ALL = 10**9
 
 # Largest number of other scans of a class on the page of a shape.
 MOST_OTHERS = 24
@@ -263,7 +267,9 @@ def _collection(asked: Asked) -> Response:
     return asked.page(
         "collection.html",
         listing=listing,
-        found=listing_document(asked.catalogue, listing, whole=asked.site.exported),
+        found=listing_document(
+            asked.catalogue, listing, ALL if asked.site.exported else PAGE
+        ),
         classes=asked.classes,
         suffixes=() if asked.site.given_jobs is None else ONE_FILE,
         most_bytes=asked.site.most_bytes,
@@ -275,9 +281,7 @@ def _collection(asked: Asked) -> Response:
 
 def _shape(asked: Asked) -> Response:
     record, rows = asked.record, asked.catalogue.rows
-    others = (
-        rows.wanted(label=record.label, limit=MOST_OTHERS + 1)[1] if record.label else ()
-    )
+    others = rows.wanted(label=record.label, limit=MOST_OTHERS)[1] if record.label else ()
     return asked.page(
         "shape.html",
         shape=shape_document(record),
@@ -285,7 +289,7 @@ def _shape(asked: Asked) -> Response:
         found=asked.found() if record.status == "done" else None,
         classes=asked.classes,
         has_surface="meshes" in asked.catalogue.options.catalogue.keep,
-        others=[one for one in others if one != record.id][:MOST_OTHERS],
+        others=others,
         can_be_inspected=asked.site.given_jobs is not None
         and Path(record.path).is_file(),
         can_be_turned=asked.site.given_jobs is not None
@@ -294,13 +298,13 @@ def _shape(asked: Asked) -> Response:
 
 
 def _compare(asked: Asked) -> Response:
-    site, pair = asked.site, [asked.request.query_params.get(name, "") for name in "ab"]
-    context: dict[str, Any] = {"shapes": ()}
+    site, shown = asked.site, dict[str, Any](shapes=())
+    pair = [asked.request.query_params.get(name, "") for name in "ab"]
     if all(pair):
-        context = compared(asked.catalogue, pair, site.options, site.thumbnails)
+        shown = compared(asked.catalogue, pair, site.options, site.thumbnails)
     else:
-        context["ids"] = asked.catalogue.rows.wanted(state="done", limit=MOST_CLASSES)[1]
-    return asked.page("compare.html", pair=pair, **context)
+        _, shown["ids"] = asked.catalogue.rows.wanted(state="done", limit=MOST_CLASSES)
+    return asked.page("compare.html", pair=pair, **shown)
 
 
 def _scan(asked: Asked) -> Response:

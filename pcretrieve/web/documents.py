@@ -50,10 +50,9 @@ def shape_document(record: Record) -> Document:
 
 
 def listing_document(
-    catalogue: Catalogue, listing: Listing, *, whole: bool = False
+    catalogue: Catalogue, listing: Listing, size: int = PAGE
 ) -> Document:
-    """A page of the collection, or the whole."""
-    size = max(len(catalogue.labels()), 1) if whole else PAGE
+    """A page of the collection."""
     words, start = listing.q.casefold().split(), (listing.page - 1) * size
     if words:  # compared by Python, because databases know ASCII letters alone
         _, ids = catalogue.rows.wanted(**listing.wanted)

@@ -15,9 +15,8 @@ from starlette.responses import Response
 from pcretrieve import Catalogue, pages
 from pcretrieve.errors import InputError
 from pcretrieve.values.files import write_file
-from pcretrieve.web.application import LISTS, OTHERS, SEARCHES, Asked, Site
+from pcretrieve.web.application import LISTS, SEARCHES, Asked, Site
 from pcretrieve.web.comparison import map_of
-from pcretrieve.web.requests import Refused
 
 # What the pages of an exported site load.
 ASSETS = {"page.css", "search.css", "map.css", "find.js", "map.js"}
@@ -40,22 +39,19 @@ def export_site(site: Site, location: str, folder: Path) -> None:
             places[f"shape/{address}"] = f"shapes/{number}.html"
             places[f"shapes/{address}/thumbnail.png"] = f"pictures/{number}.png"
 
-        def answered(answer: Callable[[Asked], Response], shape_id: str = "") -> bytes:
+        def write(
+            place: str, answer: Callable[[Asked], Response], shape_id: str = ""
+        ) -> None:
             path = {"id": quote(shape_id, safe="")}
-            scope = {
-                "type": "http",
-                "query_string": b"",
-                "headers": [],
-                "path_params": path,
-            }
-            return bytes(answer(Asked(site, store, Request(scope), 0.0)).body)
-
-        def linked(page: bytes, up: str = "") -> bytes:
+            scope = {"type": "http", "query_string": b"", "path_params": path}
+            page = bytes(answer(Asked(site, store, Request(scope), 0.0)).body)
+            up = "../" * place.count("/")
             # Styles and scripts have the same places on the server.
-            return LINK.sub(
+            linked = LINK.sub(
                 lambda link: f'{link[1]}="{up}{places.get(unescape(link[2]), link[2])}"',
                 page.decode(),
-            ).encode()
+            )
+            write_file(folder / place, linked.encode())
 
         shutil.copytree(
             Path(pages.__path__[0], "assets"),
@@ -65,15 +61,11 @@ def export_site(site: Site, location: str, folder: Path) -> None:
         for part in ("shapes", "pictures"):
             (folder / part).mkdir()
         for number, one in enumerate(ids):
-            page = linked(answered(SEARCHES["/shape/{id}"], one), "../")
-            write_file(folder / "shapes" / f"{number}.html", page)
-            try:
-                picture = answered(OTHERS["/shapes/{id}/thumbnail.png"], one)
-            except Refused:  # failed
-                continue
-            write_file(folder / "pictures" / f"{number}.png", picture)
+            write(f"shapes/{number}.html", SEARCHES["/shape/{id}"], one)
+            picture = site.thumbnails.of(store, store.record(one))
+            if picture is not None:  # or it failed
+                write_file(folder / "pictures" / f"{number}.png", picture)
         drawn = map_of(site.options, location) if len(store) else {"drawing": None}
-        page = answered(lambda asked: asked.page("search_map.html", **drawn))
-        write_file(folder / "map.html", linked(page))
+        write("map.html", lambda asked: asked.page("search_map.html", **drawn))
         # Last, so that a site with a first page is complete.
-        write_file(folder / "index.html", linked(answered(LISTS["/"])))
+        write("index.html", LISTS["/"])

@@ -124,6 +124,9 @@ class Jobs:
             folder = Path(tempfile.mkdtemp(prefix="upload-", dir=self._folder.path))
             job = Job(secrets.token_urlsafe(12), name, folder)
             self._open.add(job.id)
+            self._jobs[job.id] = job
+            if len(self._jobs) > MOST_KNOWN:
+                self._jobs.popitem(last=False)
         return job
 
     def inspect(self, name: str, scan: Path) -> Job:
@@ -133,7 +136,6 @@ class Jobs:
         job = self.begin(name)
         job.state = "done"
         with self._lock:
-            self._know(job)
             # It stays open until it is inspected, and is counted among those that wait.
             self._uninspected.add(job.id)
         self._inspecting.submit(
@@ -145,19 +147,13 @@ class Jobs:
         """Remove a scan that was not received."""
         with self._lock:
             self._open.discard(job.id)
+            self._jobs.pop(job.id, None)
         job.remove()
 
     def submit(self, job: Job, scan: Path) -> None:
         """Have a scan processed."""
         job.scan = scan
-        with self._lock:
-            self._know(job)
         self._thread.submit(self._process, job, scan)
-
-    def _know(self, job: Job) -> None:
-        self._jobs[job.id] = job
-        if len(self._jobs) > MOST_KNOWN:
-            self._jobs.popitem(last=False)
 
     def job(self, job_id: str) -> Job:
         """The job of a name, with the stages that have ended until now; Refused if there is none."""

@@ -101,33 +101,32 @@ def serve(
         raise InputError(
             "the token must be ASCII letters, digits, - and _ only, as it is part of an address"
         )
+    read_only |= export is not None
     if keep is not None and (read_only or not Path(keep).is_dir()):
         raise InputError(
             f"scans are kept in a folder, by a server that is not read-only, got {keep}"
         )
-    with (
-        opened_site(
-            catalogue,
-            options,
-            read_only=read_only or export is not None,
-            most_bytes=most_bytes,
-            timeout=timeout,
-            memory=memory,
-            up=up,
-            keep=keep,
-        ) as site,
-        _listening(0 if export is not None else port) as listener,
-    ):
+    with opened_site(
+        catalogue,
+        options,
+        read_only=read_only,
+        most_bytes=most_bytes,
+        timeout=timeout,
+        memory=memory,
+        up=up,
+        keep=keep,
+    ) as site:
         if export is not None:
             from pcretrieve.web.export import export_site
 
             export_site(replace(site, exported=True), str(catalogue), Path(export))
             return
-        address = f"http://{ADDRESS}:{listener.getsockname()[1]}/?token={key}"
-        site.searching.prepare(
-            lambda catalogue: index(catalogue, options=site.options).load()
-        )
-        _run(Guard(application(site), key), listener, lambda: on_start(address))
+        with _listening(port) as listener:
+            address = f"http://{ADDRESS}:{listener.getsockname()[1]}/?token={key}"
+            site.searching.prepare(
+                lambda catalogue: index(catalogue, options=site.options).load()
+            )
+            _run(Guard(application(site), key), listener, lambda: on_start(address))
 
 
 @contextmanager

@@ -74,6 +74,9 @@ def test_a_folder_with_files_is_left_alone(eggs: Path, tmp_path: Path) -> None:
     assert "a new or an empty folder" in refusal(
         "serve", "-c", eggs, "--export", tmp_path
     )
+    assert "not read-only" in refusal(
+        "serve", "-c", eggs, "--export", tmp_path / "new", "--keep", tmp_path
+    )
     assert [file.name for file in tmp_path.iterdir()] == ["mine.txt"]
     serve(eggs, export=tmp_path / "new")
     assert (tmp_path / "new" / "index.html").exists()
