@@ -11,7 +11,6 @@ References
 
 from __future__ import annotations
 
-import fcntl
 import os
 from contextlib import suppress
 from dataclasses import dataclass
@@ -21,6 +20,8 @@ from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pcretrieve.values.files import lock
 
 Words = NDArray[np.uint32]
 
@@ -44,7 +45,7 @@ READ_AT_ONCE = 1 << 22
 def log_fault(log: Path) -> str | None:
     """What is wrong with a log; None also while a process writes it, which has looked at it before."""
     with suppress(OSError), log.open("rb") as file:
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        lock(file, shared=True, waits=False)
         before = os.fstat(file.fileno())
         fault = _fault(file, before.st_size) if before.st_size else None
         # Other programs write without the lock.

@@ -6,7 +6,6 @@ therefore uses a rollback journal, with which readers and the writer wait for ea
 
 from __future__ import annotations
 
-import fcntl
 import logging
 import os
 import sqlite3
@@ -27,6 +26,7 @@ from typing import Any, Literal
 from pcretrieve.catalogue.log import log_fault
 from pcretrieve.catalogue.records import READ_AT_ONCE, changed_row, created, damaged
 from pcretrieve.errors import CatalogueError
+from pcretrieve.values.files import lock
 
 logger = logging.getLogger(__name__)
 
@@ -236,9 +236,10 @@ def check_tables(path: Path, connection: sqlite3.Connection) -> None:
 def _without_checkpoints(path: Path) -> Iterator[None]:
     """Let no other process write or end a checkpoint: https://sqlite.org/wal.html#walresetbug."""
     with ExitStack() as stack:
-        with suppress(FileNotFoundError):  # a rollback journal has no checkpoints
+        # A rollback journal has no checkpoints, and not every system has locks.
+        with suppress(OSError):
             log = stack.enter_context(Path(f"{os.path.realpath(path)}-wal").open("rb"))
-            fcntl.flock(log, fcntl.LOCK_EX)
+            lock(log)
         yield
 
 
@@ -388,9 +389,10 @@ def journal(path: Path) -> Literal["WAL", "DELETE"]:
 def _file_system(path: Path) -> str:
     """The type of the file system in which a file is, or would be made; "" if that is not known."""
     with suppress(OSError):
+        lines = MOUNTS.read_text("utf-8", "surrogateescape").splitlines()
         device = Path(os.path.realpath(path)).parent.stat().st_dev
         number = f"{os.major(device)}:{os.minor(device)}"
-        for line in MOUNTS.read_text("utf-8", "surrogateescape").splitlines():
+        for line in lines:
             before, _, after = line.partition(" - ")
             if before.split(" ")[2] == number:
                 return after.split(" ")[0]

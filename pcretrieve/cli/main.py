@@ -139,7 +139,8 @@ def main() -> NoReturn:
     _open_standard_streams()
     # Pydantic would look for plug-ins of its own in all packages: a twentieth of a short command.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "true")
-    for number in (signal.SIGTERM, signal.SIGHUP):
+    # Windows has no SIGHUP.
+    for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
         if (
             signal.getsignal(number) is signal.SIG_DFL
         ):  # not if the signal is ignored, as under nohup

@@ -39,7 +39,7 @@ from pcretrieve.formats.identity import (
 )
 from pcretrieve.ingestion.discover import scans_of, shape_ids
 from pcretrieve.ingestion.labels import discover_labelled, match_labels
-from pcretrieve.ingestion.pool import Executor, alone, in_processes
+from pcretrieve.ingestion.pool import Executor, alone, in_processes, n_cores
 
 logger = logging.getLogger(__name__)
 
@@ -184,7 +184,7 @@ class Planner:
         self.files = {printable(scan): scan for scan in intake.scans}
         chosen = {*intake.part}
         self.names = [name for name, scan in self.files.items() if scan in chosen]
-        n_threads = how.workers or len(os.sched_getaffinity(0))
+        n_threads = how.workers or n_cores()
         self.contents = Contents(self.files, n_threads, how.timeout, records)
         self._retry_failed = how.retry_failed
         self._held = {record.path: record for record in records}

@@ -10,20 +10,18 @@ the parent process has locked: a folder that is not locked belongs to nobody.
 from __future__ import annotations
 
 import ctypes
-import fcntl
 import logging
 import multiprocessing
 import os
 import pickle
-import resource
 import shutil
 import signal
 import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from multiprocessing import connection, resource_tracker
@@ -34,12 +32,14 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from pcretrieve.errors import (
     MemoryExceeded,
+    OptionError,
     PcretrieveError,
     StageTimeout,
     UnexpectedError,
     WorkerDied,
     shape_error,
 )
+from pcretrieve.values.files import IS_POSIX, lock
 
 logger = logging.getLogger(__name__)
 
@@ -134,7 +134,11 @@ def in_processes(
     end are put there. `told` is called with what the function tells by `tell` while it works.
     """
     check_main()
-    most = workers or len(os.sched_getaffinity(0))
+    if memory is not None and not IS_POSIX:
+        raise OptionError(
+            "this system limits the memory of no process: leave --memory out"
+        )
+    most = workers or n_cores()
     crew = _Crew(function, items, most, timeout, memory, idle, told)
     try:
         while crew.fill():
@@ -308,24 +312,22 @@ class Worker(Generic[Item, Answer]):
         context = multiprocessing.get_context("spawn")
         self._items, items = context.Pipe()
         self._output, output = context.Pipe(duplex=False)
-        os.set_blocking(self._output.fileno(), False)
+        if IS_POSIX:
+            os.set_blocking(self._output.fileno(), False)
         self._printed = bytearray()
         self._limit = START_TIMEOUT
         self.deadline = time.monotonic() + START_TIMEOUT
         self.is_gone = False
-        self._is_silent = False  # at the end of the pipe of output
+        # At the end of the pipe of output, to which workers print on POSIX alone.
+        self._is_silent = not IS_POSIX
         self._folder = TemporaryFolder()
         self._process = context.Process(
             target=_serve, args=(items, output, self._folder.path, memory, function)
         )
-        # The terminal sends Ctrl-C to all processes, and the parent handles it: the worker blocks it from its
-        # first moment. The resource tracker, which is started with the first worker, would unblock it.
-        resource_tracker.ensure_running()
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
-            self._process.start()
+            with _interrupts_blocked() if IS_POSIX else nullcontext():
+                self._process.start()
         finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
             # Only the worker has these ends open: after it has ended, reading and writing fail.
             items.close()
             output.close()
@@ -416,6 +418,28 @@ class Worker(Generic[Item, Answer]):
                     break
 
 
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Let a worker that is started block Ctrl-C from its first moment.
+
+    The terminal sends it to all processes, and the parent handles it.
+    """
+    # It is started with the first worker, and would unblock it.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def n_cores() -> int:
+    """Number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def _exit_text(code: int | None) -> str:
     """The exit code or the signal of a process as text: ``exit code 1``, ``SIGKILL``."""
     names = {-number: number.name for number in signal.Signals}
@@ -462,12 +486,14 @@ def remove_abandoned() -> None:
 
 def _locked(path: Path) -> int | None:
     """The descriptor of a folder of this user, which is locked now; None if it is gone, or locked already."""
+    if not IS_POSIX:
+        return None
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     except OSError:
         return None
     with suppress(OSError):
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock(descriptor, waits=False)
         if os.fstat(descriptor).st_uid == os.geteuid() and path.exists():
             return descriptor
     os.close(descriptor)
@@ -493,8 +519,9 @@ def _serve(
     """Answer items until the parent process ends: what a worker process does."""
     global _parent
     _parent = items
-    for standard in (1, 2):
-        os.dup2(output.fileno(), standard)
+    if IS_POSIX:
+        for standard in (1, 2):
+            os.dup2(output.fileno(), standard)
     output.close()
     if not _prepare(folder, memory):
         return
@@ -525,7 +552,8 @@ def _serve(
                 with suppress(Exception):  # a plug-in may have closed or replaced it
                     stream.flush()
             # What C libraries have printed, and hold in memory.
-            ctypes.CDLL(None).fflush(None)
+            if IS_POSIX:
+                ctypes.CDLL(None).fflush(None)
             if os.getpid() != own:
                 # A child process that the function has forked, and in which the function returned too: its
                 # answer would be taken for that of the next item.
@@ -555,6 +583,8 @@ def _prepare(folder: str | None, memory: float | None) -> bool:
     threadpool_limits(limits=1)
     tuned_process()
     if memory is not None:
+        import resource
+
         limit = int(memory * GIB)
         resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
     return True

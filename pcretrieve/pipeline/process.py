@@ -7,7 +7,6 @@ the origin, because far from it they lose the shape.
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import logging
 import pickle
@@ -58,6 +57,7 @@ from pcretrieve.values import (
     TriangleMesh,
 )
 from pcretrieve.values.conversion import as_cloud, as_geometry
+from pcretrieve.values.files import lock
 from pcretrieve.values.geometry import with_others
 from pcretrieve.values.topology import SurfaceMarks, defects
 
@@ -462,7 +462,7 @@ def compile_stages() -> None:
         body = np.stack([flat.real, 0.6 * flat.imag, 0.3 * up], axis=1)
         with Path(__file__).open(encoding="utf-8") as file:
             with suppress(OSError):  # a file system without locks
-                fcntl.flock(file, fcntl.LOCK_EX)
+                lock(file)
             # In 32 bits: `body` needs 16 only.
             distances(np.zeros((1, 1, 200), dtype=np.bool_), np.inf)
             *_, last = _of_scan(PointCloud(body), options := PipelineOptions())

@@ -5,7 +5,6 @@ from __future__ import annotations
 import atexit
 import ctypes
 import os
-import signal
 import sys
 from collections.abc import Callable
 from functools import cache, cached_property, update_wrapper
@@ -68,8 +67,9 @@ def tuned_process() -> None:
     np.empty((32 << 20) - (64 << 10), dtype=np.uint8)
 
 
-# <sys/prctl.h>
+# <sys/prctl.h> and <signal.h> of Linux.
 PR_SET_PDEATHSIG = 1
+SIGKILL = 9
 
 
 def end_with_parent() -> None:
@@ -79,7 +79,7 @@ def end_with_parent() -> None:
     a pipe. For the kernel, the parent is the thread that started this process.
     """
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, SIGKILL)
 
 
 @cache

@@ -15,6 +15,7 @@ import warnings
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from errno import ENOLCK
 from pathlib import Path
 from types import SimpleNamespace
 from typing import IO, Any
@@ -41,6 +42,22 @@ ANY_SIZE = 10_000_000
 
 # Methods of compression whose output `zipfile` limits to the size that is asked for.
 METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
+
+# Whether this is a system such as Linux or macOS: Windows has no locks, signals and pipes like theirs.
+IS_POSIX = hasattr(os, "fork")
+
+
+def lock(
+    file: int | IO[bytes] | IO[str], *, shared: bool = False, waits: bool = True
+) -> None:
+    """Lock an open file until it is closed; OSError where that is not possible."""
+    try:
+        import fcntl
+    except ImportError as error:
+        raise OSError(ENOLCK, "this system has no such locks") from error
+    kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
+    fcntl.flock(file, kind if waits else kind | fcntl.LOCK_NB)
 
 
 def in_order(paths: Iterable[Path]) -> list[Path]:
