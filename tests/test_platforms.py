@@ -60,32 +60,28 @@ print(len(names))
 """
 
 
-@pytest.fixture
-def elsewhere(tmp_path: Path) -> dict[str, str]:
-    """The environment of processes that have none of it."""
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Processes that are started have none of it."""
     (tmp_path / "sitecustomize.py").write_text(HIDES)
     places = [str(tmp_path), str(ROOT), os.environ.get("PYTHONPATH", "")]
-    return {"PYTHONPATH": os.pathsep.join(filter(None, places))}
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, places)))
 
 
-def printed(code: str, environment: dict[str, str]) -> str:
+def printed(code: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | environment,
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
 
 
-def test_all_modules_are_imported(elsewhere: dict[str, str]) -> None:
-    assert printed(SHOWS, elsewhere) == "hidden"
-    assert int(printed(IMPORTS, elsewhere)) > 100
+def test_all_modules_are_imported() -> None:
+    assert printed(SHOWS) == "hidden"
+    assert int(printed(IMPORTS)) > 100
 
 
-def test_scans_are_ingested_and_found(elsewhere: dict[str, str], tmp_path: Path) -> None:
+def test_scans_are_ingested_and_found(tmp_path: Path) -> None:
     """By worker processes, one of which is given something that is no scan."""
     scans, catalogue = tmp_path / "scans", tmp_path / "c.sqlite"
     scans.mkdir()
@@ -94,16 +90,14 @@ def test_scans_are_ingested_and_found(elsewhere: dict[str, str], tmp_path: Path)
         write_mesh(egg, scans / f"egg{number}.off")
     (scans / "flat.xyz").write_text("1 2 3\n" * 200)
     asked = ("-c", catalogue)
-    done = program("ingest", scans, *asked, "--workers", 1, code=3, **elsewhere)
+    done = program("ingest", scans, *asked, "--workers", 1, code=3)
     assert "2 done, 1 failed" in done.stderr
-    found = program("query", "egg0", *asked, "-k", 2, **elsewhere).stdout
+    found = program("query", "egg0", *asked, "-k", 2).stdout
     assert [line.split()[4] for line in found.splitlines()[1:3]] == ["egg0", "egg1"]
-    new = program("query", scans / "egg1.off", *asked, "-k", 1, **elsewhere).stdout
+    new = program("query", scans / "egg1.off", *asked, "-k", 1).stdout
     assert "egg1" in new
-    program("mark", "flat", "note", "no scan", *asked, **elsewhere)
-    program("remove", "egg0", *asked, **elsewhere)
-    assert "no scan" in program("list", *asked, **elsewhere).stdout
-    said = program(
-        *("ingest", scans, *asked, "--memory", 4, "--retry-failed"), code=2, **elsewhere
-    )
+    program("mark", "flat", "note", "no scan", *asked)
+    program("remove", "egg0", *asked)
+    assert "no scan" in program("list", *asked).stdout
+    said = program("ingest", scans, *asked, "--memory", 4, "--retry-failed", code=2)
     assert "leave --memory out" in said.stderr
