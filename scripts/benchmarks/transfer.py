@@ -5,7 +5,7 @@
     scripts/benchmark transfer many.sqlite                      # each kind of sensor left out once
     scripts/make_people --out bodies --people 200 --seed 48 --bodies
     scripts/benchmark transfer many.sqlite --anny bodies        # the same of others, by sensors of benchmarks
-    scripts/benchmark transfer many.sqlite --learn --share 1    # writes pcretrieve/retrieval/people.npz
+    scripts/benchmark transfer many.sqlite --learn --share .5   # writes pcretrieve/retrieval/people.npz
 
 Scans whose sensors, poses and damages were drawn at random scatter within people as those of nine cameras do,
 and much more in a few directions: those in which the body without a shin differs from itself. A share of what
@@ -110,9 +110,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="shares of the excess (default: %(default)s)",
     )
     parser.add_argument(
-        "--learn", action="store_true", help="write the metric of the first share"
+        "--learn", action="store_true", help="write the metric of one share"
     )
     given = parser.parse_args(arguments)
+    if given.learn and len(given.share) != 1:
+        parser.error("--learn writes one metric: give one --share, such as .5")
     target = Path(pcretrieve.retrieval.__file__).with_name(SAMPLE)
     arrays = {name: array.astype(float) for name, array in np.load(target).items()}
     scans = scans_of(given.catalogues)
@@ -149,7 +151,7 @@ EXCESS = 4.0
 def widened(
     arrays: Mapping[str, FloatArray], scans: Scans, share: float
 ) -> dict[str, FloatArray]:
-    """The arrays of `SAMPLE`, with a share of what the covariance within people of some scans exceeds."""
+    """The arrays of `SAMPLE`, with a share of what the scatter of some scans within people exceeds."""
     points = np.concatenate(list(scans.parts.values()), axis=1) / arrays["scale"]
     own = shrunk_within(people_means(points, scans.person)[1])
     root = np.linalg.cholesky(arrays["within"])
