@@ -28,6 +28,7 @@ NO_CAP = -1
 
 # The part of a body round a hole, by which the end of a limb is known: from one radius of the hole below its
 # rim to a little above it, and not far beside it; in radii.
+BELOW_RIM = 1.0
 BESIDE_RIM = 1.3
 ABOVE_RIM = 0.3
 
@@ -82,10 +83,9 @@ FARTHEST_GAP = 8.0
 # Distance from a rim, in radii of the limb, within which normals are made to point away from its axis.
 BESIDE_END = 0.5
 
-# The same of deep holes, above and below the rim of the coarse surface, which recedes where normals point
-# inwards; and the least cosine between these and the direction to the axis.
+# The same of deep holes, above the rim of the coarse surface, which recedes where normals point inwards; and
+# the least cosine between these and the direction to the axis.
 RECEDED = 2.0
-BELOW_RIM = 1.0
 INWARDS = 0.3
 
 # Largest share of the normals round a deep hole that face away from it, by this cosine, if any are turned: at
@@ -202,8 +202,8 @@ def slope_of(
     axis: (3,) float64, the unit normal of the flat patch that closes the hole.
     points, normals: (n, 3) float64, of the surface.
     """
-    along, across = _about(rim, axis, points)
-    near = (along < ABOVE_RIM) & (along > -BELOW_RIM) & _is_beside(across)
+    along, across, near = _about(rim, axis, points)
+    near &= along < ABOVE_RIM
     along, normals = along[near], normals[near]
     if near.sum() < 3:
         return 1.0, 0.0
@@ -218,17 +218,18 @@ def slope_of(
 
 def _about(
     rim: FloatArray, axis: FloatArray, points: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """(n,) heights of points above the rim of a hole, (n, 3) offsets from its axis; in radii of the rim."""
+) -> tuple[FloatArray, FloatArray, Mask]:
+    """Where points are, seen from a hole, in mean radii of its rim.
+
+    Returns along, across, near: (n,) heights above the rim, (n, 3) offsets from the axis, and (n,) whether
+        points are above, beside or up to a radius below the hole.
+    """
     middle = rim.mean(axis=0)
     offsets = (points - middle) / np.linalg.norm(rim - middle, axis=1).mean()
     along = offsets @ axis
-    return along, offsets - np.outer(along, axis)
-
-
-def _is_beside(across: FloatArray) -> Mask:
-    """(n,) whether points, by their offsets from the axis of a hole, are of the part in which it is."""
-    return np.asarray((across**2).sum(axis=1) < BESIDE_RIM**2)
+    across = offsets - np.outer(along, axis)
+    near = (along > -BELOW_RIM) & ((across**2).sum(axis=1) < BESIDE_RIM**2)
+    return along, across, near
 
 
 def outwards_at_rims(found: Capped, cloud: PointCloud) -> PointCloud:
@@ -244,8 +245,8 @@ def outwards_at_rims(found: Capped, cloud: PointCloud) -> PointCloud:
         rim = np.intersect1d(surface.faces[here], surface.faces[~here])
         if slope_of(surface.vertices[rim], axis, cloud.points, normals)[0] >= DEEP:
             continue
-        along, across = _about(surface.vertices[rim], axis, cloud.points)
-        near = (along > -BELOW_RIM) & (along < RECEDED) & _is_beside(across)
+        along, across, near = _about(surface.vertices[rim], axis, cloud.points)
+        near &= along < RECEDED
         if (normals[near] @ axis < -AWAY).mean() < MOST_AWAY:
             towards = np.einsum("ij,ij->i", normals, unit_vectors(across))
             normals[near & (towards < -INWARDS)] *= -1
