@@ -7,10 +7,8 @@ import shutil
 from collections.abc import Callable
 from html import unescape
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
-
-from starlette.requests import Request
-from starlette.responses import Response
 
 from pcretrieve import Catalogue, pages
 from pcretrieve.errors import InputError
@@ -30,6 +28,8 @@ def export_site(site: Site, location: str, folder: Path) -> None:
     They are the collection on one page, each shape with its nearest ones, and the map. Files of shapes have
     numbers, because not every id is the name of a file.
     """
+    from starlette.requests import Request
+
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"a site is exported to a new or an empty folder, got {folder}")
     with Catalogue(location) as store:
@@ -39,9 +39,7 @@ def export_site(site: Site, location: str, folder: Path) -> None:
             places[f"shape/{address}"] = f"shapes/{number}.html"
             places[f"shapes/{address}/thumbnail.png"] = f"pictures/{number}.png"
 
-        def write(
-            place: str, answer: Callable[[Asked], Response], shape_id: str = ""
-        ) -> None:
+        def write(place: str, answer: Callable[[Asked], Any], shape_id: str = "") -> None:
             path = {"id": quote(shape_id, safe="")}
             scope = {"type": "http", "query_string": b"", "path_params": path}
             page = bytes(answer(Asked(site, store, Request(scope), 0.0)).body)

@@ -103,7 +103,7 @@ if (map) {
     }
   });
   svg.addEventListener("pointerup", (event) => {
-    if (moves && !event.shiftKey) choose(shapes.filter(({x, y}) => line.isPointInFill(new DOMPoint(x, y))));
+    if (before && moves && !event.shiftKey) choose(shapes.filter(({x, y}) => line.isPointInFill(new DOMPoint(x, y))));
     line.removeAttribute("points");
     before = null;
   });
