@@ -241,7 +241,7 @@ def test_what_is_pressed_is_as_large_as_a_finger(
             small = page.locator("a, button, input, select, summary").evaluate_all(
                 """all => all.filter(it => it.checkVisibility() && !it.closest("p, svg, .skip")
                   && !it.matches("[type=hidden], .unseen, .skip, [type=checkbox]"))
-                  .filter(it => it.getBoundingClientRect().height < 44).map(it => it.outerHTML)"""
+                  .filter(it => it.offsetHeight < 44).map(it => it.outerHTML)"""
             )
             found |= {f"{address}: {each[:120]}" for each in small}
         assert not found, "\n".join(found)
