@@ -62,6 +62,7 @@ from .gallery.answers import (
 from .gallery.fitted import (
     index as index,
     signatures as signatures,
+    stored_measures as stored_measures,
     stored_signature as stored_signature,
 )
 from .gallery.groups import (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from datetime import datetime, timedelta
@@ -52,6 +51,9 @@ FAILED = {"ID": "text", "STAGE": "text", "CLASS": "text"} | END
 # Those of --csv, whose last one has the whole path.
 CSV = (*START, "MARK", "NOTE", "STAGE", "REASON", "PATH")
 
+# What `pr.stored_measures` returns.
+MEASURES = ("height", "chest", "waist", "hip", "thigh", "volume")
+
 # What `pcretrieve mark` stores.
 MARKS = ("rescan", "accept", "note")
 
@@ -72,6 +74,10 @@ def list_command(
         "--worst N", "The N worst: failed ones, then the largest errors.", COUNT
     ),
     as_csv: bool = option("--csv", "Print a CSV file."),
+    measures: bool = rare_option(
+        "--measures",
+        "Add to --csv height, girths (m) and volume of people who stand, each with its error.",
+    ),
     sort: Literal["id", "class", "added", "error"] = rare_option(
         "--sort", "By error, failed scans and large errors come first.", default="id"
     ),
@@ -105,23 +111,16 @@ def list_command(
 
     def show() -> None:
         if as_csv:
-            _write_csv(records)
+            _write_csv(store, records, measures)
             return
-        counts: Counter[str] = Counter()
         columns = FAILED if failed else START | END
         if store.rows.wanted(marked="any", limit=1)[0]:
             columns = {"ID": "text", "MARK": "text"} | columns
-        row = partial(
-            _row, columns=columns, counts=counts, is_whole=which == "incomplete"
-        )
+        row = partial(_row, columns=columns, is_whole=which == "incomplete")
         if not write_table(columns, map(row, records)):
             after = f" after the first {offset}" if offset else ""
             such = "of this kind" if label or marked else which
             say(f"no shape is {such} in {catalogue}{after}")
-        if which == "stored" and counts:
-            found = ", ".join(f"{n} {name}" for name, n in sorted(counts.items()))
-            options = ", ".join(f"--{name}" for name in sorted(counts))
-            say(f"{found}; for all reasons: {options}")
 
     return Result(map(_facts, records), show=show)
 
@@ -148,19 +147,24 @@ def cells_of(record: pr.Record) -> dict[str, str]:
     }
 
 
-def _write_csv(records: Iterable[pr.Record]) -> None:
+def _write_csv(store: pr.Catalogue, records: Iterable[pr.Record], measures: bool) -> None:
     from pcretrieve.values.files import csv_text
 
-    rows = ([cells[name] for name in CSV] for cells in map(cells_of, records))
-    write_csv(csv_text([name.lower() for name in CSV], rows))
+    names = (
+        [f"{name}{end}" for name in MEASURES for end in ("", " ±")] if measures else []
+    )
+
+    def row(record: pr.Record) -> list[object]:
+        cells = cells_of(record)
+        found = pr.stored_measures(store, record.id) if measures else {}
+        numbers = [f"{one:.4f}" for pair in found.values() for one in pair]
+        return [*map(cells.__getitem__, CSV), *numbers]
+
+    write_csv(csv_text([*map(str.lower, CSV), *names], map(row, records)))
 
 
-def _row(
-    record: pr.Record, columns: Columns, counts: Counter[str], *, is_whole: bool
-) -> list[str]:
-    """The cells of a shape; shapes that have reasons are counted by the option that lists them."""
-    if record.status == "failed" or record.is_incomplete:
-        counts["failed" if record.status == "failed" else "incomplete"] += 1
+def _row(record: pr.Record, columns: Columns, *, is_whole: bool) -> list[str]:
+    """The cells of a shape, with all reasons of its grade or with the first one."""
     cells = cells_of(record)
     if is_whole:
         cells["REASON"] = str(record.grade)
@@ -181,12 +185,18 @@ def show_command(
     """
     store = opened(catalogue, any_numbers=True)
     record, stored = store.record(shape_id), store.rows.stored_bytes(shape_id)
+    measures = pr.stored_measures(store, shape_id)
     return Result(
-        _facts(record) | {"stored_bytes": stored}, show=lambda: _show(record, stored)
+        _facts(record) | {"stored_bytes": stored, "measures": measures},
+        show=lambda: _show(record, stored, measures),
     )
 
 
-def _show(record: pr.Record, stored: dict[str, int]) -> None:
+def _show(
+    record: pr.Record,
+    stored: dict[str, int],
+    measures: dict[str, tuple[float, float]],
+) -> None:
     shown = asdict(record) | {
         "path": shown_path(record.path),
         "versions": ", ".join(
@@ -196,6 +206,14 @@ def _show(record: pr.Record, stored: dict[str, int]) -> None:
         "steps": None,
     }
     rows = [(name, str(value)) for name, value in shown.items() if value is not None]
+    if record.metres_per_unit:
+        found = (
+            f"{name} {value:.3f} ± {error:.3f}"
+            for name, (value, error) in measures.items()
+        )
+        rows.append(
+            ("m, m³", ", ".join(found) or "no measures, which hold for people who stand")
+        )
     parts = ", ".join(
         f"{name} {size / 1000:.1f}" for name, size in stored.items() if size
     )

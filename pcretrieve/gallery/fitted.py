@@ -17,6 +17,7 @@ from pcretrieve.catalogue import Catalogue, CatalogueLike, Record
 from pcretrieve.catalogue.arrays import intact, packed_values, unpacked_values
 from pcretrieve.catalogue.cache import short_digest
 from pcretrieve.catalogue.records import OWN
+from pcretrieve.draw.axes import tape_measures
 from pcretrieve.errors import CatalogueError, InputError, ShapeError
 from pcretrieve.options import (
     OptionsLike,
@@ -115,6 +116,48 @@ def stored_signature(
             return describe(store.shape(shape_id, needs), chosen)
         shape = store.shape(shape_id, (*needs, "mesh"))
         return describe(with_overlaps(shape, store.options.spectral.element), chosen)
+
+
+def stored_measures(
+    catalogue: CatalogueLike, shape_id: str
+) -> dict[str, tuple[float, float]]:
+    """Height, girths and volume of a person who stands with hanging arms, from the stored surfaces of a scan.
+
+    A girth is that of a tape: the border of the convex hull of a horizontal section, without the arms. The
+    hip is the largest one round the seat, the waist the smallest between hip and chest, the chest lies at
+    .68 of the height; the thigh is the mean of both, .05 of the height below the crotch.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The catalogue.
+    shape_id : str
+        The id of the shape.
+
+    Returns
+    -------
+    dict
+        ``height chest waist hip thigh`` (m) and ``volume`` (m³), each with half of the difference between the
+        two surfaces of the scan; empty if the unit of the scan is not known, its surfaces were not stored, or
+        it shows another pose, for which the girths do not hold, or no person.
+
+    Raises
+    ------
+    InputError
+        If there is no shape of this id.
+    """
+    with Catalogue.opened(catalogue) as store:
+        record = store.record(shape_id)
+        if record.status == "failed" or record.metres_per_unit is None:
+            return {}
+        surfaces = store.shape(shape_id, ("mesh",)).surfaces
+    meshes = [surface.mesh for surface in surfaces if surface.mesh is not None]
+    found = [tape_measures(mesh.vertices, mesh.faces) for mesh in meshes]
+    if not found or not all(found):
+        return {}
+    rows = {name: [one[name] for one in found] for name in found[0]}
+    rows["volume"] = [mesh.volume for mesh in meshes]
+    return {n: (float(np.mean(row)), float(np.ptp(row)) / 2) for n, row in rows.items()}
 
 
 def index(catalogue: CatalogueLike, *, options: OptionsLike = None) -> SignatureIndex:
