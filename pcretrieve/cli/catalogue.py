@@ -211,9 +211,9 @@ def _show(
             f"{name} {value:.3f} ± {error:.3f}"
             for name, (value, error) in measures.items()
         )
-        rows.append(
-            ("m, m³", ", ".join(found) or "no measures, which hold for people who stand")
-        )
+        text = ", ".join(found)
+        none = "none: they hold for people who stand with hanging arms"
+        rows.append(("measures", f"{text} (m, m³)" if text else none))
     parts = ", ".join(
         f"{name} {size / 1000:.1f}" for name, size in stored.items() if size
     )
