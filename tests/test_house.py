@@ -48,8 +48,8 @@ ROOMS = (
 # Names, operators and numbers of the package, as `tokenize` counts them.
 # Docstrings, comments and air are free. That of tokens is to be 205,000, and was raised twice: functions of
 # one thought, typed options and creases cost 3,000 more than was found to delete; curves, decisions about
-# scans, an export of pages and learning from many sensors cost 5,000. The rest would be features.
-MOST_TOKENS = 236_000
+# scans, measures of people and an export of pages cost 6,000. The rest would be features.
+MOST_TOKENS = 237_000
 MOST_MODULES = 170
 MOST_ARROWS = 100
 MOST_OPTIONS = 45
