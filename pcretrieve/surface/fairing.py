@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array, csc_array, csr_array, diags_array
+from scipy.sparse import coo_array, csc_array, csr_array, diags_array, eye_array
 from scipy.sparse.linalg import splu
 
 from pcretrieve.arrays import Mask, area_vectors, vertex_normals
@@ -32,6 +32,10 @@ TINY = np.finfo(np.float64).tiny
 
 # Least area of a vertex, by which the problem divides, relative to the mean.
 LEAST_AREA = 0.01
+
+# How strongly free vertices are held where they are, relative to the equations: enough for a part that has no
+# rim, whose equations are singular, and too little to be seen in any other.
+ANCHOR = 1e-13
 
 # Least area of a face of a patch, relative to the mean. A smaller one is degenerate after simplification.
 LEAST_FACE = 1e-4
@@ -108,8 +112,11 @@ def _least_bent(
     own, others = csc_array(rows[:, moving]), rows[:, ~moving]
     bending = curvature * root[:, np.newaxis] * operators.normals[is_bent]
     wanted = bending - others @ at[~moving]
+    squares = csc_array(own.T @ own)
+    anchor = ANCHOR * squares.diagonal().max()
+    held = squares + anchor * eye_array(squares.shape[0], format="csc")
     moved: FloatArray = at.copy()
-    moved[moving] = splu(csc_array(own.T @ own)).solve(own.T @ wanted)
+    moved[moving] = splu(held).solve(own.T @ wanted + anchor * at[moving])
     return moved
 
 

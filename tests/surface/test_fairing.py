@@ -55,6 +55,19 @@ def test_a_long_head_that_is_cut_below_its_widest_place_becomes_as_high_as_long(
     assert closed[:, 2].max() == pytest.approx(1, abs=0.05)
 
 
+def test_a_part_without_a_rim_stays_in_its_place() -> None:
+    """As one that no point supports: nothing else holds it, so that its equations are singular."""
+    vertices, cap = flattened(BALL, 45)
+    both = np.concatenate([vertices, 0.1 * BALL.vertices + 3])
+    faces = np.concatenate([BALL.faces, BALL.faces + len(vertices)])
+    free = np.concatenate([cap, np.ones(len(vertices), dtype=bool)])
+    closed = faired(both, faces, free)
+    ball, apart = closed[: len(vertices)], closed[len(vertices) :]
+    assert np.abs(np.linalg.norm(ball, axis=1) - 1).max() < 0.06
+    np.testing.assert_allclose(apart.mean(axis=0), 3, atol=0.05)
+    assert np.ptp(apart, axis=0).max() < 1
+
+
 def test_a_fair_patch_does_not_depend_on_the_unit() -> None:
     vertices, cap = flattened(BALL, 45)
     closed = faired(vertices, BALL.faces, cap)
