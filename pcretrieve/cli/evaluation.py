@@ -83,7 +83,7 @@ def evaluate_command(
     and over the classes. Labels do not help the ranking.
 
     \b
-    pcretrieve evaluate --catalogue bodies.sqlite --per-class --curve --csv bodies/
+    pcretrieve evaluate --catalogue bodies.sqlite --curve --csv bodies/
     pcretrieve evaluate --catalogue shrec11.sqlite --labels shrec11
     pcretrieve evaluate --matrix run1.txt --labels shrec11.cla
     """

@@ -93,7 +93,6 @@ def test_signatures_are_those_of_the_single_scans_in_their_order(
 
 def test_each_scan_of_a_folder_is_reconstructed(folder: Path, tmp_path: Path) -> None:
     done = run(
-        "lab",
         "reconstruct",
         folder,
         "-o",
