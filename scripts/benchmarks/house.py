@@ -20,6 +20,7 @@ import sys
 import tempfile
 import tokenize
 from collections.abc import Iterator, Sequence
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -58,6 +59,7 @@ def room(path: Path) -> str:
     return path.relative_to(PACKAGE).parts[0].partition(".")[0]
 
 
+@cache
 def tree(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
@@ -154,7 +156,8 @@ def imported(path: Path) -> Iterator[tuple[str, bool]]:
             )
 
 
-def arrows() -> set[tuple[str, str]]:
+@cache
+def arrows() -> frozenset[tuple[str, str]]:
     """Pairs of rooms of which the first imports the second; the face of the package draws none."""
     rooms = set(lines_by_room()) - {"__init__", "__main__"}
     found = set()
@@ -163,7 +166,9 @@ def arrows() -> set[tuple[str, str]]:
             parts = name.split(".")
             if parts[0] == "pcretrieve" and len(parts) > 1 and parts[1] in rooms:
                 found.add((room(path), parts[1]))
-    return {(one, other) for one, other in found if one != other and one in rooms}
+    return frozenset(
+        (one, other) for one, other in found if one != other and one in rooms
+    )
 
 
 def docstring_lines(path: Path) -> int:
