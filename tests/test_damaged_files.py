@@ -43,7 +43,7 @@ from pcretrieve import (
     status,
 )
 from pcretrieve.evaluation import evaluate
-from pcretrieve.evaluation.comparison import read_scores, write_evaluation
+from pcretrieve.evaluation.comparison import read_scores
 from pcretrieve.formats import read_scan, write_cloud, write_mesh
 from pcretrieve.formats.registry import FORMATS, missing_extra
 from pcretrieve.gallery import fitted
@@ -323,9 +323,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
                     arrays = sorted(store.cache.folder.glob("*/*.npy"))
                 else:
                     options = store.options.changed(retrieval={"whitening": "none"})
-                    write_evaluation(
-                        evaluate(store, options=options).ranked.rankings, folder
-                    )
+                    evaluate(store, options=options).write(folder)
                     table = signatures(store, options=options)
                     calibrate(store, folder / "metric.npz", options=store.options)
         distances = np.abs(table.values[:, :1] - table.values[:, 0])

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias, get_args
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from pcretrieve.catalogue.arrays import (
 )
 from pcretrieve.catalogue.cache import ArrayCache
 from pcretrieve.catalogue.records import (
-    MARKS,
     OWN,
     Content,
     Entry,
@@ -46,7 +45,7 @@ from pcretrieve.errors import (
     ShapeError,
 )
 from pcretrieve.options import PipelineOptions, check_many
-from pcretrieve.values import FloatArray, Need, Shape, TriangleMesh
+from pcretrieve.values import Decision, FloatArray, Need, Shape, TriangleMesh
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -326,9 +325,10 @@ def mark(
         If there is no such decision, or a note has no text.
     """
     check_many("shape_ids", shape_ids)
-    if decision is not None and decision not in MARKS:
+    known = get_args(Decision)
+    if decision is not None and decision not in known:
         raise OptionError(
-            f"a decision must be one of {', '.join(MARKS)}, got {decision!r}"
+            f"a decision must be one of {', '.join(known)}, got {decision!r}"
         )
     if decision == "note" and not note:
         raise OptionError(

@@ -191,9 +191,6 @@ def changed_row(location: str, how: str) -> ChangedRow:
 
 Status = Literal["done", "failed"]
 
-#: What a person may decide about a scan: see `mark`.
-MARKS = ("rescan", "accept", "note")
-
 #: The digest under which the signatures by the options of the catalogue are stored.
 OWN = "own"
 

@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import click
 
@@ -33,8 +33,8 @@ from pcretrieve.cli.output import (
     EXIT_ERROR,
     Columns,
     Result,
+    check_one_form,
     print_text,
-    prints_json,
     write_csv,
     write_lines,
     write_steps,
@@ -42,6 +42,7 @@ from pcretrieve.cli.output import (
     write_words,
 )
 from pcretrieve.errors import InputError
+from pcretrieve.values import Decision
 
 MIB = 1 << 20
 
@@ -54,9 +55,6 @@ CSV = (*START, "MARK", "NOTE", "STAGE", "REASON", "PATH")
 # What `pr.stored_measures` returns.
 MEASURES = ("height", "chest", "waist", "hip", "thigh", "volume")
 
-# What `pcretrieve mark` stores.
-MARKS = ("rescan", "accept", "note")
-
 
 @command("list")
 def list_command(
@@ -67,7 +65,7 @@ def list_command(
         "--incomplete", "Only poor and incomplete scans, with all reasons."
     ),
     label: str | None = option("--class NAME", "Only shapes of this class."),
-    marked: Literal["rescan", "accept", "note", "any"] | None = option(
+    marked: Literal[Decision, "any"] | None = option(
         "--marked", "Only shapes that `pcretrieve mark` has marked."
     ),
     worst: int | None = option(
@@ -93,8 +91,7 @@ def list_command(
     pcretrieve list --catalogue bodies.sqlite --worst 20
     pcretrieve list --catalogue bodies.sqlite --class p1 --csv
     """
-    if prints_json() and as_csv:
-        raise click.UsageError("choose one of --json and --csv")
+    check_one_form(as_csv=as_csv)
     store = opened(catalogue, any_numbers=True)
     by_error = bool(worst) or sort == "error"
     _, ids = store.rows.wanted(
@@ -258,9 +255,10 @@ def _decision(
     words: tuple[str, ...],
 ) -> tuple[tuple[str, ...], str, str | None]:
     """The ids, the decision and the text in the words of a command."""
-    if len(words) > 2 and words[-2] in MARKS:
+    known = get_args(Decision)
+    if len(words) > 2 and words[-2] in known:
         return words[:-2], words[-2], words[-1]
-    if len(words) > 1 and words[-1] in MARKS:
+    if len(words) > 1 and words[-1] in known:
         return words[:-1], words[-1], None
     raise click.UsageError(
         "after the ids, write rescan, accept or note, and then, in quotes, why; or give --clear"

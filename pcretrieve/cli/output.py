@@ -199,6 +199,12 @@ def prints_json() -> bool:
     return FORM in click.get_current_context().meta
 
 
+def check_one_form(*, as_csv: bool) -> None:
+    """Raise an error if a command is asked for JSON and for CSV."""
+    if as_csv and prints_json():
+        raise click.UsageError("choose one of --json and --csv")
+
+
 def print_result(result: Result) -> None:
     """Print a result for people, or its document: what was asked, by which version, and the result.
 

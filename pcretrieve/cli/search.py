@@ -39,8 +39,8 @@ from pcretrieve.cli.options import (
 )
 from pcretrieve.cli.output import (
     Result,
+    check_one_form,
     failure_facts,
-    prints_json,
     write_csv,
     write_lines,
     write_table,
@@ -129,8 +129,7 @@ def query_command(
     pcretrieve query --catalogue bodies.sqlite cat0 dog1 --filter label=cat
     pcretrieve query --catalogue bodies.sqlite new_scan.ply --html page.html
     """
-    if prints_json() and as_csv:
-        raise click.UsageError("choose one of --json and --csv")
+    check_one_form(as_csv=as_csv)
     matrix = read_distances(file)
     if matrix is not None:
         refuse("a matrix ranks stored shapes, and no scan is read", "unit", "memory")
@@ -296,8 +295,7 @@ def duplicates_command(
     \b
     pcretrieve duplicates --catalogue bodies.sqlite --html pairs.html
     """
-    if prints_json() and as_csv:
-        raise click.UsageError("choose one of --json and --csv")
+    check_one_form(as_csv=as_csv)
     store, options = comparison.opened(catalogue)
     pairs = pr.duplicates(store, options=options, threshold=threshold)
     if page is not None:

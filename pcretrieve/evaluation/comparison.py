@@ -99,8 +99,10 @@ def compare_scores(
     )
 
 
-def write_evaluation(ranked: Rankings, folder: str | Path) -> tuple[Path, ...]:
-    """Write the measures of an evaluation as CSV files."""
+def write_evaluation(
+    ranked: Rankings, folder: str | Path, points: Sequence[measures.CurvePoint]
+) -> tuple[Path, ...]:
+    """Write the measures of an evaluation, and the points of its curve, as CSV files."""
     folder = make_folder(Path(folder))
     scores, confused, curve = (
         measures.query_scores(ranked),
@@ -136,7 +138,6 @@ def write_evaluation(ranked: Rankings, folder: str | Path) -> tuple[Path, ...]:
             rates._fields,
             zip(*(column.tolist() for column in rates), strict=True),
         )
-    points = measures.recognition_curve(ranked.n_nearer, ranked.labels, ranked.n_classes)
     names = [part.name for part in fields(measures.CurvePoint)]
     files["curve.csv"] = names, map(astuple, points)
     paths = tuple(folder / name for name in files)

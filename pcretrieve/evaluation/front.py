@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from pcretrieve.shrec.matcher import Matcher
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Evaluation(measures.RetrievalMeasures):
     """Means of the measures over all queries, and what else is known of the same rankings."""
 
@@ -79,7 +80,7 @@ class Evaluation(measures.RetrievalMeasures):
             self.ranked.plain.genuine, self.ranked.plain.impostor
         )
 
-    @property
+    @cached_property
     def curve(self) -> tuple[measures.CurvePoint, ...]:
         """How often the right class is found, by the number of classes: ranks 1 and 5 of the CMC.
 
@@ -99,7 +100,7 @@ class Evaluation(measures.RetrievalMeasures):
 
     def write(self, folder: str | Path) -> tuple[Path, ...]:
         """Write the measures of queries and classes, confusions, precision-recall and DET as CSV files."""
-        return write_evaluation(self.ranked.rankings, folder)
+        return write_evaluation(self.ranked.rankings, folder, self.curve)
 
 
 def evaluate(

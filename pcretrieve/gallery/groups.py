@@ -158,14 +158,7 @@ def duplicates(
         if threshold is not None:
             found = near_pairs(index(store, options=chosen), threshold)
         else:
-            alike = near_pairs(index(store, options=chosen.of_copies), SAME)
-            made = index(store, options=chosen) if alike else None
-            limit = np.inf if made is None else _largest_distance(made, chosen)
-            found = [
-                pair._replace(evidence=_evidence(store, pair))
-                for pair in alike
-                if made is not None and _distance(made, pair) <= limit
-            ]
+            found = _copies(store, chosen)
         label = store.labels()
         return [
             pair._replace(classes=(label[pair.first], label[pair.second]))
@@ -245,6 +238,20 @@ def plane_map(points: FloatArray) -> FloatArray:
         gaps = np.diff(along[order], prepend=along.min())
         along[order] = np.cumsum(np.minimum(gaps, WIDEST * gaps.mean()))
     return _framed(_apart(_framed(places), min(GAP, SHARE / np.sqrt(len(places)))))
+
+
+def _copies(store: Catalogue, options: PipelineOptions) -> list[NearPair]:
+    """The pairs whose moments are alike, and then their signatures, with the evidence."""
+    alike = near_pairs(index(store, options=options.of_copies), SAME)
+    if not alike:
+        return []
+    made = index(store, options=options)
+    limit = _largest_distance(made, options)
+    return [
+        pair._replace(evidence=_evidence(store, pair))
+        for pair in alike
+        if _distance(made, pair) <= limit
+    ]
 
 
 def _largest_distance(made: SignatureIndex, options: PipelineOptions) -> float:

@@ -31,6 +31,7 @@ from pcretrieve.values.geometry import (
     welded,
 )
 from pcretrieve.values.shapes import (
+    Decision,
     Eigenpairs,
     Failure,
     Grade,
@@ -48,6 +49,7 @@ __all__ = [
     "SENSOR_DISTANCE",
     "UNIT",
     "UPWARD",
+    "Decision",
     "Eigenpairs",
     "Failure",
     "FloatArray",

@@ -200,6 +200,9 @@ _Part = TypeVar("_Part")
 
 GradeName = Literal["good", "poor", "incomplete"]
 
+# What a person may decide about a scan: to scan again, that it will do, or nothing but a note.
+Decision = Literal["rescan", "accept", "note"]
+
 
 @dataclass(frozen=True, slots=True)
 class Grade:

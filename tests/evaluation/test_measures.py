@@ -268,7 +268,8 @@ def test_measures_confusions_and_files_of_classes(tmp_path: Path) -> None:
     found = confusion(result)
     assert (found.labels, found.nearest) == (("X", "Y"), ("X", "Y", None))
     assert found.counts.tolist() == [[1, 1, 1], [1, 1, 0]]
-    written = write_evaluation(result, tmp_path / "new" / "folder")
+    points = recognition_curve(result.n_nearer, result.labels, result.n_classes)
+    written = write_evaluation(result, tmp_path / "new" / "folder", points)
     tables = {
         path.stem: list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
         for path in written
