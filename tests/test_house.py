@@ -142,25 +142,21 @@ MOST_PARAMETERS = 8
 
 # Slow to import: each is imported in functions.
 HEAVY = {
-    *(
-        "cv2",
-        "distributed",
-        "fsspec",
-        "laspy",
-        "matplotlib",
-        "open3d",
-        "pandas",
-        "potpourri3d",
-    ),
-    *(
-        "psycopg",
-        "pye57",
-        "pytetwild",
-        "robust_laplacian",
-        "sqlalchemy",
-        "starlette",
-        "trimesh",
-    ),
+    "cv2",
+    "distributed",
+    "fsspec",
+    "laspy",
+    "matplotlib",
+    "open3d",
+    "pandas",
+    "potpourri3d",
+    "psycopg",
+    "pye57",
+    "pytetwild",
+    "robust_laplacian",
+    "sqlalchemy",
+    "starlette",
+    "trimesh",
 }
 
 
