@@ -267,6 +267,8 @@ def without_zeros(scan: RawScan) -> RawScan:
 
 def joined(scans: Sequence[RawScan]) -> RawScan:
     """Join scans that have one frame and one unit, all of them clouds or all of them meshes."""
+    # A station without an answer says nothing of the normals and sensors of the others.
+    scans = [scan for scan in scans if len(scan.points)] or scans[:1]
     if len(scans) == 1:
         return scans[0]
     starts = np.cumsum([0, *(len(scan.points) for scan in scans)])

@@ -34,6 +34,7 @@ from pcretrieve.formats.format import (
     joined,
     without_zeros,
 )
+from pcretrieve.values import FloatArray
 from pcretrieve.values.files import check_members
 
 # Header of LAS: its size, the start of the points, and the number of records behind it, each of 54 bytes at
@@ -216,10 +217,12 @@ def _opened(path: Path) -> Iterator[tuple[Any, dict[str, int]]]:
     n_bytes = path.stat().st_size
     # As bytes, because a name need not be UTF-8.
     with pye57.E57(os.fsencode(path)) as file:
-        check_members(file.scan_count)
+        # A file of images alone has no list of scans.
+        n_scans = file.scan_count if file.root.isDefined("data3D") else 0
+        check_members(n_scans)
         headers = {
             number: header
-            for number in range(file.scan_count)
+            for number in range(n_scans)
             if (header := file.get_header(number)).point_count
         }
         if not headers:
@@ -230,8 +233,6 @@ def _opened(path: Path) -> Iterator[tuple[Any, dict[str, int]]]:
                 raise Damaged(
                     f"it declares {header.point_count} points in {n_bytes} bytes"
                 )
-            if header.has_pose() and not np.isfinite(header.translation).all():
-                raise Damaged("the position of a sensor is not finite")
         named = (
             header["name"].value() if header.node.isDefined("name") else ""
             for header in headers.values()
@@ -241,23 +242,34 @@ def _opened(path: Path) -> Iterator[tuple[Any, dict[str, int]]]:
 
 def _scan(file: Any, number: int) -> RawScan:
     """The points of a scan in the frame of the file, without those that the file marks as invalid."""
+    from pye57.utils import convert_spherical_to_cartesian
+    from scipy.spatial.transform import Rotation
+
     header = file.get_header(number)
-    data = file.read_scan(number, ignore_missing_fields=True)
-    points = np.column_stack([data[f"cartesian{axis}"] for axis in "XYZ"]).astype(
-        np.float64
-    )
+    data = file.read_scan(number, transform=False, ignore_missing_fields=True)
+    points = np.column_stack([*data.values()])
+    if "sphericalRange" in data:
+        points = convert_spherical_to_cartesian(points)
+    position = _pose_part(header.node, "translation", x=0.0, y=0.0, z=0.0)
+    rotation = _pose_part(header.node, "rotation", x=0.0, y=0.0, z=0.0, w=1.0)
+    points = Rotation.from_quat(rotation).apply(points) + position
     # The default pose, at the origin, is that of a sensor if the points are the grid that it measured.
-    position = (
-        np.asarray(header.translation, dtype=np.float64)
-        if header.has_pose()
-        else np.zeros(3)
-    )
     is_grid = header.has_pose() and {"rowIndex", "columnIndex"} <= {*header.point_fields}
     return without_zeros(
         RawScan(
             points, viewpoints=position if is_grid or position.any() else None, unit="m"
         )
     )
+
+
+def _pose_part(node: Any, name: str, **usual: float) -> FloatArray:
+    """The numbers of a part of a pose by their names, because pye57 takes them in the order of the file."""
+    if node.isDefined(f"pose/{name}"):
+        usual = {axis: node[f"pose/{name}/{axis}"].value() for axis in usual}
+    numbers = np.array([*usual.values()])
+    if not np.isfinite(numbers).all():
+        raise Damaged("the position of a sensor is not finite")
+    return numbers
 
 
 def _check_xml(path: Path) -> None:

@@ -214,10 +214,16 @@ def test_scans_in_an_e57_file(tmp_path: Path) -> None:
 
 
 Fields = dict[str, tuple[str, NDArray[Any]]]
+Pose = dict[str, dict[str, float]]
+# The prefix of an extension, by which CloudCompare writes normals, and its address.
+NORMALS_OF_E57 = ("nor", "http://www.libe57.org/E57_NOR_surface_normals.txt")
 
 
-def write_fields(path: Path, scans: Sequence[Fields]) -> None:
-    """Scans of any fields, each as doubles, as scaled integers, or as states 0 to 2."""
+def write_fields(path: Path, scans: Sequence[Fields], pose: Pose | None = None) -> None:
+    """Scans of any fields, each as doubles, as scaled integers, or as states 0 to 2.
+
+    pose: the parts of the pose of each scan, in their order.
+    """
     from pye57 import E57, libe57
 
     with E57(str(path), "w") as file:
@@ -232,6 +238,8 @@ def write_fields(path: Path, scans: Sequence[Fields]) -> None:
                     node = libe57.ScaledIntegerNode(image, 0, -(10**8), 10**8, 1e-5, 3.0)
                 else:
                     node = libe57.IntegerNode(image, 0, 0, 2)
+                if ":" in name:
+                    image.extensionsAdd(*NORMALS_OF_E57)
                 row.set(name, node)
                 arrays.append(np.array(values, "i1" if kind == "state" else "f8"))
                 buffers.append(
@@ -242,7 +250,13 @@ def write_fields(path: Path, scans: Sequence[Fields]) -> None:
             points = libe57.CompressedVectorNode(
                 image, row, libe57.VectorNode(image, True)
             )
-            scan.set("guid", libe57.StringNode(image, "{1}"))
+            if pose:
+                scan.set("pose", libe57.StructureNode(image))
+            for part, numbers in (pose or {}).items():
+                placed = libe57.StructureNode(image)
+                scan["pose"].set(part, placed)
+                for axis, number in numbers.items():
+                    placed.set(axis, libe57.FloatNode(image, number))
             scan.set("points", points)
             file.data3d.append(scan)
             if len(arrays[0]):
@@ -283,6 +297,64 @@ def test_points_of_other_scanners(
     assert [one.name for one in members_of(path)] == ["a.e57#1", "a.e57#2"]
     np.testing.assert_allclose(cloud(path).points, np.tile(POINTS, (2, 1)), atol=1e-4)
     write_fields(path, [nothing])
+    with pytest.raises(ScanReadError, match="the file holds no scans that have points"):
+        read_scan(path)
+
+
+@needs(".e57")
+def test_what_else_a_point_of_an_e57_file_has(tmp_path: Path) -> None:
+    """Intensities and normals without limits, and coordinates of both kinds, Cartesian ones first."""
+    values = POINTS[:, 0]
+    names = ("intensity", "timeStamp", "rowIndex", "columnIndex", "nor:normalX")
+    others: Fields = {name: ("state", np.ones(len(POINTS))) for name in names}
+    wrong = {name: ("double", values) for name in spherical(POINTS, "double")}
+    path = tmp_path / "a.e57"
+    write_fields(path, [cartesian(POINTS, "scaled") | others | wrong])
+    np.testing.assert_allclose(cloud(path).points, POINTS, atol=1e-4)
+
+
+TRANSLATION = dict(zip("xyz", SENSOR.tolist(), strict=True))
+ROTATION = dict(zip("wxyz", QUATERNION.tolist(), strict=True))
+WHOLE = {"translation": TRANSLATION, "rotation": ROTATION}
+
+
+@needs(".e57")
+@pytest.mark.parametrize(
+    ("pose", "expected"),
+    [
+        (WHOLE, POINTS @ TURN.as_matrix().T + SENSOR),
+        (
+            {name: dict(reversed([*part.items()])) for name, part in WHOLE.items()},
+            POINTS @ TURN.as_matrix().T + SENSOR,
+        ),
+        (
+            {"rotation": {axis: 3 * value for axis, value in ROTATION.items()}},
+            POINTS @ TURN.as_matrix().T,
+        ),
+        ({"translation": TRANSLATION}, POINTS + SENSOR),
+    ],
+    ids=["whole", "in another order", "a long quaternion", "a shift"],
+)
+def test_parts_of_a_pose_of_e57(pose: Pose, expected: FloatArray, tmp_path: Path) -> None:
+    """The standard names them, and gives them no order."""
+    write_fields(tmp_path / "a.e57", [cartesian(POINTS, "double")], pose)
+    np.testing.assert_allclose(cloud(tmp_path / "a.e57").points, expected, atol=1e-9)
+
+
+@needs(".e57")
+def test_stations_of_e57_without_an_answer(tmp_path: Path) -> None:
+    """Neither they nor lists that are not there take the points of others with them."""
+    path, points = tmp_path / "a.e57", cartesian(POINTS, "double")
+    invalid = points | {"cartesianInvalidState": ("state", np.full(len(POINTS), 2))}
+    write_fields(path, [invalid, points])
+    np.testing.assert_allclose(cloud(path).points, POINTS)
+    write_fields(path, [invalid])
+    with pytest.raises(ScanReadError, match="this one has none at all"):
+        read_scan(path)
+    images = path.read_bytes()
+    path.write_bytes(
+        with_other_xml(images, lambda xml: xml.replace(b"data3D", b"images"))
+    )
     with pytest.raises(ScanReadError, match="the file holds no scans that have points"):
         read_scan(path)
 
