@@ -54,6 +54,10 @@ UNITS = {
     "foot": "ft",
 }
 
+# Types of objects in 3MF files that are bodies. Others are supports, and what must not be printed.
+BODIES = ("model", "surface")
+# The relationship of a 3MF file, to the model that it starts with.
+START = "{*}Relationship[@Type='http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel']"
 # The motion of a 3MF file that leaves a body in its place, by rows.
 UNMOVED = "1 0 0 0 1 0 0 0 1 0 0 0"
 # Elements of COLLADA files: the scene, its nodes, and what refers to a node or to a mesh.
@@ -241,23 +245,30 @@ def three_mf_scene(path: Path) -> Scene:
     # By the name of their model, and their id in it.
     objects: dict[tuple[str, str], Any] = {}
     items: list[tuple[str, Any]] = []
+    starts = set()
     with opened_archive(path) as archive:
         members = archive.infolist()
         for info in members:
             model = info.filename.lower()
-            if model.endswith(".model"):
-                with archive.open(info) as file:
-                    parser = etree.XMLParser(resolve_entities=False, huge_tree=True)
-                    root = etree.parse(file, parser).getroot()
-                objects |= {(model, one.get("id")): one for one in root.iter("{*}object")}
-                items += [(model, one) for one in root.iter("{*}item")]
+            if not model.endswith((".model", "_rels/.rels")):
+                continue
+            with archive.open(info) as file:
+                parser = etree.XMLParser(resolve_entities=False, huge_tree=True)
+                root = etree.parse(file, parser).getroot()
+            starts |= {_model(one.get("Target")) for one in root.iterfind(START)}
+            objects |= {(model, one.get("id")): one for one in root.iter("{*}object")}
+            items += [(model, one) for one in root.iter("{*}item")]
+    # The builds of other models do not count, if the file says which one it starts with.
+    items = [one for one in items if one[0] in starts] or items
     mesh_of = cache(lambda key: _mesh(objects[key]))
     placed: list[Placed] = []
 
     def place(use: Any, model: str, motion: FloatArray, above: str) -> None:
         check_members(len(placed))
         (other,) = use.xpath("@*[local-name()='path']") or [model]
-        key = other.strip("/").lower(), use.get("objectid")
+        key = _model(other), use.get("objectid")
+        if objects[key].get("type", "model") not in BODIES:
+            return
         own = np.eye(4)
         own[:3] = numbers_in(use.get("transform", UNMOVED), "motions").reshape(4, 3).T
         motion = motion @ own
@@ -273,6 +284,11 @@ def three_mf_scene(path: Path) -> Scene:
     if unit not in UNITS:
         raise Damaged(f"its unit is {unit[:20]!r}")
     return _scene(_bodies(placed, sum(info.file_size for info in members)), UNITS[unit])
+
+
+def _model(path: str) -> str:
+    """The name of a model in the archive, by its path in another file."""
+    return path.strip("/").lower()
 
 
 def _mesh(node: Any) -> RawScan:

@@ -473,6 +473,76 @@ def test_bodies_of_3mf_in_their_places(kind: str, tmp_path: Path) -> None:
     assert all(one.volume > 0 for one in own)
 
 
+def model_of(resources: str, *items: str) -> str:
+    built = "".join(f"<item {item}/>" for item in items)
+    return f"<model {PRODUCTION}><resources>{resources}</resources><build>{built}</build></model>"
+
+
+RELATIONS = (
+    '<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">'
+    '<Relationship Target="{}" Id="r0" Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/>'
+    "</Relationships>"
+)
+BALL_MODEL = model_of(three_mf_object(1, 0), 'objectid="1"')
+LATTICE = "<b:beamlattice radius='1'><b:beams><b:beam v1='0' v2='1'/></b:beams></b:beamlattice></mesh>"
+WITH_LATTICE = BALL_MODEL.replace("</mesh>", LATTICE).replace(
+    "<model",
+    '<model xmlns:b="http://schemas.microsoft.com/3dmanufacturing/beamlattice/2017/02"',
+)
+OTHERS = "".join(
+    three_mf_object(k, 5).replace("<object", f'<object type="{kind}"')
+    for k, kind in ((2, "other"), (3, "support"), (4, "solidsupport"))
+)
+WITH_OTHERS = model_of(
+    three_mf_object(1, 0)
+    + OTHERS
+    + components(5, 'objectid="1"', 'objectid="2"', 'objectid="3"'),
+    'objectid="5"',
+    'objectid="4"',
+)
+DIALECTS_OF_3MF: dict[str, dict[str, str | bytes]] = {
+    "a mark of UTF-8": {"3D/3dmodel.model": "\ufeff" + BALL_MODEL},
+    "UTF-16": {"3D/3dmodel.model": BALL_MODEL.encode("utf-16")},
+    "a lattice of beams": {"3D/3dmodel.model": WITH_LATTICE},
+    "supports, and what is not printed": {"3D/3dmodel.model": WITH_OTHERS},
+    "a surface": {
+        "3D/3dmodel.model": BALL_MODEL.replace("<object", '<object type="surface"')
+    },
+    "a model of another name": {
+        "[Content_Types].xml": "<Types/>",
+        "_rels/.rels": RELATIONS.format("/3D/Ball.model"),
+        "3D/Ball.model": BALL_MODEL,
+    },
+    "a relative path": {
+        "_rels/.rels": RELATIONS.format("3D/ball.model"),
+        "3D/Ball.model": BALL_MODEL,
+    },
+    "relations to a picture alone": {
+        "_rels/.rels": RELATIONS.format("/a.png").replace("2013/01/3dmodel", "thumbnail"),
+        "3D/3dmodel.model": BALL_MODEL,
+    },
+    "a model that builds its own": {
+        "_rels/.rels": RELATIONS.format("/3D/3dmodel.model"),
+        "3D/3dmodel.model": model_of("", 'p:path="/3D/a.model" objectid="1"'),
+        "3D/a.model": BALL_MODEL,
+    },
+}
+
+
+@needs(".3mf")
+@pytest.mark.parametrize("dialect", DIALECTS_OF_3MF)
+def test_dialects_of_3mf(dialect: str, tmp_path: Path) -> None:
+    """Each is one ball, in millimetres, which is the unit where a model names none."""
+    with zipfile.ZipFile(tmp_path / "a.3mf", "w") as archive:
+        for name, content in DIALECTS_OF_3MF[dialect].items():
+            archive.writestr(name, content)
+    found = read_raw(ScanPath.parse(tmp_path / "a.3mf"))
+    assert found.unit == "mm"
+    np.testing.assert_allclose(found.points, BALL.vertices, atol=1e-6)
+    assert found.faces is not None
+    assert len(found.faces) == len(BALL.faces)
+
+
 @needs(".dae")
 def test_a_collada_file_says_how_long_its_unit_is(tmp_path: Path) -> None:
     for metres, unit, scale in ((0.01, "cm", 1.0), (1, "m", 1.0), (0.5, "m", 0.5)):
