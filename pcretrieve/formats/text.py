@@ -329,13 +329,16 @@ class Grid(NamedTuple):
 def read_ptx(path: Path, name: str | None = None) -> RawScan:
     """Read the scans in a PTX file as one, or the scan of a number, without readings that are zeros."""
     with closing(_grids(path)) as grids:
-        return joined(
+        scan = joined(
             [
                 _scan(rows, grid)
                 for k, (grid, rows) in enumerate(grids, start=1)
                 if name in (None, str(k))
             ]
         )
+    if not len(scan.points):
+        raise ScanReadError("none of its readings is an answer")
+    return scan
 
 
 def ptx_names(path: Path) -> tuple[str, ...]:
@@ -370,7 +373,7 @@ def _header(lines: list[str], size: int) -> Grid:
     if len(lines) < N_HEADER_LINES or pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise ValueError("it must be ten lines, of which the last four are a matrix")
     if not (
-        n_columns.is_integer() and n_rows.is_integer() and min(n_columns, n_rows) > 0
+        n_columns.is_integer() and n_rows.is_integer() and min(n_columns, n_rows) >= 0
     ):
         raise ValueError(
             f"the size of the grid must be whole numbers, got {n_columns:g} {n_rows:g}"
@@ -389,6 +392,8 @@ def _scan(rows: Iterator[str], header: Grid) -> RawScan:
     if len(table) != n:
         raise Cut(f"its header declares {n} points, it holds {len(table)}")
     measured = np.isfinite(table).all(axis=1) & table.any(axis=1)  # (n,)
+    if not measured.any():
+        return RawScan(table[:0])
     points = table @ header.rotation + header.translation
     size = header.n_columns, header.n_rows
     try:

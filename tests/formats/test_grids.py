@@ -349,6 +349,40 @@ def test_blank_lines_between_the_scans_of_ptx(tmp_path: Path) -> None:
     np.testing.assert_array_equal(cloud(tmp_path / "b.ptx").points, both)
 
 
+ONE_GRID = ptx(TURN, SENSOR, readings(wall=WALL)[::8, ::8])
+LINES = ONE_GRID.splitlines()
+NO_ANSWER = ptx(TURN, SENSOR, np.zeros((4, 5, 3)))
+DIALECTS = {
+    "tabs": ONE_GRID.replace(" ", "\t"),
+    "blanks round rows": "  " + ONE_GRID.replace("\n", "  \n  "),
+    "ends of lines of old Macs": ONE_GRID.replace("\n", "\r"),
+    "a mark of UTF-8": "\ufeff" + ONE_GRID,
+    "four columns": "\n".join(LINES[:10] + [row.rsplit(" ", 3)[0] for row in LINES[10:]]),
+    "colours of some": "\n".join(
+        LINES[:10] + [row.rsplit(" ", 3 * (k % 2))[0] for k, row in enumerate(LINES[10:])]
+    ),
+    "a station without an answer": NO_ANSWER + ONE_GRID,
+    "a station without a grid": "\n".join(["0", "0", *LINES[2:10], *LINES]),
+}
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_dialects_of_ptx(dialect: str, tmp_path: Path) -> None:
+    (tmp_path / "a.ptx").write_text(ONE_GRID)
+    (tmp_path / "b.ptx").write_bytes(DIALECTS[dialect].encode())
+    expected, found = cloud(tmp_path / "a.ptx"), cloud(tmp_path / "b.ptx")
+    np.testing.assert_array_equal(found.points, expected.points)
+    np.testing.assert_array_equal(found.normals, expected.normals)
+    np.testing.assert_array_equal(found.viewpoints, expected.viewpoints)
+
+
+def test_a_pose_of_ptx_with_decimal_commas_is_named(tmp_path: Path) -> None:
+    pose = "\n".join(line.replace(".", ",") for line in LINES[:10])
+    (tmp_path / "a.ptx").write_text("\n".join([pose, *LINES[10:]]))
+    with pytest.raises(ScanReadError, match="export it with decimal points, not commas"):
+        read_scan(tmp_path / "a.ptx")
+
+
 def test_a_file_that_is_refused_is_closed(tmp_path: Path) -> None:
     """Else Windows would not let it be replaced, as long as somebody has the error."""
     grid = f"2\n2\n{POSE}" + "0 0 1\n" * 3
