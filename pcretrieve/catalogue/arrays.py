@@ -102,35 +102,6 @@ def unpacked(blob: bytes, most: int) -> list[NDArray[Any]]:
     return arrays
 
 
-def packed_symmetric(matrices: FloatArray) -> bytes:
-    """Convert symmetric matrices to bytes, half as many as `packed` needs.
-
-    matrices: (s, k, k) float64, matrices that are symmetric except for rounding errors, which are stored too.
-    """
-    bits = np.ascontiguousarray(matrices).view(np.int64)
-    upper, lower = _triangles(bits.shape[1])
-    # The bits of neighbouring numbers are neighbouring integers, so that rounding errors are small integers.
-    moved = bits[lower] - bits.transpose(0, 2, 1)[lower]
-    small = moved.astype(np.int8)
-    return packed([matrices[upper], small if (small == moved).all() else moved])
-
-
-def unpacked_symmetric(blob: bytes) -> FloatArray:
-    """The inverse of `packed_symmetric`: (s, k, k) float64, the same matrices, to the bit."""
-    above, moved = unpacked(blob, 2)
-    k = int(np.sqrt(2 * above.shape[1]))
-    upper, lower = _triangles(k)
-    bits = np.empty((len(above), k, k), np.int64)
-    bits[upper] = above.view(np.int64)
-    bits[lower] = bits.transpose(0, 2, 1)[lower] + moved
-    return bits.view(np.float64)
-
-
-def _triangles(k: int) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-    """The indices of the upper triangles with their diagonals, and of the lower, in (s, k, k)."""
-    return (slice(None), *np.triu_indices(k)), (slice(None), *np.tril_indices(k, -1))
-
-
 def packed_values(values: FloatArray) -> bytes:
     """The values (L,) of a signature as 8 (L + 1) bytes: the last are the exclusive or of all, a checksum."""
     words = np.ascontiguousarray(values, "<f8").view("<u8")
@@ -170,9 +141,7 @@ def payloads_of(shape: Shape, options: PipelineOptions) -> dict[Payload, bytes]:
     }
     # The overlaps of a point cloud cannot be computed from the mesh: its operator is that of the points.
     if "overlaps" in keep or options.spectral.of_points:
-        stored["overlaps"] = packed_symmetric(
-            np.stack([s.known_overlaps() for s in spectra])
-        )
+        stored["overlaps"] = packed([np.stack([s.known_overlaps() for s in spectra])])
     if "meshes" in keep:
         meshes = [
             array for part in parts for array in (part.mesh.vertices, part.mesh.faces)
@@ -193,11 +162,9 @@ def stored_shape(
     meshes: list[TriangleMesh | None] = [None] * n
     if "moments" in payloads:
         (moments,) = unpacked(payloads["moments"], 1)  # (s, k, k)
-        overlaps = (
-            unpacked_symmetric(payloads["overlaps"])
-            if "overlaps" in payloads
-            else [None] * n
-        )
+        overlaps: Any = [None] * n
+        if "overlaps" in payloads:
+            (overlaps,) = unpacked(payloads["overlaps"], 1)  # (s, k, k)
         spectra = [
             ModalSpectrum(values, m, 1.0, o)
             for values, m, o in zip(eigenvalues, moments, overlaps, strict=True)

@@ -345,7 +345,7 @@ class CatalogueOptions(Options):
     keep: Annotated[tuple[Kept, ...], AfterValidator(_in_order)] = ("meshes",)
     """Parts of each surface that are stored beside the 28 kB of its spectrum and a thumbnail of 5 kB. meshes:
     vertices and faces, 149 kB for 10,000 faces, for views in 3-D, exports and other descriptors. overlaps:
-    the integrals of products of squared eigenfunctions, 15 kB, for the descriptors wks and bihdm; they are
+    the integrals of products of squared eigenfunctions, 25 kB, for the descriptors wks and bihdm; they are
     computed from the mesh where they are not stored."""
 
 

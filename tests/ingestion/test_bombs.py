@@ -19,7 +19,7 @@ from processes import MEASURE, MIB, peak_of
 from scan_files import HALVES, POSE, SQUARE, glb, gltf, needs, write_e57
 
 from pcretrieve import read_scan
-from pcretrieve.catalogue.arrays import packed, packed_symmetric, stored_shape
+from pcretrieve.catalogue.arrays import packed, stored_shape
 from pcretrieve.catalogue.records import Payload
 from pcretrieve.errors import InputError, ScanReadError
 from pcretrieve.formats import ScanPath, members_of, parts_of
@@ -215,5 +215,5 @@ def test_arrays_of_a_catalogue_that_expand_to_much_more() -> None:
     for payloads, words in bombs:
         assert peak_of(partial(stored_shape, payloads, ()), ValueError, words) < 80, words
     whole: dict[Payload, bytes] = {"spectra": spectra, "moments": moments}
-    whole["overlaps"] = packed_symmetric(np.ones((1, 4, 4)))
+    whole["overlaps"] = packed([np.ones((1, 4, 4))])
     assert stored_shape(whole, ()).area == 1
