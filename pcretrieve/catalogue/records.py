@@ -60,7 +60,6 @@ TABLES = {
         "metres_per_unit": "double precision",  # length of the unit of the area; NULL: unknown
         "stamp": "{text}",  # by which an unchanged file is known without reading it; NULL: unknown
         "checksum": "bigint NOT NULL",  # of the record: `checksum`
-        # Last, because catalogues get them that were made without: `Rows`.
         "mark": "{text}",  # what a person decided: rescan, accept or note; NULL: nothing
         "note": "{text}",  # in the words of that person
     },
@@ -100,9 +99,6 @@ INDEXES = (
     "CREATE INDEX incomplete_shapes ON shapes (id) WHERE grade <> 'good'",
 )
 
-# The setting of catalogues whose shapes have the columns of marks.
-HAS_MARKS = "has_marks"
-
 # Number of rows that are read at a time.
 READ_AT_ONCE = 1000
 
@@ -119,11 +115,7 @@ def created(
         yield f"CREATE TABLE {table} ({', '.join(lines)}){ordered}".format_map(words), ()
     for statement in (*INDEXES, *further):
         yield statement, ()
-    names = {
-        "schema_version": str(SCHEMA_VERSION),
-        "revision": uuid4().hex,
-        HAS_MARKS: "yes",
-    }
+    names = {"schema_version": str(SCHEMA_VERSION), "revision": uuid4().hex}
     for setting in {**settings, **names}.items():
         yield inserting("meta"), setting
 

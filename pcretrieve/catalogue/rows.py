@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from pcretrieve.catalogue.arrays import intact, packed, unpacked
 from pcretrieve.catalogue.records import (
-    HAS_MARKS,
     PAYLOADS,
     PROVENANCE_COLUMNS,
     RECORDS,
@@ -126,10 +125,7 @@ class Rows:
         #: The path of a file, or a URL without a password, as messages name the catalogue.
         self.location: str = self.database.location
         try:
-            settings = self.settings()
-            check_version(self.location, settings)
-            if HAS_MARKS not in settings:
-                self._add_marks()
+            check_version(self.location, self.settings())
         except BaseException:
             self.close()
             raise
@@ -534,16 +530,6 @@ class Rows:
                 )
 
     # --- inside -----------------------------------------------------------------------------------------
-
-    @repeated
-    def _add_marks(self) -> None:
-        """Add the columns of marks to a catalogue that was made before there were marks."""
-        with self.database.writing():
-            # Another process may have added them in the meantime.
-            if HAS_MARKS not in self.settings():
-                for column in ("mark", "note"):
-                    self.database.execute(f"ALTER TABLE shapes ADD COLUMN {column} text")
-                self.keep_setting(HAS_MARKS, "yes")
 
     def _records(self, column: str, values: Collection[str]) -> list[Record]:
         """The records with some ids, paths or content hashes, in ascending order of id."""

@@ -16,7 +16,7 @@ from stored import content, failure, records
 import pcretrieve as pr
 from pcretrieve import Catalogue, PipelineOptions, merge_catalogues
 from pcretrieve.catalogue import Record, postgresql as postgresql_module
-from pcretrieve.catalogue.records import HAS_MARKS, OWN, PAYLOADS, Entry, settings_of
+from pcretrieve.catalogue.records import OWN, PAYLOADS, Entry, settings_of
 from pcretrieve.catalogue.rows import Rows
 from pcretrieve.errors import CatalogueError, InputError, OptionError
 from pcretrieve.values import Grade, Step
@@ -246,25 +246,6 @@ def test_a_mark_stays_until_the_file_has_another_content(rows: Rows) -> None:
     # The person was scanned again.
     rows.store(done("a", path="/new.ply", content_hash="new"))
     assert marked(rows.record("a")) == (None, None)
-
-
-def test_a_catalogue_without_marks_gets_their_columns(
-    rows: Rows, new_location: str
-) -> None:
-    """As one that was made before there were marks; others may open it at the same time."""
-    before = records(rows)
-    for column in ("mark", "note"):
-        rows.database.execute(f"ALTER TABLE shapes DROP COLUMN {column}")
-    with rows.database.writing():
-        rows.keep_setting(HAS_MARKS, None)
-    for _ in range(2):
-        with Rows(new_location, SETTINGS, create=False) as again:
-            assert records(again) == before
-    with Rows(new_location, SETTINGS, create=False) as again:
-        again.mark(["a"], "accept", None)
-        again.store(done("new"))
-        assert ids(records(again)) == ["a", "b", "c", "d", "e", "new"]
-        assert again.record("a").mark == "accept"
 
 
 def test_a_merge_keeps_the_marks_of_all_parts(tmp_path: Path) -> None:
