@@ -318,34 +318,45 @@ def moments(mesh: TriangleMesh) -> Signature:
 
     values : (6,) in units of √A, smallest σ first. On an axis of a sphere, both are in the ratio 1 : √(9/5).
     """
-    framed = in_principal_frame(mesh)
-    a, b, c = (framed.vertices[framed.faces[:, k]] for k in range(3))  # (m, 3) each
-    squares = [((one + other) / 2) ** 2 for one, other in ((a, b), (b, c), (c, a))]
-    areas = framed.face_areas / 3
-    second = areas @ sum(squares)  # (3,), exact from the midpoints of the edges
-    fourth = areas @ sum(square**2 for square in squares)
+    weights, middles, _, axes = _principal(mesh)
+    squares = (middles @ axes) ** 2 / weights.sum()
+    second, fourth = (
+        weights @ powers / weights.sum() for powers in (squares, squares**2)
+    )
     second = np.maximum(second, np.finfo(float).eps)  # of a surface in a plane
     return Signature(np.sqrt(np.concatenate([second, fourth / second])), kind="moments")
 
 
 def in_principal_frame(mesh: TriangleMesh) -> TriangleMesh:
     """The surface of unit area, oriented outwards, with its centre and principal axes as the frame."""
-    areas = mesh.face_areas
-    if not 0 < (total := float(areas.sum())) < np.inf:
-        raise DegenerateMeshError(
-            f"a surface must have a positive area, got an area of {total:g}"
-        )
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))  # (m, 3) each
-    centre = areas @ (a + b + c) / (3 * total)
-    # The midpoints of the edges integrate quadratics over a triangle exactly.
-    middles = np.concatenate([a + b, b + c, c + a]) / 2 - centre
-    axes = np.linalg.eigh(middles.T @ (np.tile(areas, 3)[:, np.newaxis] * middles))[1]
-    turned = TriangleMesh((mesh.vertices - centre) @ axes / np.sqrt(total), mesh.faces)
+    _, _, centre, axes = _principal(mesh)
+    place = (mesh.vertices - centre) @ axes / np.sqrt(mesh.area)
+    turned = TriangleMesh(place, mesh.faces)
     return (
         turned
         if turned.volume >= 0
         else TriangleMesh(turned.vertices, turned.faces[:, ::-1])
     )
+
+
+def _principal(
+    mesh: TriangleMesh,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Areas (3 m,) and midpoints of edges (3 m, 3), which integrate quadratics exactly, centre and axes.
+
+    Midpoints are relative to the centre (3,); the principal axes are the columns (3, 3).
+    """
+    areas = mesh.face_areas
+    if not 0 < (total := float(areas.sum())) < np.inf:
+        raise DegenerateMeshError(
+            f"a surface must have a positive area, got an area of {total:g}"
+        )
+    a, b, c = (mesh.vertices.take(corner, axis=0) for corner in mesh.faces.T)  # (m, 3)
+    centre = areas @ (a + b + c) / (3 * total)
+    middles = np.concatenate([a + b, b + c, c + a]) / 2 - centre
+    weights = np.tile(areas, 3)
+    axes = np.linalg.eigh(middles.T @ (weights[:, np.newaxis] * middles))[1]
+    return weights / 3, middles, centre, axes
 
 
 MOMENTS = Descriptor(
