@@ -266,10 +266,7 @@ def _pose_part(node: Any, name: str, **usual: float) -> FloatArray:
     """The numbers of a part of a pose by their names, because pye57 takes them in the order of the file."""
     if node.isDefined(f"pose/{name}"):
         usual = {axis: node[f"pose/{name}/{axis}"].value() for axis in usual}
-    numbers = np.array([*usual.values()])
-    if not np.isfinite(numbers).all():
-        raise Damaged("the position of a sensor is not finite")
-    return numbers
+    return np.array([*usual.values()])
 
 
 def _check_xml(path: Path) -> None:

@@ -153,15 +153,6 @@ def _header(data: bytes) -> tuple[str, list[Element], int]:
             ) from error
     if order is None:
         raise Damaged("its header has no line 'format'")
-    declared = [
-        (element.name, name) for element in elements for name, *_ in element.properties
-    ]
-    if len({*declared}) < len(declared) or len({found.name for found in elements}) < len(
-        elements
-    ):
-        raise Damaged(
-            "its header declares an element, or a property of an element, twice"
-        )
     return order, elements, last.end()
 
 
