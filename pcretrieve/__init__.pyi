@@ -43,10 +43,12 @@ from .estimators import (
 from .evaluation import (
     Comparison as Comparison,
     Evaluation as Evaluation,
+    Evaluations as Evaluations,
     RetrievalMeasures as RetrievalMeasures,
     calibrate as calibrate,
     compare as compare,
     evaluate as evaluate,
+    evaluate_methods as evaluate_methods,
     matrix as matrix,
 )
 from .formats import (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from functools import partial
 from itertools import compress
 from pathlib import Path
@@ -37,6 +37,7 @@ from pcretrieve.cli.output import (
 # The columns of rows of measures, and of what they are the measures of.
 COLUMNS = dict.fromkeys(("NN", "FT", "ST", "E", "DCG", "mAP"), "number")
 MEASURES = tuple(name.lower() for name in COLUMNS)
+METHODS = {"METHOD": "text"} | COLUMNS | {"95 % INTERVAL OF mAP": "text"}
 COLUMNS |= {"": "words"}
 CURVE = dict.fromkeys(("CLASSES", "RANK-1", "RANK-5"), "number")
 CURVE |= {"95 % INTERVAL": "text", " ": "words"}
@@ -82,15 +83,28 @@ def evaluate_command(
     --verbose also second tier (ST) and E-measure (E): means over the queries, with 95 % confidence intervals,
     and over the classes. Labels do not help the ranking.
 
+    With --method given several times, print one table, with a row for each method and the interval of mAP.
+
     \b
+    pcretrieve evaluate --catalogue bodies.sqlite --method hapt --method r-bihdm
     pcretrieve evaluate --catalogue bodies.sqlite --curve --csv bodies/
     pcretrieve evaluate --catalogue shrec11.sqlite --labels shrec11
     pcretrieve evaluate --matrix run1.txt --labels shrec11.cla
     """
     matrix = read_distances(file, used="rerank")
     options = None
+    methods = (comparison.method or "").split(",")
     if catalogue is None and (matrix is None or labels is None):
         catalogue = os.environ.get(CATALOGUE_VARIABLE) or None
+    if catalogue is not None and methods[1:]:
+        store, options = replace(comparison, method=None).opened(catalogue)
+        return _table(
+            pr.evaluate_methods(
+                store, methods, labels, options=options, good_only=good_only
+            ),
+            options,
+            folder,
+        )
     if catalogue is not None:
         store, options = comparison.opened(catalogue)
         found = pr.evaluate(
@@ -121,6 +135,21 @@ def evaluate_command(
         ]
     show = partial(_write_evaluation, found, how, per_class, points, is_verbose)
     return Result(document, options, show)
+
+
+def _table(
+    found: pr.Evaluations, options: pr.PipelineOptions, folder: Path | None
+) -> Result:
+    """A row for each method."""
+    documents, rows = [], []
+    for name, one in found.items():
+        documents.append(_evaluation_document(one, {"method": name}, per_class=False))
+        numbers = _numbers(getattr(one, measure) for measure in MEASURES)
+        rows.append((name, *numbers, " to ".join(_numbers(one.interval[:, -1]))))
+    if folder is not None:
+        found.write(folder)
+        say(f"methods.csv, and the files of each method, in {folder}")
+    return Result(documents, options, lambda: write_table(METHODS, rows))
 
 
 def _how(

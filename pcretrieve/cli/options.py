@@ -447,6 +447,9 @@ class SignatureSettings(Settings):
         f"Names: {', '.join(METHODS)}.",
         sets="signature.method",
         shell_complete=complete_methods,
+        multiple=True,
+        # Joined, as only `evaluate` takes several; of others, the message on the name has them all.
+        callback=lambda _, option, names: ",".join(names) or None,
     )
     n_values: int | None = option("--n-values L", sets="signature.n_values")
     scale: Literal["area", "relative", "absolute"] | None = option(

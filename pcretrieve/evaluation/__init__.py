@@ -5,17 +5,27 @@ measures and precision–recall curves go out.
 """
 
 from pcretrieve.evaluation.comparison import Comparison
-from pcretrieve.evaluation.front import Evaluation, calibrate, compare, evaluate, matrix
+from pcretrieve.evaluation.front import (
+    Evaluation,
+    Evaluations,
+    calibrate,
+    compare,
+    evaluate,
+    evaluate_methods,
+    matrix,
+)
 from pcretrieve.evaluation.measures import RetrievalMeasures
 from pcretrieve.evaluation.rankings import rank_table
 
 __all__ = [
     "Comparison",
     "Evaluation",
+    "Evaluations",
     "RetrievalMeasures",
     "calibrate",
     "compare",
     "evaluate",
+    "evaluate_methods",
     "matrix",
     "rank_table",
 ]

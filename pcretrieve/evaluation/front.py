@@ -25,7 +25,7 @@ from pcretrieve.options import OptionsLike, PipelineOptions, describe_options
 from pcretrieve.retrieval import DistanceMatrix, Whitening, people
 from pcretrieve.retrieval.whitening import calibrated_whitening, write_whitening
 from pcretrieve.values import FloatArray, SignatureTable
-from pcretrieve.values.files import write_file
+from pcretrieve.values.files import csv_text, write_file
 
 if TYPE_CHECKING:
     from pcretrieve.shrec.matcher import Matcher
@@ -148,6 +148,72 @@ def evaluate(
     return Evaluation(
         **asdict(measures.evaluate_rankings(ranked.rankings)), ranked=ranked
     )
+
+
+class Evaluations(dict[str, Evaluation]):
+    """Evaluations by the name of the method; in a notebook one table, with a row for each."""
+
+    def _repr_html_(self) -> str:
+        return measures.table_html(self)
+
+    def write(self, folder: str | Path) -> None:
+        """Write the table as ``methods.csv``, and the files of each evaluation to a folder of its name."""
+        rows = []
+        for name, one in self.items():
+            one.write(Path(folder) / name)
+            rows.append([name, *(getattr(one, column) for column in measures.MEASURES)])
+        text = csv_text(["method", *measures.MEASURES], rows)
+        write_file(Path(folder) / "methods.csv", text.encode())
+
+
+def evaluate_methods(
+    catalogue: CatalogueLike,
+    methods: Iterable[str],
+    labels: str | Path | None = None,
+    *,
+    options: OptionsLike = None,
+    good_only: bool = False,
+) -> Evaluations:
+    """Evaluate several descriptors of one catalogue.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        Labelled shapes with the spectra that the methods need.
+    methods : iterable of str
+        Names of descriptors, such as ``hapt`` and ``r-bihdm``.
+    labels : str or Path, optional
+        As of `evaluate`.
+    options : OptionsLike, optional
+        As of `evaluate`; each method replaces theirs.
+    good_only : bool, default False
+        As of `evaluate`.
+
+    Returns
+    -------
+    Evaluations
+        A dict with the `Evaluation` of each method, which a notebook shows as one table.
+
+    Raises
+    ------
+    BenchmarkError, CatalogueError
+        As by `evaluate`.
+    OptionError
+        If there is no such method.
+    """
+    with Catalogue.opened(catalogue) as store:
+        base = PipelineOptions.of(options, store.options)
+        return Evaluations(
+            {
+                name: evaluate(
+                    store,
+                    labels,
+                    options=base.changed(signature={"method": name}),
+                    good_only=good_only,
+                )
+                for name in methods
+            }
+        )
 
 
 def compare(

@@ -28,8 +28,9 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
+from html import escape
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -96,12 +97,17 @@ class RetrievalMeasures:
     n_single: int
 
     def _repr_html_(self) -> str:
-        shown = {
-            part.name: getattr(self, part.name) for part in fields(RetrievalMeasures)
-        }
-        head = "".join(f"<th>{name}</th>" for name in shown)
-        cells = "".join(f"<td>{value:.4g}</td>" for value in shown.values())
-        return f"<table><tr>{head}</tr><tr>{cells}</tr></table>"
+        return table_html({"": self})
+
+
+def table_html(rows: Mapping[str, RetrievalMeasures]) -> str:
+    """A table for notebooks, with a row of measures for each name."""
+    names = [part.name for part in fields(RetrievalMeasures)]
+    lines = ["<th>" + "<th>".join(["", *names])]
+    for row, measured in rows.items():
+        cells = "".join(f"<td>{getattr(measured, name):.4g}" for name in names)
+        lines.append(f"<th>{escape(row)}{cells}")
+    return f"<table><tr>{'<tr>'.join(lines)}</table>"
 
 
 class PrecisionRecall(NamedTuple):
@@ -239,7 +245,7 @@ class CurvePoint:
 
 # Numbers of classes of a curve. It is fitted to those from a tenth of the largest collection, and continued
 # to ten times this.
-SIZES = (10, 30, 100, 300, 1000, 3000, 10_000, 30_000, 100_000)
+SIZES = (2, 3, 5, 10, 30, 100, 300, 1000, 3000, 10_000, 30_000, 100_000)
 FITTED = 10
 
 

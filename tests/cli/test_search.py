@@ -386,6 +386,34 @@ def test_the_curve_is_printed_and_drawn(eggs: Path, tmp_path: Path) -> None:
     assert (tmp_path / "new" / "curve.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_several_methods_give_one_table(eggs: Path, tmp_path: Path) -> None:
+    """Each row is what `evaluate` gives of that method alone, with the other options that were given."""
+    names = ("r-bihdm", "shape-dna", "moments")
+    catalogue = eggs / "eggs.sqlite"
+    asked = ("evaluate", "-c", catalogue, *PLAIN)
+    several = [word for name in names for word in ("--method", name)]
+    lines = run(*asked, *several, "--csv", tmp_path / "three").stdout.splitlines()
+    assert lines[0].split()[:3] == ["METHOD", "NN", "FT"]
+    documents = result(*asked, *several)
+    with (tmp_path / "three" / "methods.csv").open(encoding="utf-8", newline="") as file:
+        written = list(csv.DictReader(file))
+    chosen = {"retrieval": {"whitening": "none"}}
+    found = pr.evaluate_methods(catalogue, names, options=chosen)
+    table = found._repr_html_()
+    for name, line, document, row in zip(
+        names, lines[1:], documents, written, strict=True
+    ):
+        alone = result(*asked, "--method", name)
+        assert line.split()[:3] == [name, f"{alone['nn']:.4f}", f"{alone['ft']:.4f}"]
+        assert document["method"] == row["method"] == name
+        assert document["map"] == float(row["map"]) == alone["map"] == found[name].map
+        assert (tmp_path / "three" / name / "queries.csv").is_file()
+        assert f"<th>{name}<td>{alone['nn']:.4g}" in table
+    assert len({document["map"] for document in documents}) == 3
+    said = refusal("query", "00", "-c", catalogue, "--method", "hapt", "--method", "wks")
+    assert "hapt,wks" in said
+
+
 # --- duplicates and maps --------------------------------------------------------------------------------
 
 

@@ -392,7 +392,9 @@ def test_a_curve_is_the_mean_over_all_collections() -> None:
     places += rng.normal(0, 0.6, places.shape)
     distances = np.linalg.norm(places[:, None] - places, axis=2)
     found = pr.evaluate(distances, labels)
-    (whole,) = found.curve
+    *parts, whole = (point for point in found.curve if not point.is_fitted)
+    assert [point.n_classes for point in parts] == [2, 3, 5]
+    assert parts[0].rank_1 > parts[1].rank_1 > parts[2].rank_1 > whole.rank_1
     assert whole.rank_1 == pytest.approx(found.nn)
     assert whole.low < whole.rank_1 < whole.high
     rankings = found.ranked.rankings
@@ -426,7 +428,7 @@ def test_a_curve_counts_failures_and_is_continued_as_a_power() -> None:
     """The own class is behind 0, 1 or 99 of 99 others."""
     nearer = np.repeat([0, 1, 99], [180, 16, 4])
     labels = np.arange(200) % 100
-    ten, thirty, hundred, *fitted = recognition_curve(nearer, labels, 100)
+    _, _, _, ten, thirty, hundred, *fitted = recognition_curve(nearer, labels, 100)
     assert (ten.n_classes, thirty.n_classes, hundred.n_classes) == (10, 30, 100)
     assert ten.rank_1 == pytest.approx((180 + 16 * 90 / 99) / 200)
     assert hundred.rank_1 == pytest.approx(0.9)
