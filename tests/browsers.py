@@ -121,3 +121,26 @@ def overflow(page: Page) -> int:
         "document.scrollingElement.scrollWidth - window.innerWidth"
     )
     return pixels
+
+
+def too_small(page: Page) -> list[str]:
+    """What is pressed, and is lower than a finger; but links within a sentence, as WCAG 2.2 has it."""
+    found: list[str] = page.locator("a, button, input, select, summary").evaluate_all(
+        """all => all.filter(it => it.checkVisibility() && !it.closest("p, svg, .skip")
+          && !it.matches("[type=hidden], .unseen, .skip, [type=checkbox]"))
+          .filter(it => it.offsetHeight < 44).map(it => it.outerHTML.slice(0, 120))"""
+    )
+    return found
+
+
+def jump(page: Page) -> float:
+    """By how much a page has moved without being touched: the score of layout shifts of Chromium."""
+    moved: float = page.evaluate(
+        """() => new Promise(done => {
+          let sum = 0;
+          new PerformanceObserver(list => { for (const one of list.getEntries()) sum += one.value; })
+            .observe({type: "layout-shift", buffered: true});
+          setTimeout(() => done(sum), 1000);
+        })"""
+    )
+    return moved

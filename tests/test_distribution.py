@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tarfile
 import zipfile
+from base64 import b64decode
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
@@ -106,6 +107,16 @@ def test_the_wheel_has_every_file_of_the_package_and_nothing_else(folder: Path) 
             != set()
         )
         subprocess.run(["chmod", "-R", "a-w", installed], check=True)
+
+
+def test_the_typeface_of_the_pages_is_small_and_has_its_licence() -> None:
+    assets = ROOT / "pcretrieve" / "pages" / "assets"
+    face = (assets / "typeface.css").read_text(encoding="utf-8")
+    (content,) = re.findall(r"data:font/woff2;base64,([^)]*)", face)
+    assert b64decode(content, validate=True)[:4] == b"wOF2" and len(face) < 60_000
+    licence = (assets / "typeface.LICENSE.txt").read_text(encoding="utf-8")
+    assert "SIL OPEN FONT LICENSE Version 1.1" in licence and "Reserved Font" in licence
+    assert "Inter" in (ROOT / "docs" / "licences.md").read_text(encoding="utf-8")
 
 
 def test_the_version_is_that_of_the_other_files() -> None:

@@ -107,19 +107,9 @@ def map_drawing(
     across, up = (MARGIN + places * (SIDE - 2 * MARGIN)).T
     down = SIDE - up  # the y axis of SVG points down
     groups = []
-    for number, (label, rows, colour) in enumerate(class_groups(ids, catalogue)):
-        shapes = [
-            {
-                "number": row,
-                "id": ids[row],
-                "x": f"{across[row]:.1f}",
-                "y": f"{down[row]:.1f}",
-            }
-            for row in rows.tolist()
-        ]
-        groups.append(
-            {"number": number, "label": label, "colour": colour, "shapes": shapes}
-        )
+    for label, rows, colour in class_groups(ids, catalogue):
+        shapes = [(row, ids[row], across[row], down[row]) for row in rows.tolist()]
+        groups.append({"label": label, "colour": colour, "shapes": shapes})
     height = float(np.ptp(down)) + 2 * MARGIN
     return {
         "side": SIDE,

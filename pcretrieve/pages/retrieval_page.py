@@ -27,34 +27,6 @@ PIXELS = 88
 # Largest number of shapes on the map of a page, of about 200 bytes each.
 MOST_MAPPED = 2000
 
-# Number of queries that a comparison lists.
-N_CHANGES = 10
-
-# The measures, explained for readers who do not know retrieval benchmarks.
-MEASURES = {
-    "NN": (
-        "nearest neighbour",
-        "How often the first shape found is of the query's class.",
-    ),
-    "FT": (
-        "first tier",
-        "Share of the R other shapes of the class that are among the first R found.",
-    ),
-    "ST": ("second tier", "The same among the first 2R."),
-    "E": (
-        "E-measure",
-        "Harmonic mean of precision and recall of the first 32; below 1 even if all is right.",
-    ),
-    "DCG": (
-        "discounted cumulative gain",
-        "How early the shapes of the class come; first ranks count most.",
-    ),
-    "mAP": (
-        "mean average precision",
-        "Mean precision at the ranks of the class: all ranks in one number.",
-    ),
-}
-
 
 class _Card(NamedTuple):
     """A query, or a result with its distance, and whether it is of the class of the query."""
@@ -71,14 +43,6 @@ class _Panel(NamedTuple):
     query: _Card
     results: list[_Card]
     score: float | None
-
-
-class _Evaluated(NamedTuple):
-    """Average precision by query, the measures, and those of another result, as the template shows them."""
-
-    precision: dict[str, float]
-    measures: dict[str, Any] | None = None
-    comparison: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,11 +155,9 @@ def report(
             else chosen.changed(retrieval={"rerank": "none"})
         )
         ranked = _Ranked.of(store, chosen, matrix, Thumbnails(store, up, PIXELS))
-        measured = _evaluated(ranked, matrix, versus)
+        precision, measured, comparison = _evaluated(ranked, matrix, versus)
         # The worst first, then those that have no average precision.
-        queries = sorted(
-            ranked.ranking.ids, key=lambda name: measured.precision.get(name, 2.0)
-        )
+        queries = sorted(ranked.ranking.ids, key=lambda name: precision.get(name, 2.0))
         facts = {"classes": str(len(ranked.sizes))}
         facts |= settings_in_words(store, chosen, matrix)
         if len(queries) > n_queries:
@@ -203,7 +165,7 @@ def report(
                 f"the {n_queries} with the lowest average precision of {len(queries)}"
             )
         panels = [
-            _Panel(ranked.card(one), ranked.results(one, k), measured.precision.get(one))
+            _Panel(ranked.card(one), ranked.results(one, k), precision.get(one))
             for one in queries[:n_queries]
         ]
         return write_page(
@@ -212,8 +174,8 @@ def report(
             title=f"Retrieval in {Path(store.location).stem}",
             facts=facts,
             **_shown(panels),
-            measured=measured.measures,
-            comparison=measured.comparison,
+            measured=measured,
+            comparison=comparison,
             compared_with=Path(
                 versus.location if isinstance(versus, pr.Catalogue) else str(versus)
             ).name,
@@ -227,18 +189,18 @@ def _evaluated(
     ranked: _Ranked,
     matrix: pr.DistanceMatrix | None,
     versus: str | Path | pr.Catalogue | None,
-) -> _Evaluated:
-    """The measures of a catalogue, if a class has two shapes, and those of another result beside them."""
+) -> tuple[dict[str, float], pr.Evaluation | None, pr.Comparison | None]:
+    """Average precision by query, if a class has two shapes the measures, and another result beside them."""
     if any(size > 1 for size in ranked.sizes.values()):
         found = pr.evaluate(ranked.catalogue, options=ranked.options, matrix=matrix)
-        comparison = None if versus is None else _compared(pr.compare(versus, found))
+        comparison = None if versus is None else pr.compare(versus, found)
         precision = dict(zip(found.scores.ids, found.scores.ap.tolist(), strict=True))
-        return _Evaluated(precision, _measured(found), comparison)
+        return precision, found, comparison
     if versus is not None:
         raise pr.InputError(
             f"no class in {ranked.catalogue.location} has two shapes: there are no measures to compare"
         )
-    return _Evaluated({})
+    return {}, None, None
 
 
 def _shown(panels: list[_Panel]) -> dict[str, Any]:
@@ -253,47 +215,6 @@ def _shown(panels: list[_Panel]) -> dict[str, Any]:
         },
         "pictures": {picture: number for number, picture in enumerate(pictures)},
     }
-
-
-def _measured(found: pr.Evaluation) -> dict[str, Any]:
-    """The measures as the template shows them."""
-    curve = found.precision_recall
-    means = (found.nn, found.ft, found.st, found.e, found.dcg, found.map)
-    return {
-        "counts": found,
-        "rows": [
-            {
-                "short": short,
-                "name": name,
-                "value": mean,
-                "meaning": meaning,
-                "ends": ends,
-            }
-            for (short, (name, meaning)), mean, ends in zip(
-                MEASURES.items(), means, found.interval.T.tolist(), strict=True
-            )
-        ],
-        "curve": " ".join(
-            f"{x:.4f},{1 - y:.4f}"
-            for x, y in zip(curve.recall, curve.precision, strict=True)
-        ),
-        "precision": curve.precision.tolist(),
-        "classes": sorted(found.classes, key=lambda one: (one.means[-1], one.label)),
-    }
-
-
-def _compared(found: pr.Comparison) -> dict[str, Any]:
-    """The measures of another result and of this one, and this minus the other with its interval."""
-    columns = (found.first, found.second, found.difference, *found.interval)
-    rows = []
-    for short, numbers in zip(MEASURES, np.transpose(columns).tolist(), strict=True):
-        *_, low, high = numbers
-        outcome = "better" if low > 0 else "worse" if high < 0 else "no difference shown"
-        rows.append((short, *numbers, outcome))
-    changes = [change for change in found.changes if change.first != change.second][
-        :N_CHANGES
-    ]
-    return {"of": found, "rows": rows, "changes": changes}
 
 
 def _judged(

@@ -32,7 +32,7 @@ from starlette.responses import (
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from pcretrieve import Answer, Catalogue, PipelineOptions, Record
+from pcretrieve import Answer, Catalogue, PipelineOptions, Record, mark
 from pcretrieve.errors import CatalogueError, InputError, PcretrieveError
 from pcretrieve.gallery.answers import Question, answer_to
 from pcretrieve.pages.html import page_of, without_folders
@@ -281,6 +281,7 @@ def _collection(asked: Asked) -> Response:
 
 def _shape(asked: Asked) -> Response:
     record, rows = asked.record, asked.catalogue.rows
+    writes = asked.site.given_jobs is not None
     others = rows.wanted(label=record.label, limit=MOST_OTHERS)[1] if record.label else ()
     return asked.page(
         "shape.html",
@@ -290,10 +291,9 @@ def _shape(asked: Asked) -> Response:
         classes=asked.classes,
         has_surface="meshes" in asked.catalogue.options.catalogue.keep,
         others=others,
-        can_be_inspected=asked.site.given_jobs is not None
-        and Path(record.path).is_file(),
-        can_be_turned=asked.site.given_jobs is not None
-        and asked.site.thumbnails.up is None,
+        can_be_marked=writes,
+        can_be_inspected=writes and Path(record.path).is_file(),
+        can_be_turned=writes and asked.site.thumbnails.up is None,
     )
 
 
@@ -407,8 +407,11 @@ async def _keep_scan(request: Request) -> Response:
 
 async def _keep_scan_by_form(request: Request) -> Response:
     """For the form of the page: the fields are in the body, and the answer is the page of the shape."""
-    record = await _kept(request, await _form(request))
-    return RedirectResponse(f"/shape/{quote(record.id, safe='')}", 303, headers=FRESH)
+    return _to_shape((await _kept(request, await _form(request))).id)
+
+
+def _to_shape(name: str) -> Response:
+    return RedirectResponse(f"/shape/{quote(name, safe='')}", 303, headers=FRESH)
 
 
 async def _form(request: Request) -> dict[str, str]:
@@ -442,7 +445,19 @@ async def _turn(request: Request) -> Response:
             catalogue, record_of(catalogue, name), forwards=forwards
         )
     )
-    return RedirectResponse(f"/shape/{quote(name, safe='')}", 303, headers=FRESH)
+    return _to_shape(name)
+
+
+async def _mark(request: Request) -> Response:
+    """What a person decides about a scan is kept; an empty decision forgets it."""
+    fields, name = await _form(request), _name(request)
+    decision, note = (fields.get(key, "").strip() for key in ("decision", "note"))
+    await _site(request).listing.read(
+        lambda catalogue: mark(
+            catalogue, [record_of(catalogue, name).id], decision or None, note
+        )
+    )
+    return _to_shape(name)
 
 
 async def _inspect(request: Request) -> Response:
@@ -486,6 +501,7 @@ async def _events(jobs: Jobs, job_id: str) -> AsyncIterator[str]:
 TURNS = (
     Route("/up", _say_up, methods=["POST"]),
     Route("/shape/{id}/turn", _turn, methods=["POST"]),
+    Route("/shape/{id}/mark", _mark, methods=["POST"]),
     Route("/shape/{id}/inspect", _inspect, methods=["POST"]),
 )
 

@@ -16,6 +16,12 @@ if TYPE_CHECKING:
 
 Document = dict[str, Any]
 
+# What a document has of a record as it is.
+SHOWN = (
+    *("id", "label", "status", "mark", "note"),
+    *("added", "area", "n_vertices", "n_faces", "euler"),
+)
+
 # Number of shapes on a page of the collection.
 PAGE = 60
 
@@ -29,17 +35,10 @@ def record_of(catalogue: Catalogue, shape_id: str) -> Record:
 
 def shape_document(record: Record) -> Document:
     """What a catalogue says of one shape."""
-    document: Document = {
-        "id": record.id,
+    document: Document = {name: getattr(record, name) for name in SHOWN}
+    document |= {
         "file": Path(record.path).name,
-        "label": record.label,
-        "status": record.status,
         "grade": None if record.grade is None else asdict(record.grade),
-        "added": record.added,
-        "area": record.area,
-        "n_vertices": record.n_vertices,
-        "n_faces": record.n_faces,
-        "euler": record.euler,
     }
     if record.status == "failed":
         message = record.message and without_folders(

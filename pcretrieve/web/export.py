@@ -17,7 +17,7 @@ from pcretrieve.web.application import LISTS, SEARCHES, Asked, Site
 from pcretrieve.web.comparison import map_of
 
 # What the pages of an exported site load.
-ASSETS = {"page.css", "search.css", "map.css", "find.js", "map.js"}
+ASSETS = {"typeface.css", "page.css", "search.css", "map.css", "find.js", "map.js"}
 
 LINK = re.compile(r'(href|src|data-picture)="/([^"]*)"')
 

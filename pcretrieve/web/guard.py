@@ -28,12 +28,13 @@ HOSTS = frozenset({"127.0.0.1", "localhost", "::1"})
 
 SAFE_METHODS = frozenset({"GET", "HEAD"})
 
-# Of all answers. Scripts, styles and pictures come from this server only, none is written in a page, and no
-# other page shows this one in a frame. Other sites are not told where a link was; this one is, because
-# without a referrer browsers send forms with the origin null.
+# Of all answers. Scripts, styles and pictures come from this server only, the typeface is in a style, nothing
+# is written in a page, and no other page shows this one in a frame. Other sites are not told where a link
+# was; this one is, because without a referrer browsers send forms with the origin null.
 HEADERS = {
     "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
-    "img-src 'self' data:; connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'",
+    "font-src data:; img-src 'self' data:; connect-src 'self'; form-action 'self'; "
+    "base-uri 'none'; frame-ancestors 'none'",
     "x-content-type-options": "nosniff",
     "x-frame-options": "DENY",
     "referrer-policy": "same-origin",

@@ -72,6 +72,7 @@ class Listing(_Fields):
     q: str = ""
     label: str = ""
     state: Literal["", "done", "incomplete", "failed"] = ""
+    marked: Literal["", "any", "rescan", "accept", "note"] = ""
     sort: Literal[
         "id", "-id", "label", "-label", "added", "-added", "error", "-error"
     ] = "id"
@@ -88,6 +89,7 @@ class Listing(_Fields):
         return {
             "label": self.label,
             "state": self.state,
+            "marked": self.marked,
             "days": days,
             "order": self.sort.removeprefix("-"),
             "descending": self.sort.startswith("-"),

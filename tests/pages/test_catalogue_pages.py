@@ -94,7 +94,9 @@ def words_of(page: Path) -> str:
     text = re.sub(
         r"<(style|script)>.*?</\1>", "", page.read_text("utf-8"), flags=re.DOTALL
     )
-    return " ".join(unescape(re.sub(r"<[^>]*>", " ", text)).split())
+    words = unescape(re.sub(r"<[^>]*>", " ", text)).split()
+    assert "None" not in words
+    return " ".join(words)
 
 
 def queries_of(page: Path) -> list[str]:
@@ -118,7 +120,7 @@ def test_no_page_needs_another_file_or_runs_what_a_name_says(
     ]
     for page in pages:
         text = page.read_text("utf-8")
-        assert "default-src 'none'; img-src data:" in text
+        assert "default-src 'none'; img-src data:; font-src data:" in text
         assert not re.findall(
             r"""(?:src|href)=["'](?!data:|#)|https?:|@import|url\((?!data:)""", text
         )
@@ -344,6 +346,7 @@ def test_pages_are_accessible_and_fit_a_phone(
         for size, dark in ((browsers.DESKTOP, False), (browsers.PHONE, True)):
             with browsers.opened(browser, file.as_uri(), size, dark=dark) as page:
                 assert browsers.overflow(page) <= 0
+                assert browsers.too_small(page) == []
                 assert browsers.violations(page) == []
 
 

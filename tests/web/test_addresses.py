@@ -8,13 +8,13 @@ import socket
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
-from html import unescape
+from html import escape, unescape
 from pathlib import Path
-from urllib.parse import quote
+from urllib.parse import quote, urlencode
 
 import pytest
 from commands import program
-from search_server import NASTY, Server, running, write_eggs
+from search_server import NASTY, Answer, Server, running, write_eggs
 
 from pcretrieve import Catalogue
 from pcretrieve.catalogue import Record
@@ -170,6 +170,62 @@ def test_the_file_of_a_shape_is_inspected_where_it_is(server: Server) -> None:
     gone = server.ask("/shape/Egg00/inspect", method="POST")
     assert gone.status == 404 and b"is not there any more" in gone.body
     assert b"Inspect this scan" not in server.ask("/shape/Egg00").body
+
+
+def decide(server: Server, name: str, **fields: str) -> Answer:
+    """The answer to the form of a page, as a browser sends it."""
+    return server.ask(
+        f"/shape/{quote(name, safe='')}/mark",
+        method="POST",
+        body=urlencode(fields).encode(),
+    )
+
+
+def test_a_decision_is_kept_shown_and_forgotten(server: Server, eggs: Path) -> None:
+    """Of a failed scan too; the command line sees the same."""
+    note = "<b>left foot</b> & 5 %"
+    for name in ("Egg01", "broken", NASTY):
+        done = decide(server, name, decision="rescan", note=note)
+        assert done.status == 303
+        assert done.headers["location"] == f"/shape/{quote(name, safe='')}"
+        page = server.ask(done.headers["location"]).body.decode()
+        assert f'<p class="marked"><b>scan again</b>: {escape(note)}</p>' in page
+        assert 'value="rescan" aria-pressed="true"' in page
+    assert {*ids(server.ask("/?marked=rescan").body)} == {"Egg01", "broken", NASTY}
+    assert server.ask("/").body.decode().count("<b>scan again</b>") == 3
+    with Catalogue(eggs) as store:
+        assert (store.record(NASTY).mark, store.record(NASTY).note) == ("rescan", note)
+    decide(server, "Egg01", decision="accept", note="")
+    assert server.ask("/shapes/Egg01").json["mark"] == "accept"
+    assert ids(server.ask("/?marked=accept").body) == ["Egg01"]
+    for name in ("Egg01", "broken", NASTY):
+        decide(server, name, decision="", note="")
+    assert ids(server.ask("/?marked=any").body) == []
+    assert b'class="marked"' not in server.ask("/").body
+
+
+def test_who_may_not_decide_and_what_is_no_decision(server: Server, eggs: Path) -> None:
+    assert decide(server, "Egg01", decision="burn").status == 400
+    assert b"must have a text" in decide(server, "Egg01", decision="note").body
+    assert decide(server, "Egg01", decision="note", note="x" * 10_000).status == 413
+    assert decide(server, "nobody", decision="accept").status == 404
+    asked = {"path": "/shape/Egg01/mark", "method": "POST", "body": b"decision=accept"}
+    cookie = {"Cookie": f"pcretrieve-{server.port}={server.token}"}
+    for headers in (
+        {},
+        cookie,
+        cookie | {"Origin": "http://127.0.0.1:1"},
+        cookie | {"Origin": "http://evil.example"},
+    ):
+        assert server.ask(**asked, headers=headers, bearer=False).status == 403
+    own = cookie | {"Origin": f"http://127.0.0.1:{server.port}"}
+    with running(eggs, "--read-only") as closed:
+        assert decide(closed, "Egg01", decision="accept").status == 404
+        assert b"/mark" not in closed.ask("/shape/Egg01").body
+    assert server.ask("/shapes/Egg01").json["mark"] is None
+    assert server.ask(**asked, headers=own, bearer=False).status == 303
+    assert server.ask("/shapes/Egg01").json["mark"] == "accept"
+    decide(server, "Egg01")
 
 
 def test_a_damaged_row_is_told(eggs: Path, tmp_path: Path) -> None:

@@ -88,6 +88,13 @@ def test_a_browser_opens_it_without_a_server(browser: Browser, site: Path) -> No
         with browsers.opened(
             browser, (site / "index.html").as_uri(), size, dark=dark
         ) as page:
+            shown = page.locator("#results .shapes li:visible")
+            sizes = page.locator(".classes button").all_inner_texts()
+            assert sizes == ["<kind 0> 4", "<kind 1> 4", "<kind 2> 4"]
+            page.locator(".classes button").nth(2).click()
+            assert shown.count() == 4
+            page.locator(".classes button").nth(2).click()
+            assert shown.count() == 13
             page.get_by_label("Search by name or class").fill("egg1 kind")
             assert page.locator("#results .shapes li:visible").count() == 4
             page.locator("#results .shapes li:visible a").first.click()

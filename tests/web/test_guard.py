@@ -111,6 +111,7 @@ def test_pages_may_use_this_server_alone(server: Server) -> None:
         headers = server.ask(path).headers
         policy = headers["content-security-policy"]
         assert "default-src 'none'" in policy and "unsafe" not in policy
+        assert "font-src data:;" in policy
         assert headers["x-content-type-options"] == "nosniff"
         assert headers["referrer-policy"] == "same-origin"
         assert "server" not in headers
