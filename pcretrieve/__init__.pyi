@@ -62,6 +62,7 @@ from .gallery.answers import (
     search_many as search_many,
 )
 from .gallery.fitted import (
+    compare_measures as compare_measures,
     index as index,
     signatures as signatures,
     stored_measures as stored_measures,

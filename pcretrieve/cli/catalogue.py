@@ -54,6 +54,9 @@ CSV = (*START, "MARK", "NOTE", "STAGE", "REASON", "PATH")
 
 # What `pr.stored_measures` returns.
 MEASURES = ("height", "chest", "waist", "hip", "thigh", "volume")
+NO_MEASURES = "none: they hold for people who stand with hanging arms, in a known unit"
+COMPARED = ("FIRST", "SECOND", "DIFFERENCE", "USUAL FOR ONE PERSON", "ISO 20685 ALLOWS")
+VERSUS = {"m, m³": "text"} | dict.fromkeys(COMPARED, "number")
 
 
 @command("list")
@@ -174,19 +177,37 @@ def _row(record: pr.Record, columns: Columns, *, is_whole: bool) -> list[str]:
 def show_command(
     shape_id: str = argument("ID", shell_complete=complete_ids),
     catalogue: str = catalogue_option,
+    other: str | None = option(
+        "--versus ID",
+        "Compare its measures with those of this shape.",
+        shell_complete=complete_ids,
+    ),
 ) -> Result:
     """Show how a shape was made: its file, each step, and the size of what is stored.
 
     \b
     pcretrieve show cat0 --catalogue bodies.sqlite
+    pcretrieve show anna-1 --versus anna-2 --catalogue people.sqlite
     """
     store = opened(catalogue, any_numbers=True)
     record, stored = store.record(shape_id), store.rows.stored_bytes(shape_id)
     measures = pr.stored_measures(store, shape_id)
+    if other is not None:
+        compared = pr.compare_measures(store, shape_id, other)
+        shown = {name: one._asdict() for name, one in compared.items()}
+        rows = [(name, *map(_number, one)) for name, one in compared.items()]
+        return Result(shown, show=lambda: write_table(VERSUS, rows) or say(NO_MEASURES))
     return Result(
         _facts(record) | {"stored_bytes": stored, "measures": measures},
         show=lambda: _show(record, stored, measures),
     )
+
+
+def _number(value: float | tuple[float, float] | None) -> str:
+    """A measure with its ±, a difference, or what it is beside."""
+    if isinstance(value, tuple):
+        return " ± ".join(f"{one:.3f}" for one in value)
+    return "" if value is None else f"{value:.3f}"
 
 
 def _show(
@@ -204,13 +225,8 @@ def _show(
     }
     rows = [(name, str(value)) for name, value in shown.items() if value is not None]
     if record.metres_per_unit:
-        found = (
-            f"{name} {value:.3f} ± {error:.3f}"
-            for name, (value, error) in measures.items()
-        )
-        text = ", ".join(found)
-        none = "none: they hold for people who stand with hanging arms"
-        rows.append(("measures", f"{text} (m, m³)" if text else none))
+        text = ", ".join(f"{name} {_number(pair)}" for name, pair in measures.items())
+        rows.append(("measures", f"{text} (m, m³)" if text else NO_MEASURES))
     parts = ", ".join(
         f"{name} {size / 1000:.1f}" for name, size in stored.items() if size
     )

@@ -157,14 +157,19 @@ def body_axes(
     return axes * [[-1.0], [1.0], [-1.0]] if turned else axes
 
 
-def tape_measures(vertices: FloatArray, faces: IntArray) -> dict[str, float]:
-    """Height and girths of a person who stands with hanging arms, in their unit; nothing of other bodies."""
+def tape_measures(
+    vertices: FloatArray, faces: IntArray, up: FloatArray | None = None
+) -> dict[str, float]:
+    """Height and girths of a person who stands with hanging arms, in their unit; nothing of other bodies.
+
+    Without `up`, it is found from the body, within some degrees, which changes a height by up to 20 mm.
+    """
     from scipy.spatial import ConvexHull
 
     person = person_of(vertices, faces)
     if person is None:
         return {}
-    right, up, towards = body_axes(vertices, faces)
+    right, up, towards = body_axes(vertices, faces, up)
     along = vertices @ up
     height, along = np.ptp(along), (along - along.min()) / np.ptp(along)
     feet, hands = person.from_feet / height, person.from_hands / height

@@ -10,6 +10,7 @@ import hashlib
 import logging
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from pcretrieve.catalogue import Catalogue, CatalogueLike, Record
 from pcretrieve.catalogue.arrays import intact, packed_values, unpacked_values
 from pcretrieve.catalogue.cache import short_digest
 from pcretrieve.catalogue.records import OWN
-from pcretrieve.draw.axes import tape_measures
+from pcretrieve.draw.axes import tape_measures, upward
 from pcretrieve.errors import CatalogueError, InputError, ShapeError
 from pcretrieve.options import (
     OptionsLike,
@@ -44,6 +45,17 @@ FORMAT = 14
 # Smallest number of shapes for which an index is stored, or a map. The scores of 600 shapes, with the import
 # of what fits them, would be two thirds of a query by id.
 SMALLEST_KEPT = 100
+
+# Beside the difference of two scans: its median over two standing poses of each of twelve simulated people,
+# and what ISO 20685 allows a scanner; m, m³.
+BESIDE = {
+    "height": (0.009, 0.004),
+    "chest": (0.002, 0.009),
+    "waist": (0.002, 0.009),
+    "hip": (0.002, 0.009),
+    "thigh": (0.001, None),
+    "volume": (None, None),
+}
 
 # Number of computed signatures that are stored together, so that few are lost after an interruption.
 KEPT_AT_ONCE = 100
@@ -125,7 +137,8 @@ def stored_measures(
 
     A girth is that of a tape: the border of the convex hull of a horizontal section, without the arms. The
     hip is the largest one round the seat, the waist the smallest between hip and chest, the chest lies at
-    .68 of the height; the thigh is the mean of both, .05 of the height below the crotch.
+    .68 of the height; the thigh is the mean of both, .05 of the height below the crotch. Upwards is the axis
+    that the catalogue knows, else the direction from the ground that was removed, else that of the body.
 
     Parameters
     ----------
@@ -148,16 +161,66 @@ def stored_measures(
     """
     with Catalogue.opened(catalogue) as store:
         record = store.record(shape_id)
-        if record.status == "failed" or record.metres_per_unit is None:
+        unit = record.metres_per_unit
+        if record.status == "failed" or unit is None:
             return {}
         surfaces = store.shape(shape_id, ("mesh",)).surfaces
+        said = upward(store.rows.settings().get("up"))
+        up = store.rows.direction_upwards(shape_id) if said is None else said
     meshes = [surface.mesh for surface in surfaces if surface.mesh is not None]
-    found = [tape_measures(mesh.vertices, mesh.faces) for mesh in meshes]
+    found = [tape_measures(mesh.vertices, mesh.faces, up) for mesh in meshes]
     if not found or not all(found):
         return {}
-    rows = {name: [one[name] for one in found] for name in found[0]}
-    rows["volume"] = [mesh.volume for mesh in meshes]
+    rows = {name: [unit * one[name] for one in found] for name in found[0]}
+    rows["volume"] = [unit**3 * mesh.volume for mesh in meshes]
     return {n: (float(np.mean(row)), float(np.ptp(row)) / 2) for n, row in rows.items()}
+
+
+class TapeDifference(NamedTuple):
+    """A measure of two scans with its ±, second minus first, and what this difference is beside.
+
+    usual: the median difference of two scans of one person who stands; None where it was not measured.
+    allowed: what ISO 20685 allows a scanner; None where it does not say it.
+    """
+
+    first: tuple[float, float]
+    second: tuple[float, float]
+    difference: float
+    usual: float | None
+    allowed: float | None
+
+
+def compare_measures(
+    catalogue: CatalogueLike, first: str, second: str
+) -> dict[str, TapeDifference]:
+    """The measures of two scans of people who stand with hanging arms, beside each other.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The catalogue.
+    first : str
+        The id of a shape.
+    second : str
+        The id of another shape.
+
+    Returns
+    -------
+    dict
+        By the names of `stored_measures` (m, m³); empty if one of them has none.
+
+    Raises
+    ------
+    InputError
+        If there is no shape of an id.
+    """
+    with Catalogue.opened(catalogue) as store:
+        one, other = (stored_measures(store, name) for name in (first, second))
+    return {
+        name: TapeDifference(own, other[name], other[name][0] - own[0], *BESIDE[name])
+        for name, own in one.items()
+        if other
+    }
 
 
 def index(catalogue: CatalogueLike, *, options: OptionsLike = None) -> SignatureIndex:

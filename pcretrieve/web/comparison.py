@@ -10,7 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from pcretrieve import Catalogue, PipelineOptions, TriangleMesh, index, places
+from pcretrieve import (
+    Catalogue,
+    PipelineOptions,
+    TriangleMesh,
+    compare_measures,
+    index,
+    places,
+)
 from pcretrieve.errors import InputError, PcretrieveError, ShapeError
 from pcretrieve.ingestion.pool import in_processes
 from pcretrieve.pages.html import without_folders
@@ -55,6 +62,7 @@ def compared(
     measured: list[dict[str, float]] = []
     with suppress(Refused):
         measured = [measures(*_mesh_and_up(catalogue, name, thumbnails)) for name in pair]
+    taped = compare_measures(catalogue, *pair) if measured else {}
     return {
         "shapes": [shape_document(record) for record in records],
         "units": [record.metres_per_unit for record in records],
@@ -62,6 +70,7 @@ def compared(
         "measure": options.retrieval.distance,
         "score": score,
         "measured": measured,
+        "taped": taped,
     }
 
 
