@@ -28,11 +28,13 @@ from benchmarks.paper.spectra import (
 from benchmarks.people import POSES, joints
 from benchmarks.recognition import Scans
 from benchmarks.sensors import KINDS, MORE_POINTS, SENSORS, USUAL_POINTS, drawn, left_by
-from benchmarks.transfer import EXCESS, found_by, widened, without
+from benchmarks.transfer import EXCESS, by_nine_cameras, found_by, widened, without
 
+import pcretrieve.retrieval
 from pcretrieve import ModalSpectrum, write_mesh
 from pcretrieve.points.neighbors import nearest
 from pcretrieve.retrieval import fit_whitening
+from pcretrieve.retrieval.people import SAMPLE
 from pcretrieve.values.topology import defects
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
@@ -281,6 +283,19 @@ def test_a_metric_learns_what_exceeds_it_and_keeps_what_people_differ_by() -> No
     assert found["within"][-1, -1] == pytest.approx(1 + 0.5 * (25 - EXCESS), rel=0.1)
     assert found["within"][:-1, :-1] == pytest.approx(unit[:-1, :-1], abs=0.1)
     assert found["total"] - found["within"] == pytest.approx(2 * unit)
+    before = by_nine_cameras(found)
+    assert "drawn" not in before
+    for name, array in by_nine_cameras(arrays).items():
+        assert before[name] == pytest.approx(array), name
+
+
+def test_what_drawn_sensors_have_taught_can_be_taken_from_the_package() -> None:
+    installed = np.load(Path(pcretrieve.retrieval.__file__).with_name(SAMPLE))
+    plain = by_nine_cameras(installed)
+    assert np.linalg.eigvalsh(plain["within"])[0] > 0
+    more = np.linalg.eigvalsh(installed["within"] - plain["within"])
+    # Float32.
+    assert (more > 1e-5).sum() == installed["drawn"].shape[1] == 8
 
 
 def test_a_sensor_that_is_left_out_teaches_nothing() -> None:

@@ -37,8 +37,9 @@ from pcretrieve.values import FloatArray
 
 # mean (105,), within and total (105, 105), scale (105,): the moments of the coordinates of hapt, of 59 values
 # of r-bihdm and of log area, divided by the scale of each; network (137, H): A, a and B one above the other,
-# of hapt and N_VALUES of r-bihdm, with H hidden units. Written by scripts/benchmark people --learn. And the
-# fields of `Reference`, written by scripts/benchmark people --refer.
+# of hapt and N_VALUES of r-bihdm, with H hidden units. Written by scripts/benchmark people --learn. drawn
+# (105, r), whose product with its transpose is in within and total: written by scripts/benchmark transfer
+# --learn. And the fields of `Reference`, written by scripts/benchmark people --refer.
 SAMPLE = "people.npz"
 N_VALUES = 23
 

@@ -9,8 +9,9 @@
 
 Scans whose sensors, poses and damages were drawn at random scatter within people as those of nine cameras do,
 and much more in a few directions: those in which the body without a shin differs from itself. A share of what
-exceeds four times the covariance of the package is added to it. What people differ by does not depend on the
-sensor, so that the covariance between people stays. A share of 0 is the metric of the package.
+exceeds four times the covariance by nine cameras is added to it. What people differ by does not depend on the
+sensor, so that the covariance between people stays. A share of 0 is the metric by nine cameras alone; what
+the metric of the package has learned from drawn sensors is taken away from it before.
 
 The people of the scans are cut into five folds. A metric that learned from four of them, without one kind of
 sensor, ranks the scans of the fifth; queries are those by the kind that was left out, or those with a damage,
@@ -116,7 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given.learn and len(given.share) != 1:
         parser.error("--learn writes one metric: give one --share, such as .5")
     target = Path(pcretrieve.retrieval.__file__).with_name(SAMPLE)
-    arrays = {name: array.astype(float) for name, array in np.load(target).items()}
+    arrays = by_nine_cameras(np.load(target))
     scans = scans_of(given.catalogues)
     if given.learn:
         learned = widened(arrays, scans, given.share[0])
@@ -148,18 +149,31 @@ def kinds_of(ids: Sequence[str]) -> list[str]:
 EXCESS = 4.0
 
 
+def by_nine_cameras(arrays: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """The arrays of `SAMPLE` without what drawn sensors have added: for these, they have seen no sensor."""
+    plain = {name: np.asarray(array, dtype=float) for name, array in arrays.items()}
+    added = plain.pop("drawn", np.zeros((1, 0)))
+    for name in ("within", "total"):
+        plain[name] = plain[name] - added @ added.T
+    return plain
+
+
 def widened(
     arrays: Mapping[str, FloatArray], scans: Scans, share: float
 ) -> dict[str, FloatArray]:
-    """The arrays of `SAMPLE`, with a share of what the scatter of some scans within people exceeds."""
+    """The arrays of `SAMPLE`, with a share of what the scatter of some scans within people exceeds.
+
+    arrays: as by `by_nine_cameras`.
+    """
     points = np.concatenate(list(scans.parts.values()), axis=1) / arrays["scale"]
     own = shrunk_within(people_means(points, scans.person)[1])
     root = np.linalg.cholesky(arrays["within"])
     relative = np.linalg.solve(root, np.linalg.solve(root, own).T)
     times, directions = np.linalg.eigh((relative + relative.T) / 2)
-    excess = (directions * np.maximum(times - EXCESS, 0)) @ directions.T
-    added = share * root @ excess @ root.T
-    return dict(arrays) | {name: arrays[name] + added for name in ("within", "total")}
+    exceeds = times > EXCESS
+    added = root @ directions[:, exceeds] * np.sqrt(share * (times[exceeds] - EXCESS))
+    wider = {name: arrays[name] + added @ added.T for name in ("within", "total")}
+    return dict(arrays) | wider | {"drawn": added}
 
 
 def without(scans: Scans, kinds: Collection[str], fold: int | None = None) -> Scans:
@@ -299,7 +313,7 @@ def lines_of_sensors(
                 metric, each.points, each.person, queries=every, others=drawn
             )
             yield TABLE.row(name, share, len(teaching.person), *found.rates())
-    for share in shares:
+    for share in shares if len(unseen) > 1 else ():
         found = crossed(scans, unseen, arrays, share, drawn)
         yield TABLE.row("crossed", share, 0, *found.rates())
 
