@@ -73,8 +73,7 @@ REFERENCES = {
     ),
     "points.voxels._set_along_z": "points/test_voxels.py::distances_are_exact_up_to_the_limit",
     "points.voxels._lower": "points/test_voxels.py::distances_are_exact_up_to_the_limit",
-    "points.voxels._roots": "points/test_voxels.py::distances_are_exact_up_to_the_limit",
-    "points.neighbors._sorted": "points/test_normals.py::the_nearest_points_are_those_of_a_tree",
+    "points.neighbors._sort": "points/test_normals.py::the_nearest_points_are_those_of_a_tree",
     "points.neighbors._nearest": "points/test_normals.py::the_nearest_points_are_those_of_a_tree",
     "points.neighbors.plane_deviations": (
         "points/test_normals.py::deviations_are_the_smallest_singular_values"
@@ -109,12 +108,9 @@ REFERENCES = {
     "surface.growth._steps": (
         "surface/test_growth.py::walls_keep_apart_what_is_thickest_where_it_touches"
     ),
-    "surface.growth._grown": "surface/test_growth.py::a_region_is_one_ball_and_a_ring_loses_one_slice",
+    "surface.growth._grow": "surface/test_growth.py::a_region_is_one_ball_and_a_ring_loses_one_slice",
     "surface.marching._triangulated": (
         "surface/test_growth.py::any_set_of_cells_has_a_closed_manifold_surface_that_crosses_where_it_must"
-    ),
-    "surface.marching._smooth": (
-        "surface/test_growth.py::a_round_of_smoothing_moves_to_the_mean_of_the_neighbours_and_back"
     ),
     "surface.parts.walls": (
         "surface/test_growth.py::a_link_crosses_a_surfel_where_a_line_meets_a_disk"
@@ -124,9 +120,6 @@ REFERENCES = {
     ),
     "surface.parts._contacts": (
         "surface/test_growth.py::a_fold_is_parted_in_one_layer_as_deep_as_it_goes"
-    ),
-    "surface.parts._counted": (
-        "surface/test_growth.py::points_count_for_the_piece_that_they_are_in_or_beside"
     ),
     "values.simplify._quadrics": "values/test_simplify.py::the_shape_stays",
     "values.simplify._collapsed": (
@@ -294,7 +287,10 @@ def test_compiled_functions_call_none_of_another_module() -> None:
         each.name: (path, each)
         for path in sources()
         for each in functions(path)
-        if any(ast.unparse(by).startswith("compiled(") for by in each.decorator_list)
+        if any(
+            ast.unparse(by).startswith(("compiled(", "inner("))
+            for by in each.decorator_list
+        )
     }
     assert compiled
     for name, (path, each) in compiled.items():
@@ -315,7 +311,10 @@ def test_compiled_loops_have_a_reference() -> None:
         compiled = {
             each.name: {node.id for node in ast.walk(each) if isinstance(node, ast.Name)}
             for each in functions(path)
-            if any(ast.unparse(by).startswith("compiled(") for by in each.decorator_list)
+            if any(
+                ast.unparse(by).startswith(("compiled(", "inner("))
+                for by in each.decorator_list
+            )
         }
         module = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
         tested = [name for name in compiled if f"{module}.{name}" in REFERENCES]

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.values import FloatArray, Grid, IntArray, Mask, Signature, TriangleMesh
-from pcretrieve.values.compiled import compiled
+from pcretrieve.values.compiled import compiled, inner
 
 # R, in units of √A with the area A of the surface, each 1.38 times the one before, and the ratio c = σ / R. A
 # person of 1.7 m² has arms of .03, thighs of .06 and a head of .07. See docs/decisions.md, HAPT.
@@ -200,7 +200,7 @@ def _vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     return normals
 
 
-@compiled()
+@inner()
 def _weighted_normal(
     vertices: FloatArray, here: int, after: int, before: int
 ) -> tuple[float, float, float]:
@@ -284,7 +284,7 @@ def _windings(at: FloatArray, faces: IntArray, shape: tuple[int, int, int]) -> I
     return turns
 
 
-@compiled()
+@inner()
 def _crossing(
     a: FloatArray, b: FloatArray, c: FloatArray, x: int, y: int
 ) -> tuple[int, float]:

@@ -10,6 +10,8 @@ from __future__ import annotations
 import hashlib
 import logging
 import pickle
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -44,6 +46,7 @@ from pcretrieve.pipeline import log_steps
 from pcretrieve.points.neighbors import Neighborhoods, plane_neighborhoods
 from pcretrieve.spectral import eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
 from pcretrieve.surface import reduced, remesh, sampled, sound_mesh, surfaces
+from pcretrieve.surface.marching import level_set
 from pcretrieve.values import (
     Eigenpairs,
     FloatArray,
@@ -59,6 +62,7 @@ from pcretrieve.values import (
 from pcretrieve.values.conversion import as_cloud, as_geometry
 from pcretrieve.values.files import lock
 from pcretrieve.values.geometry import with_others
+from pcretrieve.values.simplify import simplified
 from pcretrieve.values.topology import SurfaceMarks, defects
 
 V = TypeVar("V", PointCloud, TriangleMesh)
@@ -465,8 +469,25 @@ def compile_stages() -> None:
                 lock(file)
             # In 32 bits: `body` needs 16 only.
             distances(np.zeros((1, 1, 200), dtype=np.bool_), np.inf)
-            *_, last = _of_scan(PointCloud(body), options := PipelineOptions())
+            # Another process compiles the later stages; this one does it, if that one cannot.
+            other = subprocess.Popen(
+                [sys.executable, "-c", LATER_STAGES], stderr=subprocess.DEVNULL
+            )
+            for last in _of_scan(PointCloud(body), options := PipelineOptions()):
+                if last.mesh is not None:
+                    other.wait()
             describe(shape_of(last, options), options.signature)
+
+
+LATER_STAGES = f"from {__name__} import compile_later_stages; compile_later_stages()"
+
+
+def compile_later_stages() -> None:
+    """Compile the loops that make a mesh of voxels, and those of meshes."""
+    x, y, z = np.indices((40, 40, 40)) - 19.5
+    voxels = TriangleMesh(*level_set(-(x**2 + 2 * y**2 + 3 * z**2), -300.0))
+    mesh, options = simplified(voxels, 2_000), PipelineOptions()
+    describe(shape_of(Seen(mesh=mesh), options), options.signature)
 
 
 def _of_surfaces(

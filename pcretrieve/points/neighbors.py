@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcretrieve.arrays import bounds
 from pcretrieve.options import ScanOptions
 from pcretrieve.values import FloatArray
-from pcretrieve.values.compiled import compiled
+from pcretrieve.values.compiled import compiled, inner
 
 Index = NDArray[np.intp]
 Order = NDArray[np.int32]
@@ -33,6 +33,9 @@ LARGEST_GRID = 1 << 24
 # Two distances that are nearer than this, relatively, are equal up to rounding errors.
 ROUNDING = 1e-9
 
+# The smallest normal number, for what must not be zero.
+TINY = float(np.finfo(np.float64).tiny)
+
 
 def nearest(points: FloatArray, places: FloatArray, k: int) -> tuple[FloatArray, Index]:
     """The points that are nearest to each of (m, 3) places, by a grid of cells or a k-d tree.
@@ -46,7 +49,11 @@ def nearest(points: FloatArray, places: FloatArray, k: int) -> tuple[FloatArray,
     )
     cells = _cells(points, k)
     if cells is not None:
-        return _nearest(points, *cells, places, k)
+        low, edge, shape, order, starts = cells
+        found = np.empty((len(places), k)), np.empty((len(places), k), dtype=np.intp)
+        grouped, scaled = (points[order] - low) / edge, (places - low) / edge
+        _nearest(points, places, grouped, scaled, shape, order, starts, found)
+        return found
     from scipy.spatial import cKDTree
 
     distance, near = cKDTree(points).query(places, k=np.arange(1, k + 1))
@@ -58,7 +65,7 @@ def _cells(
 ) -> tuple[FloatArray, float, Shape, Order, Order] | None:
     """The points, sorted by the cells of a grid of a suitable edge; None if there is no such edge.
 
-    Returns low, edge and shape of the grid, and `order` and `starts` of `_sorted`.
+    Returns low, edge and shape of the grid, and `order` and `starts` of `_sort`.
     """
     low, high = bounds(points)
     x, y, z = high - low
@@ -77,26 +84,35 @@ def _cells(
         if numbers.prod() > MOST_CELLS * len(points):
             return None
         a, b, c = numbers.astype(int).tolist()
-        order, starts = _sorted(points, low, edge, (a, b, c))
-        cells = low, edge, (a, b, c), order, starts
-        crowd = np.diff(starts)
+        order, cell = np.empty((2, len(points)), dtype=np.int32)
+        starts = np.zeros(a * b * c + 2, dtype=np.int32)
+        _sort(order, starts, cell, points, low, edge, (a, b, c))
+        cells = low, edge, (a, b, c), order, starts[:-1]
+        crowd = np.diff(starts[:-1])
         edge *= float(np.sqrt(wanted * np.count_nonzero(crowd) / len(points)))
     return None if crowd.max() > MOST_CROWDED * wanted else cells
 
 
-@compiled(error_model="numpy")
+@inner(error_model="numpy")
 def _cell(at: float, n: int) -> int:
     return min(max(int(at), 0), n - 1)
 
 
 @compiled(error_model="numpy")
-def _sorted(
-    points: FloatArray, low: FloatArray, edge: float, shape: Shape
-) -> tuple[Order, Order]:
-    """(n,) numbers of the points, grouped by cell; (cells + 1,) position of the first one of each cell."""
-    cell = np.empty(len(points), dtype=np.int32)
+def _sort(
+    order: Order,
+    starts: Order,
+    cell: Order,
+    points: FloatArray,
+    low: FloatArray,
+    edge: float,
+    shape: Shape,
+) -> None:
+    """Set the (n,) numbers of the points, grouped by cell, and the position of the first one of each cell.
+
+    starts: (cells + 2,), zeros. cell: (n,), for the cell of each point.
+    """
     # Two cells ahead, so that the entries are the positions when all points have their places.
-    starts = np.zeros(shape[0] * shape[1] * shape[2] + 2, dtype=np.int32)
     for i in range(len(points)):
         a = _cell((points[i, 0] - low[0]) / edge, shape[0])
         b = _cell((points[i, 1] - low[1]) / edge, shape[1])
@@ -106,11 +122,9 @@ def _sorted(
         starts[cell[i] + 2] += 1
     for i in range(2, len(starts)):
         starts[i] += starts[i - 1]
-    order = np.empty(len(points), dtype=np.int32)
     for i in range(len(points)):
         order[starts[cell[i] + 1]] = i
         starts[cell[i] + 1] += 1
-    return order, starts[:-1]
 
 
 # --- the compiled search ---------------------------------------------------------------------------------
@@ -128,30 +142,29 @@ Place = tuple[float, float, float]
 @compiled(error_model="numpy")
 def _nearest(
     points: FloatArray,
-    low: FloatArray,
-    edge: float,
+    places: FloatArray,
+    grouped: FloatArray,
+    scaled: FloatArray,
     shape: Shape,
     order: Order,
     starts: Order,
-    places: FloatArray,
-    k: int,
-) -> tuple[FloatArray, Index]:
-    """Distances and numbers (m, k) of the points that are nearest to each place, the nearest first."""
-    distance, near = np.empty((len(places), k)), np.empty((len(places), k), dtype=np.intp)
-    grouped, scaled = points[order], (places - low) / edge
-    grouped -= low
-    grouped /= edge
+    found: tuple[FloatArray, Index],
+) -> None:
+    """Set the distances and numbers (m, k) of the points that are nearest to each place, the nearest first.
+
+    grouped, scaled: the points, in their order, and the places, in cells.
+    """
+    distance, near = found
     low_bits = (1 << int(np.ceil(np.log2(len(points) + 1)))) - 1
-    keys, waiting = np.empty(k), np.empty(len(points) + 1)
+    keys, waiting = np.empty(near.shape[1]), np.empty(len(points) + 1)
     numbers = keys.view(np.int64)
     for q in range(len(places)):
         place = scaled[q, 0], scaled[q, 1], scaled[q, 2]
         _search(grouped, starts, shape, place, low_bits, waiting, keys)
         exact = places[q, 0], places[q, 1], places[q, 2]
-        for j in range(k):
+        for j in range(len(keys)):
             near[q, j] = order[numbers[j] & low_bits]
             distance[q, j] = np.sqrt(_square(points, near[q, j], exact))
-    return distance, near
 
 
 @compiled(error_model="numpy", inline="always")
@@ -176,7 +189,7 @@ def _search(
         n = _insert(keys, waiting, n_waiting)
 
 
-@compiled(error_model="numpy")
+@inner(error_model="numpy")
 def _to_border(place: Place, shape: Shape, ring: int) -> float:
     """The distance from a place to the border of its block, beyond which there are more cells."""
     gap = np.inf
@@ -189,7 +202,7 @@ def _to_border(place: Place, shape: Shape, ring: int) -> float:
     return gap
 
 
-@compiled(error_model="numpy")
+@inner(error_model="numpy")
 def _block(place: float, n: int, ring: int) -> tuple[int, int]:
     """The first cell of a block along one axis, and the one after the last."""
     cell = _cell(place, n)
@@ -217,7 +230,7 @@ def _collect(
             line = (u * shape[1] + v) * shape[2]
             # The points in the cells of one line follow each other.
             for i in range(starts[line + z[0]], starts[line + z[1]]):
-                square = max(_square(grouped, i, place), np.finfo(np.float64).tiny)
+                square = max(_square(grouped, i, place), TINY)
                 bits = np.float64(square).view(np.int64) & ~low_bits | i
                 waiting[n] = np.int64(bits).view(np.float64)
                 n += square <= limit
@@ -238,7 +251,7 @@ def _insert(keys: FloatArray, waiting: FloatArray, n_waiting: int) -> int:
     return n
 
 
-@compiled(error_model="numpy")
+@inner(error_model="numpy")
 def _square(points: FloatArray, i: int, place: Place) -> float:
     """The square of the distance of a point from a place."""
     x, y, z = points[i, 0] - place[0], points[i, 1] - place[1], points[i, 2] - place[2]
@@ -254,6 +267,9 @@ NEIGHBOR_SPREAD = 0.7
 # Smallest length of the cross product of two rows of A − λI, relative to the squared size of A, by which the
 # eigenvector of λ is determined. Below it λ is a multiple eigenvalue up to rounding errors.
 LEAST_RANK = 1e-12
+
+# Added to a vector that may be zero, where any direction is right.
+NOTHING = 1e-30
 
 # A symmetric matrix: xx, yy, zz, xy, xz, yz.
 Symmetric = tuple[float, float, float, float, float, float]
@@ -300,7 +316,7 @@ def guided_planes(
     return normals
 
 
-@compiled(error_model="numpy")
+@inner(error_model="numpy")
 def _weigh(
     weight: FloatArray,
     guide: FloatArray,
@@ -311,7 +327,7 @@ def _weigh(
     """Set the weights (k,) of the neighbours of point i, as for `guided_planes`."""
     x, y, z = guide[i, 0], guide[i, 1], guide[i, 2]
     is_known = x != 0 or y != 0 or z != 0
-    width = NEIGHBOR_SPREAD * distance[-1] + np.finfo(np.float64).tiny
+    width = NEIGHBOR_SPREAD * distance[-1] + TINY
     for j in range(len(near)):
         other = near[j]
         cosine = x * guide[other, 0] + y * guide[other, 1] + z * guide[other, 2]
@@ -320,7 +336,7 @@ def _weigh(
         weight[j] *= np.exp(-((distance[j] / width) ** 2))
 
 
-@compiled(error_model="numpy")
+@inner(error_model="numpy")
 def _covariance(
     points: FloatArray, near: NDArray[np.intp], weight: FloatArray
 ) -> Symmetric:
@@ -346,7 +362,7 @@ def _covariance(
     return xx, yy, zz, xy, xz, yz
 
 
-@compiled(error_model="numpy")
+@inner(error_model="numpy")
 def _smallest_eigenvalue(matrix: Symmetric) -> float:
     # The trigonometric solution of the characteristic polynomial of a symmetric matrix (Smith, "Eigenvalues
     # of a symmetric 3 × 3 matrix", Communications of the ACM 4, 1961).
@@ -363,21 +379,28 @@ def _smallest_eigenvalue(matrix: Symmetric) -> float:
     return float(mean + 2 * size * np.cos((np.arccos(half) + 2 * np.pi) / 3))
 
 
-@compiled(error_model="numpy")
+@inner(error_model="numpy")
 def _smallest_eigenvector(matrix: Symmetric) -> Place:
     """A unit eigenvector of the smallest eigenvalue λ of A."""
     scaled = _scaled(matrix)
-    axis, length = _perpendicular(scaled, _smallest_eigenvalue(scaled))
+    value = _smallest_eigenvalue(scaled)
     xx, yy, zz, xy, xz, yz = scaled
-    trace = xx + yy + zz
-    if length > LEAST_RANK * trace * trace:
-        return axis[0] / length, axis[1] / length, axis[2] / length
-    full = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    first = np.linalg.eigh(full)[1][:, 0]
-    return first[0], first[1], first[2]
+    a, b, c, trace = xx - value, yy - value, zz - value, xx + yy + zz
+    # A vector that is perpendicular to all rows of A − λI is the cross product of two of them.
+    axis, length = _longest(
+        (xy * yz - xz * b, xz * xy - a * yz, a * b - xy * xy),
+        (xy * c - xz * yz, xz * xz - a * c, a * yz - xy * xz),
+        (b * c - yz * yz, yz * xz - xy * c, xy * yz - b * xz),
+    )
+    if not length > LEAST_RANK * trace * trace:
+        # A − λI has one eigenvalue μ beside zeros, and μI − (A − λI) has eigenvectors of λ as its rows.
+        axis, length = _longest(
+            (b + c + NOTHING, -xy, -xz), (-xy, a + c, -yz), (-xz, -yz, a + b)
+        )
+    return axis[0] / length, axis[1] / length, axis[2] / length
 
 
-@compiled(error_model="numpy")
+@inner(error_model="numpy")
 def _scaled(matrix: Symmetric) -> Symmetric:
     """A times a power of two, so that its digits stay, and squares of entries do not underflow.
 
@@ -389,17 +412,9 @@ def _scaled(matrix: Symmetric) -> Symmetric:
     return unit * xx, unit * yy, unit * zz, unit * xy, unit * xz, unit * yz
 
 
-@compiled(error_model="numpy")
-def _perpendicular(matrix: Symmetric, value: float) -> tuple[Place, float]:
-    """A vector that is perpendicular to all rows of A − λI, and its length.
-
-    It is the longest of the cross products of two rows.
-    """
-    xx, yy, zz, xy, xz, yz = matrix
-    a, b, c = xx - value, yy - value, zz - value
-    first = (xy * yz - xz * b, xz * xy - a * yz, a * b - xy * xy)
-    second = (xy * c - xz * yz, xz * xz - a * c, a * yz - xy * xz)
-    third = (b * c - yz * yz, yz * xz - xy * c, xy * yz - b * xz)
+@inner(error_model="numpy")
+def _longest(first: Place, second: Place, third: Place) -> tuple[Place, float]:
+    """The longest of three vectors, and its length."""
     best, longest = first, -1.0
     for vector in (first, second, third):
         square = vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.arrays import FloatArray, Grid, Mask, bounds, joined_by, unit_vectors
-from pcretrieve.values.compiled import compiled
+from pcretrieve.values.compiled import compiled, inner
 
 #: A quantity in each voxel.
 Voxels: TypeAlias = NDArray[np.float32]
@@ -73,7 +73,7 @@ def touching(voxels: NDArray[Any]) -> NDArray[np.intp]:
     return joined_by(a, b, len(voxels))
 
 
-@compiled()
+@inner()
 def _runs(voxels: Mask) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]]:
     """First voxel and end of each run of voxels on each line, and the first run of each line."""
     n_x, n_y, n_z = voxels.shape
@@ -95,7 +95,7 @@ def _runs(voxels: Mask) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[n
     return limits[0:n:2], limits[1:n:2], lines
 
 
-@compiled()
+@inner()
 def _join(
     parent: NDArray[np.int64],
     begins: NDArray[np.int32],
@@ -117,7 +117,7 @@ def _join(
             b += 1
 
 
-@compiled()
+@inner()
 def _root(parent: NDArray[np.int64], run: int) -> int:
     while parent[run] != run:
         parent[run] = parent[parent[run]]
@@ -125,7 +125,7 @@ def _root(parent: NDArray[np.int64], run: int) -> int:
     return run
 
 
-@compiled()
+@inner()
 def _numbered(parent: NDArray[np.int64]) -> tuple[NDArray[np.int32], int]:
     """The number of the component of each run, from 1; and how many there are."""
     label = np.zeros(len(parent), dtype=np.int32)
@@ -156,21 +156,14 @@ def distances(sources: Mask, limit: float) -> Voxels:
     most = int(min(limit, n_x + n_y + n_z)) + 1
     squares = np.empty(sources.shape, np.uint16 if 2 * most**2 < 2**16 else np.uint32)
     _set_along_z(squares, sources, most)
-    _lower(squares, most)
-    _lower(squares.reshape(1, n_x, n_y * n_z), most)
-    return _roots(squares, most, limit)
-
-
-@compiled()
-def _roots(squares: NDArray[Any], most: int, limit: float) -> Voxels:
-    """The roots, at most `limit`; it is the root of most² too."""
-    roots = np.empty(squares.shape, dtype=np.float32)
-    # All of one type and without a branch, so that several are computed at once.
-    flat, numbers = roots.ravel(), squares.ravel()
-    nothing, largest = numbers.dtype.type(most * most), np.float32(limit)
-    for i in range(len(flat)):
-        root = min(np.sqrt(np.float32(numbers[i])), largest)
-        flat[i] = root if numbers[i] < nothing else largest
+    nothing = np.full(n_y * n_z, most**2, squares.dtype)
+    _lower(squares, np.empty_like(squares[0]), nothing, most)
+    planes = squares.reshape(1, n_x, n_y * n_z)
+    _lower(planes, np.empty_like(planes[0]), nothing, most)
+    roots: Voxels = np.sqrt(squares, dtype=np.float32)
+    if limit > most:  # of voxels from which there is no source
+        roots[squares == most**2] = limit
+    np.minimum(roots, np.float32(limit), out=roots)
     return roots
 
 
@@ -190,15 +183,23 @@ def _set_along_z(squares: NDArray[Any], sources: Mask, most: int) -> None:
 
 
 @compiled()
-def _lower(squares: NDArray[Any], most: int) -> None:
-    """Lower the squares along the axis in the middle: to k² plus the square k voxels away, for all k."""
+def _lower(
+    squares: NDArray[Any], lines: NDArray[Any], nothing: NDArray[Any], most: int
+) -> None:
+    """Lower the squares along the axis in the middle: to k² plus the square k voxels away, for all k.
+
+    lines: as squares[0], for a copy. nothing: a line without a source.
+    """
     n = squares.shape[1]
-    nothing = np.full_like(squares[0, 0], most * most)
     for number in range(len(squares)):
-        lines = squares[number].copy()
         for i in range(n):
+            for z in range(squares.shape[2]):
+                lines[i, z] = squares[number, i, z]
+        for i in range(n):
+            line, largest, k = squares[number, i], squares.dtype.type(0), 1
+            for z in range(len(line)):
+                largest = max(largest, line[z])
             # A square that is less than k² cannot become smaller by a neighbour k voxels away.
-            line, largest, k = squares[number, i], lines[i].max(), 1
             while k < min(most, n) and k * k < largest:
                 before = lines[i - k] if i >= k else nothing
                 after = lines[i + k] if i + k < n else nothing

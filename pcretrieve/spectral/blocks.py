@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.spectral.elements import Index
 from pcretrieve.values import FloatArray
-from pcretrieve.values.compiled import compiled
+from pcretrieve.values.compiled import compiled, inner
 
 # Number of vectors in a block. An iteration finds at most as many copies of a multiple eigenvalue as the
 # block has vectors. The symmetry groups of bodies in space have irreducible representations of dimension 5 at
@@ -37,7 +37,7 @@ Row = tuple[float, float, float, float, float, float, float, float]
 NOTHING: Row = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-@compiled(fastmath={"contract"})
+@inner(fastmath={"contract"})
 def _row(block: FloatArray, i: int) -> Row:
     """Row i of a block."""
     return (
@@ -52,7 +52,7 @@ def _row(block: FloatArray, i: int) -> Row:
     )
 
 
-@compiled(fastmath={"contract"})
+@inner(fastmath={"contract"})
 def _put(block: FloatArray, i: int, row: Row) -> None:
     """Write row i of a block."""
     (
@@ -67,7 +67,7 @@ def _put(block: FloatArray, i: int, row: Row) -> None:
     ) = row
 
 
-@compiled(fastmath={"contract"})
+@inner(fastmath={"contract"})
 def _plus(row: Row, factor: float, other: Row) -> Row:
     """The row plus a factor times another: one operation of the processor."""
     return (
@@ -178,7 +178,7 @@ def substitute(
 # lie as far apart as the first column is long below its diagonal.
 
 
-@compiled(error_model="numpy", fastmath={"contract"})
+@inner(error_model="numpy", fastmath={"contract"})
 def _forward(
     block: FloatArray,
     indptr: Index,
@@ -207,7 +207,7 @@ def _forward(
             column += 1
 
 
-@compiled(error_model="numpy", fastmath={"contract"})
+@inner(error_model="numpy", fastmath={"contract"})
 def _backward(
     block: FloatArray,
     indptr: Index,

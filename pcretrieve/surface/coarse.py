@@ -16,7 +16,7 @@ from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.marching import level_set
 from pcretrieve.surface.poisson import poisson
 from pcretrieve.values import FloatArray, Grid, Mask, PointCloud, TriangleMesh
-from pcretrieve.values.compiled import compiled
+from pcretrieve.values.compiled import compiled, inner
 from pcretrieve.values.repair import largest_component
 from pcretrieve.values.topology import components, defects
 
@@ -159,7 +159,7 @@ def _crossed(
     return odd, crossings
 
 
-@compiled()
+@inner()
 def _lines(
     at: FloatArray, face: NDArray[np.int32], axis: int, n: int, beside: float
 ) -> tuple[int, int]:
@@ -201,7 +201,7 @@ def _meeting(
     return float(along)
 
 
-@compiled()
+@inner()
 def _left(at: FloatArray, p: int, q: int, i: int, j: int, x: float, y: float) -> bool:
     """Whether (x, y) is left of the directed line from p to q in the projection along an axis."""
     # Evaluated from the lower to the higher vertex number, so that the two directions never agree.

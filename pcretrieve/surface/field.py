@@ -7,7 +7,7 @@ import numpy as np
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.points.voxels import Outside, Voxels
 from pcretrieve.values import FloatArray, IntArray, Mask, PointCloud
-from pcretrieve.values.compiled import compiled
+from pcretrieve.values.compiled import compiled, inner
 
 # Radius of the neighbourhood of a voxel, and standard deviation of the Gaussian
 # weight of its points; in voxels.
@@ -138,7 +138,7 @@ def _fitted(points: FloatArray, normals: FloatArray, to_points: Voxels) -> Voxel
     return distance
 
 
-@compiled()
+@inner()
 def _numbered(to_points: Voxels) -> tuple[IntArray, int]:
     """The number, in order, of each voxel that may have a point within `REACH`, else −1; and how many."""
     number, n = np.full(to_points.size, -1, dtype=np.int32), 0
@@ -150,7 +150,7 @@ def _numbered(to_points: Voxels) -> tuple[IntArray, int]:
     return number.reshape(to_points.shape), n
 
 
-@compiled(error_model="numpy")
+@inner(error_model="numpy")
 def _to_sphere(sums: FloatArray, x: int, y: int, z: int) -> float:
     """The distance from a voxel to the sphere u₀ + u·p + q p·p = 0 of the sums (9,) over its points."""
     weight = sums[0]
@@ -181,12 +181,12 @@ def _to_sphere(sums: FloatArray, x: int, y: int, z: int) -> float:
     return float(2 * u_0 / (steepness + root + 1e-9))
 
 
-@compiled()
+@inner()
 def _dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@compiled(error_model="numpy")
+@inner(error_model="numpy")
 def _summed(
     points: FloatArray, normals: FloatArray, number: IntArray, n: int
 ) -> FloatArray:
@@ -205,7 +205,7 @@ def _summed(
     return sums.reshape(n, 9)
 
 
-@compiled()
+@inner()
 def _reached(place: float, n: int) -> tuple[int, int]:
     """The first of n voxels on a line within `REACH` of a place, and the one after the last."""
     return max(0, int(np.ceil(place - REACH))), min(n, int(place + REACH) + 1)

@@ -21,7 +21,7 @@ from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.voxels import FARTHEST, Voxels, distances, touching
 from pcretrieve.surface.marching import marched, voxels_of
 from pcretrieve.values import IntArray, Mask, TriangleMesh
-from pcretrieve.values.compiled import compiled
+from pcretrieve.values.compiled import compiled, inner
 
 # Largest amount by which the depth of a voxel, as the priority of region growing, may exceed its distance to
 # the nearest point; in voxels. It is small, so that a contact, with points of both surfaces in it, has a
@@ -73,7 +73,19 @@ def grown(inside: Mask, depth: Voxels, to_points: Voxels, walls: Mask) -> Mask:
     walls: (3, a, b, c) bool, from `parts.walls`. The region grows along links that cross a surfel only after
         all voxels that are reached by other links.
     """
-    return _grown(*_steps(inside, depth, to_points), walls)
+    steps, seed = _steps(inside, depth, to_points)
+    size = int(steps.flat[seed]) + 1
+    queues = Queues(
+        head=np.full((2, size), -1, dtype=np.int32),
+        tail=np.full((2, size), -1, dtype=np.int32),
+        after=np.empty((2, steps.size), dtype=np.int32),
+        top=np.zeros(2, dtype=np.int64),
+    )
+    state = (steps.ravel() > 0) * np.uint8(INSIDE)
+    _, n_y, n_z = steps.shape
+    offset = (np.array(_AROUND) - 1) @ (n_y * n_z, n_z, 1)
+    _grow(state, queues, steps, seed, walls, offset)
+    return (state & ADDED != 0).reshape(steps.shape)
 
 
 @compiled()
@@ -99,23 +111,26 @@ def _steps(
 
 
 @compiled()
-def _grown(steps: NDArray[np.int16], seed: int, walls: Mask) -> Mask:
+def _grow(
+    state: NDArray[np.uint8],
+    queues: Queues,
+    steps: NDArray[np.int16],
+    seed: int,
+    walls: Mask,
+    offset: NDArray[np.intp],
+) -> None:
+    """Add voxels to the region, from the first one, until none in the queues can be added.
+
+    state: of each voxel in one byte, so that those of a neighbourhood stay in the cache.
+    offset: (27,) from a voxel to those around it.
+    """
     _, n_y, n_z = steps.shape
     step, wall = steps.ravel(), walls.reshape(3, steps.size)
-    # The state of a voxel is in one byte, so that the states of a neighbourhood stay in the cache.
-    state = np.zeros(steps.size, dtype=np.uint8)
-    for cell in range(steps.size):
-        state[cell] = INSIDE if step[cell] else 0
-    offset = np.array(
-        [(k // 9 - 1) * n_y * n_z + (k // 3 % 3 - 1) * n_z + k % 3 - 1 for k in range(27)]
-    )
-    queues = _empty_queues(steps.size, step[seed] + 1)
     _put(queues, 1, seed, step[seed])
     while True:
         queue, cell = _take(queues)
         if cell < 0:
-            region: Mask = (state & ADDED != 0).reshape(steps.shape)
-            return region
+            return
         state[cell] &= ~(WAITING << queue)
         if state[cell] & ADDED:
             continue
@@ -136,7 +151,7 @@ def _grown(steps: NDArray[np.int16], seed: int, walls: Mask) -> Mask:
                 _put(queues, queue, other, step[other])
 
 
-@compiled()
+@inner()
 def _mark_adjacent(
     state: NDArray[np.uint8], wall: Mask, cell: int, along: tuple[int, int, int]
 ) -> None:
@@ -161,15 +176,6 @@ class Queues(NamedTuple):
     tail: IntArray
     after: IntArray
     top: NDArray[np.int64]
-
-
-@compiled()
-def _empty_queues(n: int, n_buckets: int) -> Queues:
-    head = np.full((2, n_buckets), -1, dtype=np.int32)
-    tail = np.full((2, n_buckets), -1, dtype=np.int32)
-    return Queues(
-        head, tail, np.empty((2, n), dtype=np.int32), np.zeros(2, dtype=np.int64)
-    )
 
 
 @compiled(inline="always")
@@ -197,7 +203,7 @@ def _take(queues: Queues) -> tuple[int, int]:
     return 0, -1
 
 
-@compiled()
+@inner()
 def _is_simple(body: int) -> bool:
     """Whether a voxel with these neighbours in the region is a simple point: adding it keeps the topology."""
     # It is simple if exactly one component of the region, in the 18-neighbourhood, and exactly one component
@@ -213,7 +219,7 @@ def _is_simple(body: int) -> bool:
     return rest != 0 and _is_joined_by_corners(rest)
 
 
-@compiled()
+@inner()
 def _joined_by_faces(start: int, wanted: int, allowed: int) -> bool:
     """Whether the 6-connected component of `start` in the set `allowed` has all voxels of `wanted`."""
     reached = start
@@ -228,7 +234,7 @@ def _joined_by_faces(start: int, wanted: int, allowed: int) -> bool:
     return True
 
 
-@compiled()
+@inner()
 def _is_joined_by_corners(voxels: int) -> bool:
     """Whether a set of voxels is 26-connected."""
     reached = voxels & -voxels

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.values import FloatArray, IntArray, Mask
-from pcretrieve.values.compiled import compiled
+from pcretrieve.values.compiled import compiled, inner
 
 
 class Crossings(NamedTuple):
@@ -142,7 +142,7 @@ def _triangulated(
     return faces, middles
 
 
-@compiled()
+@inner()
 def _cases(body: Mask) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
     """The case of each cube, one bit for each corner in the set; and the number of cubes of each case."""
     a, b, c = body.shape[0] - 1, body.shape[1] - 1, body.shape[2] - 1
@@ -159,7 +159,7 @@ def _cases(body: Mask) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
     return cases, n_cubes
 
 
-@compiled()
+@inner()
 def _firsts(
     n_cubes: NDArray[np.int64], table: Table
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -175,7 +175,7 @@ def _firsts(
     return first_face, first_middle
 
 
-@compiled()
+@inner()
 def _number_layer(
     number: IntArray,
     links: tuple[NDArray[np.intp], ...],
@@ -192,7 +192,7 @@ def _number_layer(
         begin[axis] = i
 
 
-@compiled()
+@inner()
 def _set_corners(
     corner: IntArray, table: Table, case: int, number: IntArray, x: int, y: int, z: int
 ) -> None:
@@ -207,7 +207,7 @@ def _set_corners(
                 ]
 
 
-@compiled()
+@inner()
 def _set_middle(
     middle: FloatArray, vertices: FloatArray, corner: IntArray, loop: IntArray
 ) -> None:
@@ -219,7 +219,7 @@ def _set_middle(
     middle /= length
 
 
-@compiled()
+@inner()
 def _write_faces(faces: IntArray, corner: IntArray, table: Table, case: int) -> None:
     """Write the triangles of a cube into the first of the faces."""
     for t in range(table.n_triangles[case]):
@@ -338,36 +338,21 @@ def smoothed(
     ----------
     .. [1] Taubin, "A signal processing approach to fair surface design", SIGGRAPH 1995.
     """
-    result: FloatArray = vertices.copy()
-    _smooth(result, faces, moving, np.array(n_rounds * [SHRINK, SWELL]))
-    return result
+    from scipy.sparse import csr_array
 
-
-@compiled()
-def _smooth(
-    vertices: FloatArray, faces: IntArray, moving: NDArray[np.intp], factors: FloatArray
-) -> None:
-    number = np.full(len(vertices), -1, dtype=np.int32)
+    number = np.full(len(vertices), -1)
     number[moving] = np.arange(len(moving))
-    counts = np.bincount(number[faces.ravel()] + 1, minlength=len(moving) + 1)
-    counts[0] = 0
-    starts = np.cumsum(counts)
-    fill = starts.copy()
-    near = np.empty(starts[-1], dtype=np.int32)  # the neighbours of each moving vertex
-    for f in range(len(faces)):
-        for k in range(3):
-            i = number[faces[f, k]]
-            if i >= 0:
-                near[fill[i]] = faces[f, (k + 1) % 3]
-                fill[i] += 1
-    after = np.empty((len(moving), 3))
-    for factor in factors:
-        for i in range(len(moving)):
-            for axis in range(3):
-                total, here = 0.0, vertices[moving[i], axis]
-                for j in range(starts[i], starts[i + 1]):
-                    total += vertices[near[j], axis]
-                after[i, axis] = here + factor * (
-                    total / (starts[i + 1] - starts[i]) - here
-                )
-        vertices[moving] = after
+    tail, head = number[faces.ravel()], faces[:, [1, 2, 0]].ravel()  # half-edges
+    leaving = np.flatnonzero(tail >= 0)
+    leaving = leaving[np.argsort(tail[leaving], kind="stable")]
+    counts = np.bincount(tail[leaving], minlength=len(moving))
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    # (k, n) whether a vertex is a neighbour of each moving one.
+    beside = csr_array(
+        (np.ones(len(leaving)), head[leaving], starts), (len(moving), len(vertices))
+    )
+    result: FloatArray = vertices.copy()
+    for factor in n_rounds * [SHRINK, SWELL]:
+        here = result[moving]
+        result[moving] = here + factor * (beside @ result / counts[:, None] - here)
+    return result

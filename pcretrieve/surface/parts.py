@@ -19,7 +19,7 @@ from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.voxels import Voxels, components, distances
 from pcretrieve.values import FloatArray, Grid, Mask
-from pcretrieve.values.compiled import compiled
+from pcretrieve.values.compiled import compiled, inner
 
 # Radius of the surfel, an oriented disk, that represents a point; in voxels.
 DISK = 2.0
@@ -98,7 +98,7 @@ def _cross(
             links[a * step[first] + b * step[second] + c * step[axis]] |= meets
 
 
-@compiled()
+@inner()
 def _within(place: float, radius: float, n: int) -> tuple[int, int]:
     """The first of n voxels on a line within a radius of a place, and the one after the last."""
     return max(0, int(np.ceil(place - radius))), min(n, int(np.floor(place + radius)) + 1)
@@ -302,17 +302,14 @@ def _nearest_voxels(
     return start, end, float(depth[tuple(start)])
 
 
-@compiled()
-def _counted(pieces: NDArray[np.int32], at: FloatArray, n: int) -> NDArray[np.int64]:
+def _counted(pieces: NDArray[np.int32], at: FloatArray, n: int) -> NDArray[np.intp]:
     """The number of points of each component: in its voxels or, if they are in none, adjacent to them."""
-    found = np.zeros(n, dtype=np.int64)
-    for i in range(len(at)):
-        x, y, z = int(np.rint(at[i, 0])), int(np.rint(at[i, 1])), int(np.rint(at[i, 2]))
-        piece = pieces[x, y, z]
-        found[
-            piece if piece else pieces[x - 1 : x + 2, y - 1 : y + 2, z - 1 : z + 2].max()
-        ] += 1
-    return found
+    cells = np.rint(at).astype(np.intp)
+    piece = pieces[tuple(cells.T)]
+    bare = cells[piece == 0]
+    around = np.indices((3, 3, 3)).reshape(3, -1, 1) - 1  # (3, 27, 1)
+    piece[piece == 0] = pieces[tuple(bare.T[:, None] + around)].max(axis=0)
+    return np.bincount(piece, minlength=n)
 
 
 def _tube(

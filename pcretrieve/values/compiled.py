@@ -59,6 +59,11 @@ def compiled(**settings: Any) -> Callable[[Callable[P, R]], Compiled[P, R]]:
     return made
 
 
+def inner(**settings: Any) -> Callable[[Callable[P, R]], Compiled[P, R]]:
+    """As `compiled`, of a function that only compiled ones call: an eighth of the time of compiling less."""
+    return compiled(no_cpython_wrapper=True, no_cfunc_wrapper=True, **settings)
+
+
 def tuned_process() -> None:
     """Make this process faster. Workers and commands call it; a program that uses the library may."""
     # An untouched block, freed at once: glibc then keeps up to 64 MiB of free memory at the end of the heap,

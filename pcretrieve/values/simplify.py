@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pcretrieve.arrays import DOUBLE_OFFSET, FloatArray, Frame, IntArray, Mask
 from pcretrieve.arrays.open3d import open3d_mesh
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.values.compiled import compiled
+from pcretrieve.values.compiled import compiled, inner
 from pcretrieve.values.geometry import TriangleMesh
 from pcretrieve.values.topology import compact, twins
 
@@ -67,12 +67,12 @@ def simplified(mesh: TriangleMesh, n_faces: int) -> TriangleMesh:
     return compact(vertices, corners.reshape(-1, 3)[corners[::3] >= 0])
 
 
-@compiled()
+@inner()
 def _next(h: int) -> int:
     return h - 2 if h % 3 == 2 else h + 1
 
 
-@compiled()
+@inner()
 def _previous(h: int) -> int:
     return h + 2 if h % 3 == 0 else h - 1
 
@@ -103,13 +103,13 @@ def _quadrics(vertices: FloatArray, corners: IntArray) -> tuple[FloatArray, floa
     return quadrics, area
 
 
-@compiled()
+@inner()
 def _at(vertices: FloatArray, v: int) -> Point:
     # Numbers, because counting the references to a row of an array takes longer than the arithmetic.
     return vertices[v, 0], vertices[v, 1], vertices[v, 2]
 
 
-@compiled()
+@inner()
 def _normal(a: Point, b: Point, c: Point) -> tuple[float, float, float, float]:
     """The normal of a triangle with twice its area as the length, and this length."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -118,7 +118,7 @@ def _normal(a: Point, b: Point, c: Point) -> tuple[float, float, float, float]:
     return x, y, z, np.sqrt(x * x + y * y + z * z)
 
 
-@compiled()
+@inner()
 def _times(q: FloatArray, u: int, x: float, y: float, z: float) -> Point:
     return (
         q[u, 0] * x + q[u, 3] * y + q[u, 4] * z,
@@ -127,7 +127,7 @@ def _times(q: FloatArray, u: int, x: float, y: float, z: float) -> Point:
     )
 
 
-@compiled()
+@inner()
 def _meeting(vertices: FloatArray, q: FloatArray, u: int, v: int) -> tuple[float, Point]:
     """The additional cost of the minimum of the quadrics of two vertices, and its place."""
     # Each vertex is at the minimum of its own quadric, so that a displacement y costs yᵀ Q y more. The
@@ -150,7 +150,7 @@ def _meeting(vertices: FloatArray, q: FloatArray, u: int, v: int) -> tuple[float
     return float(cost), (vertices[u, 0] + x, vertices[u, 1] + y, vertices[u, 2] + z)
 
 
-@compiled()
+@inner()
 def _solved(
     matrix: tuple[float, float, float, float, float, float], right: Point
 ) -> Point:
@@ -166,7 +166,7 @@ def _solved(
     )
 
 
-@compiled()
+@inner()
 def _key(cost: float, edge: int) -> int:
     """An integer that sorts by cost, then by edge number."""
     # The cost is rounded to single precision, so that rounding errors of double precision do not affect the
@@ -174,7 +174,7 @@ def _key(cost: float, edge: int) -> int:
     return int(np.int64(np.float32(cost).view(np.int32)) << 32 | edge)
 
 
-@compiled()
+@inner()
 def _sink(heap: Keys, size: int, at: int) -> None:
     key = heap[at]
     while True:
@@ -190,7 +190,7 @@ def _sink(heap: Keys, size: int, at: int) -> None:
     heap[at] = key
 
 
-@compiled()
+@inner()
 def _rise(heap: Keys, at: int) -> None:
     key = heap[at]
     while at > 0 and heap[(at - 1) // 2] > key:
@@ -199,7 +199,7 @@ def _rise(heap: Keys, at: int) -> None:
     heap[at] = key
 
 
-@compiled()
+@inner()
 def _keeps_shape(
     vertices: FloatArray, corners: IntArray, twin: IntArray, h: int, place: Point
 ) -> bool:
@@ -228,7 +228,7 @@ def _keeps_shape(
     return poorest >= min(poorest_before, LEAST_QUALITY)
 
 
-@compiled()
+@inner()
 def _quality(a: Point, b: Point, c: Point, double: float) -> float:
     """4√3 area / Σ sides² of a triangle, where `double` is twice its area."""
     squares = 0.0
@@ -237,7 +237,7 @@ def _quality(a: Point, b: Point, c: Point, double: float) -> float:
     return 2 * np.sqrt(3) * double / squares if squares > 0 else 0.0
 
 
-@compiled()
+@inner()
 def _keeps_topology(
     corners: IntArray, twin: IntArray, h: int, mark: IntArray, label: int
 ) -> bool:
@@ -255,7 +255,7 @@ def _keeps_topology(
     return n_shared == 2 and n_u + n_v > 6
 
 
-@compiled()
+@inner()
 def _merge(
     corners: IntArray, twin: IntArray, edge: IntArray, half: IntArray, h: int
 ) -> int:
@@ -294,7 +294,7 @@ class Edges(NamedTuple):
     queued: Mask
 
 
-@compiled()
+@inner()
 def _edges(
     vertices: FloatArray,
     corners: IntArray,
@@ -320,7 +320,7 @@ def _edges(
     return Edges(edge, half, heap, known, np.ones(len(half), dtype=np.bool_))
 
 
-@compiled()
+@inner()
 def _requeue(
     corners: IntArray,
     twin: IntArray,
@@ -400,7 +400,7 @@ def _collapsed(
         size = _requeue(corners, twin, edges, h, is_rejected, size)
 
 
-@compiled()
+@inner()
 def _join(
     vertices: FloatArray, quadrics: FloatArray, u: int, v: int, place: Point
 ) -> None:
@@ -411,7 +411,7 @@ def _join(
         quadrics[u, k] += quadrics[v, k]
 
 
-@compiled()
+@inner()
 def _popped(edges: Edges, size: int) -> int:
     """Remove the first edge from a heap of some size; returns the new size."""
     edges.queued[edges.heap[0] & 0x7FFFFFFF] = False
