@@ -4,7 +4,12 @@ from typing import Any
 
 import numba
 
+from pcretrieve.descriptors.hapt import _windings
+from pcretrieve.pipeline.process import compile_later_stages
+from pcretrieve.spectral.blocks import substitute
+from pcretrieve.surface.marching import _triangulated
 from pcretrieve.values.compiled import compiled
+from pcretrieve.values.simplify import _collapsed
 
 
 @compiled(inline="always")
@@ -27,3 +32,10 @@ def test_a_function_that_is_inlined_is_part_of_its_caller() -> None:
     assert caller(4) == 12
     (llvm,) = caller.inspect_llvm().values()
     assert "_inner" not in llvm
+
+
+def test_the_second_process_makes_voxels_simplifies_solves_and_describes() -> None:
+    """Its errors are shown nowhere, because the first process compiles what it has not."""
+    compile_later_stages()
+    for loop in (_triangulated, _collapsed, substitute, _windings):
+        assert loop.dispatcher.signatures

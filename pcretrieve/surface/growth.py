@@ -85,7 +85,8 @@ def grown(inside: Mask, depth: Voxels, to_points: Voxels, walls: Mask) -> Mask:
     _, n_y, n_z = steps.shape
     offset = (np.array(_AROUND) - 1) @ (n_y * n_z, n_z, 1)
     _grow(state, queues, steps, seed, walls, offset)
-    return (state & ADDED != 0).reshape(steps.shape)
+    region: Mask = (state & ADDED != 0).reshape(steps.shape)
+    return region
 
 
 @compiled()
