@@ -196,11 +196,16 @@ def show_command(
         compared = pr.compare_measures(store, shape_id, other)
         shown = {name: one._asdict() for name, one in compared.items()}
         rows = [(name, *map(_number, one)) for name, one in compared.items()]
-        return Result(shown, show=lambda: write_table(VERSUS, rows) or say(NO_MEASURES))
+        return Result(shown, show=lambda: _show_versus(rows))
     return Result(
         _facts(record) | {"stored_bytes": stored, "measures": measures},
         show=lambda: _show(record, stored, measures),
     )
+
+
+def _show_versus(rows: list[tuple[str, ...]]) -> None:
+    if not write_table(VERSUS, rows):
+        say(NO_MEASURES)
 
 
 def _number(value: float | tuple[float, float] | None) -> str:

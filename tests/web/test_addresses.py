@@ -145,6 +145,8 @@ def test_what_cannot_be_answered_is_said(server: Server) -> None:
 def test_the_worst_scans_are_first_and_classes_have_their_sizes(server: Server) -> None:
     page = server.ask("/?sort=-error").body.decode()
     assert ids(page.encode())[:2] == ["broken", "Egg23"]
+    assert "show all" not in page
+    assert b"show all" in server.ask("/?sort=-error&state=done").body
     assert "<b>incomplete</b>: a large hole" in page
     assert re.findall(r'&lt;kind (\d)&gt; <span class="soft">(\d+)</span>', page) == [
         ("0", "4"),

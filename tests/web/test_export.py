@@ -90,7 +90,7 @@ def test_a_browser_opens_it_without_a_server(browser: Browser, site: Path) -> No
         ) as page:
             shown = page.locator("#results .shapes li:visible")
             sizes = page.locator(".classes button").all_inner_texts()
-            assert sizes == ["<kind 0> 4", "<kind 1> 4", "<kind 2> 4"]
+            assert sizes == ["<kind 0>\n4", "<kind 1>\n4", "<kind 2>\n4"]
             page.locator(".classes button").nth(2).click()
             assert shown.count() == 4
             page.locator(".classes button").nth(2).click()
