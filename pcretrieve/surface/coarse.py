@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.arrays import bounds
-from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.density import local_spacings
 from pcretrieve.points.neighbors import PLANE_NEIGHBORS, Neighborhoods, neighborhoods
@@ -14,7 +13,7 @@ from pcretrieve.points.voxels import Voxels, sampled
 from pcretrieve.surface.caps import Capped, capped, limbs_continued, outwards_at_rims
 from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.marching import level_set
-from pcretrieve.surface.poisson import poisson
+from pcretrieve.surface.poisson import not_closed, poisson
 from pcretrieve.values import FloatArray, Grid, Mask, PointCloud, TriangleMesh
 from pcretrieve.values.compiled import compiled, inner
 from pcretrieve.values.repair import largest_component
@@ -307,7 +306,4 @@ def _poisson_surface(cloud: PointCloud, depth: int) -> TriangleMesh:
         largest, _ = largest_component(surface, 1.0)
         if not (n_open := defects(largest).boundary_edges):
             return surface
-    raise ReconstructionError(
-        f"the points must surround a body, their surface has {n_open} boundary edges: "
-        "scan the sides that are missing, or merge this view with others"
-    )
+    raise not_closed(cloud, f"{n_open} boundary edges")

@@ -19,9 +19,25 @@ from pcretrieve.values.topology import compact, defects
 # Binary digits of a coordinate in single precision: in a cube of side 1, points nearer than 2**-24 coincide.
 SINGLE_DIGITS = 24
 
+# Below this length of the mean of the normals, points lie on all sides. Of half a sphere it is 1/2.
+MOST_BALANCED = 0.3
+
 # Fewer points than this bound no surface; and the number of points among which so many are looked for first.
 FEWEST_POINTS = 100
 SOME = 1000
+
+
+def not_closed(cloud: PointCloud, found: str) -> ReconstructionError:
+    """The error for points whose surface is not closed, with advice for where they lie."""
+    advice = "scan the sides that are missing, or merge this view with others"
+    if np.linalg.norm(normals_of(cloud).mean(axis=0)) < MOST_BALANCED:
+        advice = (
+            "they lie on all sides, and their normals contradict each other: scan with less noise, or leave "
+            "out the normals, if the file has some"
+        )
+    return ReconstructionError(
+        f"the points must surround a body, their surface has {found}: {advice}"
+    )
 
 
 def poisson_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
@@ -41,10 +57,7 @@ def poisson_surface(cloud: PointCloud, options: SurfaceOptions) -> TriangleMesh:
             "the method poisson makes one surface, so that the signature has no error bar",
         )
     if found := defects(final):
-        raise ReconstructionError(
-            f"the points must surround a body, their surface has {found}: "
-            "scan the sides that are missing, or merge this view with others"
-        )
+        raise not_closed(cloud, str(found))
     step = Step(
         "surface",
         time.perf_counter() - started,

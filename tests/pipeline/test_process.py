@@ -349,6 +349,15 @@ def test_a_failure_tells_what_the_reader_left_out(tmp_path: Path) -> None:
     assert "; dropped 1 of " in raised.value.message
 
 
+def test_points_on_all_sides_get_no_advice_to_scan_others() -> None:
+    """Points in a cube, not on it: their normals point anywhere, and no surface through them is closed."""
+    points = np.random.default_rng(0).uniform(-1, 1, (6000, 3))
+    with pytest.raises(
+        ReconstructionError, match="their normals contradict each other: scan with less"
+    ):
+        pr.reconstruct(points)
+
+
 def test_a_failure_of_one_view_says_that_it_is_one_and_names_merge() -> None:
     ball = shapes.icosphere(3)
     sensor = np.array([0.0, 0.0, 4.0])
