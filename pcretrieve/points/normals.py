@@ -46,6 +46,10 @@ MOST_CONTRADICTED = 0.3
 # at most .12 % in sound scans.
 LARGEST_PATCH = 0.005
 
+# Patches that all around contradicts are turned if one of them has at least so many points: then the flood
+# fill came in by a hole. See docs/decisions.md, LEAST_TURNED.
+LEAST_TURNED = 12
+
 # The flood fill contradicts a sensor if the cosine between its direction and that to the sensor is below
 # −OPPOSED. If it contradicts more than a fraction of them, it has leaked into the body, or no sensor was
 # where the file says.
@@ -226,11 +230,14 @@ def _tight_flood(
         towards = outside.direction_at(cloud.points)
         oriented = _guided_normals(cloud.points, towards, neighbors, options)
         shallow = outside.depth_at(cloud.points) < SHALLOW
-        if shallow.sum() > N_COMPARED and not _has_leaked(
-            oriented, neighbors.near, shallow
-        ):
+        largest = _contradicted(oriented, neighbors.near, shallow)
+        if shallow.sum() > N_COMPARED and largest <= LARGEST_PATCH * len(oriented):
             note = f"the flood fill leaked; holes with radii up to {gap:.3f} of the diagonal were closed"
-            return outside, oriented, (note,) if attempt else ()
+            notes = [note] if attempt else []
+            if largest >= LEAST_TURNED:
+                oriented, n_turned = _agreed(oriented, neighbors.near)
+                notes += [f"turned {n_turned} normals in patches"] if n_turned else []
+            return outside, oriented, tuple(notes)
     return (
         None,
         None,
@@ -268,18 +275,38 @@ def _guided_normals(
     return guided_planes(points, guide, near, distance)
 
 
-def _has_leaked(
+def _contradicted(
     oriented: FloatArray, near: NDArray[np.intp], shallow: NDArray[np.bool_]
-) -> bool:
-    """Whether the normals of neighbours contradict each other in the whole scan or in one patch of it."""
+) -> int:
+    """Number of points in the largest patch that neighbours contradict; all, if most of the scan does."""
     disagreeing, agreement = _disagreeing(oriented, near, shallow)
     if agreement < LEAST_AGREEMENT:
-        return True
+        return len(near)
     points = np.flatnonzero(disagreeing)
     others = near[points, 1 : N_COMPARED + 1].ravel()
     both = disagreeing[others]
     patch = joined_by(np.repeat(points, N_COMPARED)[both], others[both], len(near))
-    return bool(np.bincount(patch[points], minlength=1).max() > LARGEST_PATCH * len(near))
+    return int(np.bincount(patch[points], minlength=1).max())
+
+
+def _agreed(normals: FloatArray, near: NDArray[np.intp]) -> tuple[FloatArray, int]:
+    """The normals, after patches were turned that all around contradicts; and how many were.
+
+    A flood fill that comes in by a hole, but not far, turns some patches inwards.
+    """
+    n = len(near)
+    points = np.repeat(np.arange(n), N_COMPARED)
+    others = near[:, 1 : N_COMPARED + 1].ravel()
+    cosines = np.einsum("ij,ij->i", normals[points], normals[others])
+    agrees = cosines > PARALLEL
+    patch = joined_by(points[agrees], others[agrees], n)
+    border = patch[points] != patch[others]
+    votes = np.bincount(patch[points[border]], cosines[border] + OPPOSED, minlength=n)
+    size = np.bincount(patch, minlength=n)
+    turned = (votes < 0) & (size <= LARGEST_PATCH * n)
+    if size[turned].max(initial=0) < LEAST_TURNED:
+        return normals, 0
+    return np.where(turned[patch][:, np.newaxis], -normals, normals), size[turned].sum()
 
 
 @compiled()
