@@ -426,4 +426,5 @@ def _one_sidedness(mesh: TriangleMesh, invented: Mask) -> float:
     # The area vectors of the whole surface sum up to zero. The ratio is 0 if the normals of the unsupported
     # part balance, and 1/2 if this part is one side of a sheet and the points are the other.
     share = invented[mesh.faces] @ np.full(3, 1 / 3)  # (m,)
-    return float(np.linalg.norm(share @ mesh.area_vectors) / mesh.area)
+    vectors = mesh.area_vectors
+    return float(np.linalg.norm(share @ vectors) / np.linalg.norm(vectors, axis=1).sum())

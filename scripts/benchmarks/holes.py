@@ -11,6 +11,10 @@ and of the nearest other person. "area" is that of the surface relative to the s
 median and largest. "right" is how often the nearest of whole scans of all people in another pose is of the
 same person. "seconds" are of processor time for a scan. A mark at the end names what is asked and missed:
 m the median, l the largest move, a the area, r the right person, f a scan that failed.
+
+Without soles, the box of the points is another one, and so is the grid. The row "again" tells how far other
+points and other noise move the signature of a whole scan, and a line for each person stands below it: what
+soles add to that is the root of the difference of the squares, as if both were independent.
 """
 
 from __future__ import annotations
@@ -48,8 +52,10 @@ from pcretrieve.values.files import write_file
 OF_PEOPLE = ("people", "simulated", "tosca-people")
 RADII = (1.0, 2.0, 3.0, 4.0, 6.0)
 
-# The place where no ball is cut out, but all that is near the ground.
+# The place where no ball is cut out, but all that is near the ground; beside it, the body is scanned again
+# whole, by other points.
 SOLES = "soles"
+AGAIN = "again"
 
 TABLE = Table(
     Column("people", 12, align="<"),
@@ -178,6 +184,11 @@ def _of_kind(kind: str, given: argparse.Namespace) -> Iterator[str]:
         for radius in given.radii
         for two in everybody
     ]
+    if SOLES in given.places:
+        cut += [
+            Task(two[0], given.seed + 1, AGAIN, 0.0, given.points, output)
+            for two in everybody
+        ]
     found = all_in_workers(scanned, whole + cut, kind, workers=given.workers)
     metric = metric_of_people()
     places = [_placed(one, metric) for one in found]
@@ -220,6 +231,7 @@ def _of_kind(kind: str, given: argparse.Namespace) -> Iterator[str]:
             )
         rows += row
         yield TABLE.row(kind, *_cell(row, poses, others))
+    yield from _beside_noise(rows)
     if output is not None:
         lines = [json.dumps(row) for row in rows]
         write_file(output / "rows.jsonl", ("\n".join(lines) + "\n").encode())
@@ -228,6 +240,23 @@ def _of_kind(kind: str, given: argparse.Namespace) -> Iterator[str]:
         )
         for worst, task in by_move[: given.worst]:
             yield f"    {worst['scan']}: moved {worst['moved']:.2f}, {_drawn(task)}"
+
+
+def _beside_noise(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """How far each person moves without soles, beside how far another whole scan moves."""
+    again = {row["person"]: row["moved"] for row in rows if row["place"] == AGAIN}
+    added: list[float] = []
+    for row in rows:
+        if row["place"] != SOLES:
+            continue
+        moved, noise = row["moved"], again[row["person"]]
+        added.append(float(np.sqrt(max(moved**2 - noise**2, 0.0))))
+        yield (
+            f"    {row['person']}: without soles {moved:.2f}, another whole scan {noise:.2f}, "
+            f"soles add {added[-1]:.2f}"
+        )
+    if added:
+        yield f"    soles add {np.median(added):.2f} (median), {max(added):.2f} (largest)"
 
 
 def _sortable(value: float) -> float:
