@@ -46,8 +46,8 @@ MOST_CONTRADICTED = 0.3
 # at most .12 % in sound scans.
 LARGEST_PATCH = 0.005
 
-# Patches that all around contradicts are turned if one of them has at least so many points: then the flood
-# fill came in by a hole. See docs/decisions.md, LEAST_TURNED.
+# Patches that all around contradicts are turned if the flood fill leaked at first, and one of them has at
+# least so many points; otherwise they lie in mouths and ears. See docs/decisions.md, LEAST_TURNED.
 LEAST_TURNED = 12
 
 # The flood fill contradicts a sensor if the cosine between its direction and that to the sensor is below
@@ -234,7 +234,7 @@ def _tight_flood(
         if shallow.sum() > N_COMPARED and largest <= LARGEST_PATCH * len(oriented):
             note = f"the flood fill leaked; holes with radii up to {gap:.3f} of the diagonal were closed"
             notes = [note] if attempt else []
-            if largest >= LEAST_TURNED:
+            if attempt and largest >= LEAST_TURNED:
                 oriented, n_turned = _agreed(oriented, neighbors.near)
                 notes += [f"turned {n_turned} normals in patches"] if n_turned else []
             return outside, oriented, tuple(notes)
