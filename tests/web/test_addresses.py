@@ -211,7 +211,16 @@ def test_who_may_not_decide_and_what_is_no_decision(server: Server, eggs: Path) 
     assert b"must have a text" in decide(server, "Egg01", decision="note").body
     assert decide(server, "Egg01", decision="note", note="x" * 10_000).status == 413
     assert decide(server, "nobody", decision="accept").status == 404
-    asked = {"path": "/shape/Egg01/mark", "method": "POST", "body": b"decision=accept"}
+
+    def accepted(headers: dict[str, str]) -> int:
+        return server.ask(
+            "/shape/Egg01/mark",
+            method="POST",
+            body=b"decision=accept",
+            headers=headers,
+            bearer=False,
+        ).status
+
     cookie = {"Cookie": f"pcretrieve-{server.port}={server.token}"}
     for headers in (
         {},
@@ -219,13 +228,13 @@ def test_who_may_not_decide_and_what_is_no_decision(server: Server, eggs: Path) 
         cookie | {"Origin": "http://127.0.0.1:1"},
         cookie | {"Origin": "http://evil.example"},
     ):
-        assert server.ask(**asked, headers=headers, bearer=False).status == 403
+        assert accepted(headers) == 403
     own = cookie | {"Origin": f"http://127.0.0.1:{server.port}"}
     with running(eggs, "--read-only") as closed:
         assert decide(closed, "Egg01", decision="accept").status == 404
         assert b"/mark" not in closed.ask("/shape/Egg01").body
     assert server.ask("/shapes/Egg01").json["mark"] is None
-    assert server.ask(**asked, headers=own, bearer=False).status == 303
+    assert accepted(own) == 303
     assert server.ask("/shapes/Egg01").json["mark"] == "accept"
     decide(server, "Egg01")
 
