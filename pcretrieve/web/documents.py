@@ -18,8 +18,16 @@ Document = dict[str, Any]
 
 # What a document has of a record as it is.
 SHOWN = (
-    *("id", "label", "status", "mark", "note"),
-    *("added", "area", "n_vertices", "n_faces", "euler"),
+    "id",
+    "label",
+    "status",
+    "mark",
+    "note",
+    "added",
+    "area",
+    "n_vertices",
+    "n_faces",
+    "euler",
 )
 
 # Number of shapes on a page of the collection.

@@ -216,7 +216,7 @@ def test_the_page_of_one_scan_says_what_the_search_found(
     for gap, score in zip(
         answer.neighbors.distances, answer.neighbors.scores, strict=True
     ):
-        assert f"distance {f'{gap:#.3g}'.rstrip('.')} score {score:.2f}" in words
+        assert f"distance {f'{gap:#.3g}'.rstrip('.')}, score {score:.2f}" in words
     assert "12 shapes" in words and "20 values, of the form alone" in words
     assert "Overview" not in words and "failed" not in words
 

@@ -51,6 +51,7 @@ def test_orthonormal_ascending_from_zero_and_the_same_bits_each_time(
     assert residuals.max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_shift_that_costs_digits_is_followed_by_another() -> None:
     """The first pivots of S − σM, without pivoting, are those of the vertices with fewest neighbours."""
     operator, n_pairs = laplace_beltrami(shapes.icosphere(4), mass="lumped"), 61
