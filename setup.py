@@ -1,5 +1,6 @@
 """The build of the package, with its loops compiled for this computer: no first scan waits for them."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -21,7 +22,9 @@ class BuildCompiled(build_py):
         """Copy the modules, and compile their loops. A build that cannot leaves it to the first scan."""
         super().run()
         folder = "." if self.editable_mode else self.build_lib
-        subprocess.run([sys.executable, "-B", "-c", COMPILE], cwd=folder, check=False)
+        # Without bytecode, also of the second process that compiles: it would come into the wheel.
+        bare = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}
+        subprocess.run([sys.executable, "-c", COMPILE], cwd=folder, env=bare, check=False)
         if not self.editable_mode:
             for compiled in Path(folder).rglob("*.nb[ci]"):
                 source = compiled.relative_to(folder)

@@ -124,7 +124,6 @@ if (map) {
     if (by) zoom(Number(by), {x: view.x + view.w / 2, y: view.y + view.h / 2});
     if (group) choose(shapes.filter(({link}) => link.dataset.group === group));
   });
-  map.querySelector(".steer").hidden = false;
   look();
 }
 
