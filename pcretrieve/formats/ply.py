@@ -17,7 +17,7 @@ import re
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -71,8 +71,11 @@ class Element(NamedTuple):
     properties: list[Property]
 
 
-#: Rows of an element with equal lengths of lists, as (p,) records.
-Table: TypeAlias = NDArray[np.void]
+class Table(NamedTuple):
+    """Rows of an element with equal lengths of lists: their (p,) numbers, and a (p,) array of records."""
+
+    numbers: NDArray[np.intp]
+    rows: NDArray[Any]
 
 
 def read_ply(path: Path) -> RawScan:
@@ -174,16 +177,16 @@ def _tables(
             if one.length is not None
         )
         if all((column == column[:1]).all() for column in stored):
-            return [rows], n * width
-    alike: dict[tuple[int, ...], list[tuple[int, int]]] = {}
+            return [Table(np.arange(n), rows)], n * width
+    alike: dict[tuple[int, ...], list[tuple[int, int, int]]] = {}
     stop = 0
-    for start, stop, lengths in _places(body, element, order):
-        alike.setdefault(lengths, []).append((start, stop - start))
+    for number, (start, stop, lengths) in enumerate(_places(body, element, order)):
+        alike.setdefault(lengths, []).append((number, start, stop - start))
     found = []
     for lengths, places in alike.items():
-        starts, (width, *_) = np.array(places, dtype=np.intp).T
+        numbers, starts, (width, *_) = np.array(places, dtype=np.intp).T
         block = sliding_window_view(body, width)[starts]  # (p, w)
-        found.append(block.view(_record(element, order, lengths))[:, 0])
+        found.append(Table(numbers, block.view(_record(element, order, lengths))[:, 0]))
     return found, stop
 
 
@@ -259,15 +262,18 @@ def _of_text(data: bytes, at: int, element: Element) -> tuple[list[Table], int]:
     return found, stop
 
 
+def _in_order(parts: list[tuple[NDArray[np.intp], NDArray[Any]]]) -> NDArray[Any]:
+    """The (n, ...) values of several tables, each with the numbers of its rows, in the order of the rows."""
+    if len(parts) == 1:
+        return parts[0][1]
+    numbers, values = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return np.asarray(values[np.argsort(numbers)])
+
+
 # --- vertices and faces -----------------------------------------------------------------------------------
 
 
 def _vertices(element: Element, found: list[Table]) -> RawScan:
-    if len(found) > 1:  # no program is known that writes them
-        raise ScanReadError(
-            "its vertices have lists of different lengths: leave these out"
-        )
-    (rows,) = found
     # Numbers of a text file are rounded to the precision of their type.
     types = {
         one.name: "f4" if one.type == "f4" else "f8"
@@ -276,7 +282,9 @@ def _vertices(element: Element, found: list[Table]) -> RawScan:
     }
 
     def column(name: str) -> NDArray[Any]:
-        return rows[name].astype(types[name])
+        return _in_order(
+            [(numbers, rows[name].astype(types[name])) for numbers, rows in found]
+        )
 
     scan = scan_of_fields([*types], column)
     if not {"opacity", "scale_0"} <= types.keys():
@@ -303,9 +311,9 @@ def _faces(element: Element, found: list[Table]) -> NDArray[np.int64]:
         )
     if element.name == STRIPS:
         return np.concatenate(
-            [strip_triangles(row) for rows in found for row in rows[name]]
+            [strip_triangles(row) for _, rows in found for row in rows[name]]
         )
-    polygons = [rows[name] for rows in found]  # (p, k) each
+    polygons = [rows[name] for _, rows in found]  # (p, k) each
     for corners in polygons:
         if (
             corners.dtype.kind == "f"
