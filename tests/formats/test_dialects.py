@@ -352,6 +352,18 @@ def test_names_of_normals(form: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(found, normals)
 
 
+def test_vertices_with_lists_of_several_lengths_keep_their_order(tmp_path: Path) -> None:
+    """Such as the views that saw a point."""
+    head = f"element vertex 42\n{XYZ}property list uchar int view\n"
+    points = BALL.vertices.astype("<f4")
+    rows = [
+        point.tobytes() + bytes([k % 4]) + np.arange(k % 4, dtype="<i4").tobytes()
+        for k, point in enumerate(points)
+    ]
+    (tmp_path / "a.ply").write_bytes(ply("binary_little_endian", head, b"".join(rows)))
+    np.testing.assert_array_equal(cloud(tmp_path / "a.ply").points, points)
+
+
 def test_faint_splats_are_named(tmp_path: Path) -> None:
     table = np.column_stack(
         [BALL.vertices, np.repeat([3.0, -5.0], [30, 12]), np.ones(42)]
