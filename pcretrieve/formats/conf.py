@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -39,6 +40,7 @@ def read_poses(path: Path) -> list[tuple[Path, Rotation, FloatArray]]:
     check_file(path)
     if path.stat().st_size > MOST_CONF_BYTES:
         raise ScanReadError(f"a .conf file must have at most {MOST_CONF_BYTES} bytes")
+    named: dict[str, int] = {}
     poses = []
     for number, line in enumerate(text_lines(path), start=1):
         words = line.split()
@@ -53,8 +55,15 @@ def read_poses(path: Path) -> list[tuple[Path, Rotation, FloatArray]]:
             raise ScanReadError(
                 f"line {number} must read {LINE}, seven finite numbers: {error}"
             ) from error
-        poses.append((path.parent / words[1], rotation, np.array(pose[:3])))
-        check_members(len(poses))
+        view = path.parent / words[1]
+        # The real path, so that a view is found again under another name.
+        earlier = named.setdefault(os.path.realpath(view), number)
+        if earlier != number:
+            raise ScanReadError(
+                f"each view must be named once, lines {earlier} and {number} name {words[1]}"
+            )
+        check_members(len(named))
+        poses.append((view, rotation, np.array(pose[:3])))
     if not poses:
         raise ScanReadError(f"a .conf file must name its views by lines {LINE}, got none")
     return poses

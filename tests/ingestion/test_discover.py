@@ -195,6 +195,8 @@ def test_content_that_cannot_be_had(folder: Path) -> None:
     for conf, views in (
         ("lost", ["gone.ply"]),
         ("device", ["a.ply", "endless.ply"]),
+        ("again", ["a.ply", "b.OBJ", "deep/../a.ply"]),
+        ("linked", ["a.ply", "alias.ply"]),
         ("many", [f"{k}.ply" for k in range(1001)]),
     ):
         (folder / f"{conf}.conf").write_text(
@@ -210,6 +212,14 @@ def test_content_that_cannot_be_had(folder: Path) -> None:
         ("link.conf", r"cannot read .*link\.conf"),
         ("pipe.conf", r"pipe\.conf must be a regular file"),
         ("device.conf", r"endless\.ply must be a regular file"),
+        (
+            "again.conf",
+            r"again\.conf: each view must be named once, lines 1 and 3 name deep/\.\./a\.ply",
+        ),
+        (
+            "linked.conf",
+            r"linked\.conf: each view must be named once, lines 1 and 2 name alias\.ply",
+        ),
         (
             "many.conf",
             r"many\.conf: a file must hold at most 1000 scans, views or arrays, this one has 1001",
