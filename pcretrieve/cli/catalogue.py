@@ -190,13 +190,13 @@ def show_command(
     pcretrieve show anna-1 --versus anna-2 --catalogue people.sqlite
     """
     store = opened(catalogue, any_numbers=True)
-    record, stored = store.record(shape_id), store.rows.stored_bytes(shape_id)
-    measures = pr.stored_measures(store, shape_id)
     if other is not None:
         compared = pr.compare_measures(store, shape_id, other)
         shown = {name: one._asdict() for name, one in compared.items()}
         rows = [(name, *map(_number, one)) for name, one in compared.items()]
         return Result(shown, show=lambda: _show_versus(rows))
+    record, stored = store.record(shape_id), store.rows.stored_bytes(shape_id)
+    measures = pr.stored_measures(store, shape_id)
     return Result(
         _facts(record) | {"stored_bytes": stored, "measures": measures},
         show=lambda: _show(record, stored, measures),

@@ -14,6 +14,7 @@ from typing_extensions import Self
 
 from pcretrieve.errors import InputError
 from pcretrieve.options import Options
+from pcretrieve.values import Decision
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -72,7 +73,7 @@ class Listing(_Fields):
     q: str = ""
     label: str = ""
     state: Literal["", "done", "incomplete", "failed"] = ""
-    marked: Literal["", "any", "rescan", "accept", "note"] = ""
+    marked: Literal["", "any", Decision] = ""
     sort: Literal[
         "id", "-id", "label", "-label", "added", "-added", "error", "-error"
     ] = "id"
