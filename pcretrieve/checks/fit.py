@@ -466,10 +466,14 @@ class Fit:
                 limbs.append(end)
         return tuple(limbs)
 
+    @cached_property
+    def _near_end(self) -> float:
+        """Within which distance faces close one limb."""
+        return NEAR_END * self.cloud.diagonal
+
     def _are_apart(self, end: End, other: End) -> bool:
         """Whether two ends are of two limbs: one cut may be closed in several pieces."""
-        apart = float(np.linalg.norm(other.middle - end.middle))
-        return apart > NEAR_END * self.cloud.diagonal
+        return float(np.linalg.norm(other.middle - end.middle)) > self._near_end
 
     @cached_property
     def _closing(self) -> tuple[Faces, Mask, Mask]:
@@ -487,7 +491,7 @@ class Fit:
         far, is_turned, is_closing = self._closing
         middle = np.average(self.middles[cap], axis=0, weights=self.areas[cap])
         apart = np.linalg.norm(self.middles[far] - middle, axis=1)
-        is_near = apart < NEAR_END * self.cloud.diagonal
+        is_near = apart < self._near_end
         faces = far[is_near & is_turned]
         if not len(faces):
             return None
@@ -505,7 +509,7 @@ class Fit:
         )
         share = max(likeness, SHEET) * float(area)
         is_hair = share < IN_HAIR and self.is_at_end(middle)
-        if is_hair or self.is_unseen(faces, middle, 2 * NEAR_END * self.cloud.diagonal):
+        if is_hair or self.is_unseen(faces, middle, 2 * self._near_end):
             return None
         return End(middle, share)
 

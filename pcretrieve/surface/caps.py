@@ -274,10 +274,8 @@ def base_of(
     is_end: (m,) bool, whether it closes an end, by a flat cap.
     """
     numbers = np.unique(cap[is_end])
-    sums = np.array(
-        [surface.area_vectors[cap == number].sum(axis=0) for number in numbers]
-    ).reshape(-1, 3)
-    areas = np.array([surface.face_areas[cap == number].sum() for number in numbers])
+    members = cap == numbers[:, np.newaxis]  # (c, m)
+    sums, areas = members @ surface.area_vectors, members @ surface.face_areas
     size = np.linalg.norm(sums, axis=1)
     flat = size >= FLAT * areas  # (c,)
     normals = sums / np.where(size > 0, size, 1)[:, None]

@@ -265,10 +265,13 @@ class TriangleMesh(_Processed):
     @property
     def euler_characteristic(self) -> int:
         """V − E + F, without unreferenced vertices: 2 for a sphere, 0 for a torus."""
-        ends = np.sort(self.faces[:, [[0, 1], [1, 2], [2, 0]]], axis=-1)  # (m, 3, 2)
-        edges = ends @ np.array([len(self.vertices), 1])  # one number for each edge
-        n_vertices, n_edges = len(np.unique(self.faces)), len(np.unique(edges))
-        return n_vertices - n_edges + len(self.faces)
+        heads = self.faces[:, [1, 2, 0]]
+        low, high = np.minimum(self.faces, heads), np.maximum(self.faces, heads)
+        # One number for each edge; to sort them takes a third of the time of np.unique.
+        edges = np.sort(low * np.int64(len(self.vertices)) + high, axis=None)
+        n_edges = np.count_nonzero(np.diff(edges, prepend=-1))
+        n_vertices = np.count_nonzero(np.bincount(self.faces.ravel()))
+        return int(n_vertices - n_edges + len(self.faces))
 
     def to_open3d(self, *, tensor: bool = False) -> Any:
         """An ``open3d.geometry.TriangleMesh``, or ``open3d.t``'s, with the same vertices and faces."""
