@@ -133,7 +133,9 @@ def _header(data: bytes) -> tuple[str, list[Element], int]:
                     pass
                 case ["format", name, "1.0"]:
                     order = BYTE_ORDERS[name.lower()]
-                case ["element", name, number] if number.isdecimal():
+                case ["element", name, number] if number.isdecimal() and all(
+                    name != one.name for one in elements
+                ):
                     # float, because int raises an exception for a number of thousands of digits.
                     n_rows, n_bytes = float(number), len(data) - last.end()
                     if n_rows > n_bytes:  # a row has at least one byte

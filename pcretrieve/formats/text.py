@@ -367,7 +367,7 @@ def _header(lines: list[str], size: int) -> Grid:
     numbers = [[float(word) for word in line.split()] for line in lines]
     (n_columns,), (n_rows,) = numbers[:2]
     pose = np.array(numbers[6:])
-    if len(lines) < N_HEADER_LINES or pose.shape != (4, 4) or not np.isfinite(pose).all():
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise ValueError("it must be ten lines, of which the last four are a matrix")
     if not (
         n_columns.is_integer() and n_rows.is_integer() and min(n_columns, n_rows) >= 0

@@ -79,6 +79,11 @@ REFUSED: list[tuple[str, str | bytes, str]] = [
         "its header has the line 'property half x'",
     ),
     ("a.ply", ply("ascii", f"element vertex 0\n{XYZ}{XYZ}"), "occurs more than once"),
+    (
+        "a.ply",
+        ply("ascii", f"element vertex 0\n{XYZ}element vertex 0\n{XYZ}"),
+        "its header has the line 'element vertex 0'",
+    ),
     ("a.ply", ply("ascii", f"element vertex {'9' * 5000}\n{XYZ}"), "declares inf"),
     (
         "a.ply",
