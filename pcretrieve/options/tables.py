@@ -116,7 +116,7 @@ class ScanOptions(Options):
     """Radius of the largest hole in the scan through which the flood fill does not pass, at the first
     attempt; relative to the diagonal."""
     # Number of further attempts, each with a larger radius, if the flood fill leaks into the body.
-    flood_retries: ClassVar[int] = 4
+    flood_retries: ClassVar[int] = 5
 
     @field_validator("box")
     @classmethod
