@@ -52,11 +52,11 @@ class Frame(NamedTuple):
 
     def inward(self, points: FloatArray) -> FloatArray:
         """The coordinates (n, 3) of points of the caller in this frame."""
-        return np.asarray((points - self.origin) / self.size)
+        return (points - self.origin) / self.size
 
     def outward(self, points: FloatArray) -> FloatArray:
         """The coordinates (n, 3) of points in this frame in the unit of the caller."""
-        return np.asarray(points * self.size + self.origin)
+        return points * self.size + self.origin
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +117,7 @@ def power_of_two(length: float) -> float:
 def unit_vectors(vectors: NDArray[Any]) -> FloatArray:
     """Vectors (…, d) divided by their lengths; zero vectors are not changed."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.where(length > 0, length, 1))
+    return vectors / np.where(length > 0, length, 1)
 
 
 def tangent_axes(normals: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -150,4 +150,4 @@ def _places(cells: FloatArray, reach: float) -> FloatArray:
     a, b = cKDTree(cells).query_pairs(reach, output_type="ndarray").T
     group = joined_by(a, b, len(cells))
     sums = np.stack([np.bincount(group, cells[:, axis]) for axis in range(3)], axis=1)
-    return np.asarray(sums / np.bincount(group)[:, None])
+    return sums / np.bincount(group)[:, None]

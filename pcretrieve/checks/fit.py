@@ -174,7 +174,7 @@ class Fit:
     @cached_property
     def places(self) -> FloatArray:
         """(k, 3) some of the points, at regular steps."""
-        return np.asarray(self.cloud.points[self.around.near[:, 0]])
+        return self.cloud.points[self.around.near[:, 0]]
 
     @cached_property
     def spacing(self) -> float:
@@ -206,13 +206,13 @@ class Fit:
     @cached_property
     def areas(self) -> FloatArray:
         """(m,) areas of the faces."""
-        return np.asarray(self.mesh.face_areas)
+        return self.mesh.face_areas
 
     @cached_property
     def normals(self) -> FloatArray:
         """(m, 3) unit normals of the faces; 0 where they have no area."""
         areas = self.areas[:, np.newaxis]
-        return np.asarray(self.mesh.area_vectors / np.where(areas > 0, areas, 1))
+        return self.mesh.area_vectors / np.where(areas > 0, areas, 1)
 
     @cached_property
     def to_points(self) -> tuple[FloatArray, Faces]:
@@ -237,13 +237,13 @@ class Fit:
         farthest = np.maximum(
             FILLED * self.spacing, FILLED_OF_SPARSE * self.local_spacing
         )
-        return np.asarray(self.to_points[0] > farthest)
+        return self.to_points[0] > farthest
 
     @cached_property
     def bare(self) -> Mask:
         """(m,) faces that may close a cut limb or a hole."""
         farthest = np.maximum(BARE * self.spacing, BARE_OF_SPARSE * self.local_spacing)
-        return np.asarray(self.to_points[0] > farthest)
+        return self.to_points[0] > farthest
 
     @cached_property
     def on_base(self) -> Mask:
@@ -565,4 +565,4 @@ def rim_of_limb(normals: FloatArray, offsets: FloatArray, axis: FloatArray) -> f
 
 def _across(directions: FloatArray, axis: FloatArray) -> FloatArray:
     """(r, 3) vectors without their part along a unit vector."""
-    return np.asarray(directions - np.outer(directions @ axis, axis))
+    return directions - np.outer(directions @ axis, axis)

@@ -483,7 +483,7 @@ def _parting(
     solved, _ = cg(
         laplacian, masses * start, start / energies[0], maxiter=N_STEPS, M=scaling
     )
-    return np.asarray(solved)
+    return solved
 
 
 def _levels(values: FloatArray, areas: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -289,13 +289,13 @@ def _continued(known: Positions, rank_1: FloatArray) -> Iterator[CurvePoint]:
 
 def _gain(rank: Positions) -> FloatArray:
     """Discounted gain: 1 at ranks 1 and 2, 1 / log₂ rank at larger ranks."""
-    return np.asarray(1 / np.log2(np.maximum(rank, 2)))
+    return 1 / np.log2(np.maximum(rank, 2))
 
 
 def _precision_at_hits(ranked: Rankings) -> FloatArray:
     """(H,) precision of the ranked list down to each relevant shape."""
     first = np.searchsorted(ranked.hit_query, ranked.hit_query)
-    return np.asarray((np.arange(len(first)) - first + 1) / ranked.hit_rank)
+    return (np.arange(len(first)) - first + 1) / ranked.hit_rank
 
 
 #: Confidence level of intervals.

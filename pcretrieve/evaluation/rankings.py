@@ -200,7 +200,7 @@ def _by_distance(block: DistanceBlock, ids: Sequence[str]) -> Positions:
     # (q, N): a stable sort then orders equal distances by identifier.
     columns = block.distances[:, by_id]
     columns[block.queries[:, np.newaxis] == by_id] = -np.inf
-    return np.asarray(by_id[np.argsort(columns, axis=1, kind="stable")])
+    return by_id[np.argsort(columns, axis=1, kind="stable")]
 
 
 def _rank_sorted(

@@ -269,7 +269,7 @@ def _in_order(parts: list[tuple[NDArray[np.intp], NDArray[Any]]]) -> NDArray[Any
     if len(parts) == 1:
         return parts[0][1]
     numbers, values = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return np.asarray(values[np.argsort(numbers)])
+    return values[np.argsort(numbers)]
 
 
 # --- vertices and faces -----------------------------------------------------------------------------------

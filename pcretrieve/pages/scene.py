@@ -99,7 +99,7 @@ def thicker(mesh: TriangleMesh, other: TriangleMesh) -> FloatArray:
     own, its = _places(mesh), _places(other)
     # (m, N_ALIKE) each.
     alike = [ways[cKDTree(heat).query(own[0], N_ALIKE)[1]] for heat, ways in (own, its)]
-    return np.asarray(np.median(alike[0], axis=1) - np.median(alike[1], axis=1))
+    return np.median(alike[0], axis=1) - np.median(alike[1], axis=1)
 
 
 def _places(mesh: TriangleMesh) -> tuple[FloatArray, FloatArray]:

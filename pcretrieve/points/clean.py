@@ -82,7 +82,7 @@ def outliers(cloud: PointCloud, options: ScanOptions) -> NDArray[np.bool_]:
     """(n,) mask of the points that `clean` removes: those in voxels that are outliers."""
     thinned, voxel = _thinned(cloud, options.voxel)
     neighbors = neighborhoods(thinned.points, max(options.outlier_neighbors, FARTHER + 1))
-    return np.asarray(~_inliers(thinned, voxel, neighbors, options)[voxel])
+    return ~_inliers(thinned, voxel, neighbors, options)[voxel]
 
 
 def _inliers(

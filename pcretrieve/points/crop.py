@@ -202,7 +202,7 @@ def _measured(readings: tuple[FloatArray, ...]) -> NDArray[np.bool_]:
 
 def are_at_sensor(ranges: FloatArray) -> NDArray[np.bool_]:
     """(n,) mask of the ranges, of which there is one at least, that are 0 but for rounding."""
-    return np.asarray(ranges <= AT_SENSOR * np.quantile(ranges, USUAL_RANGE))
+    return ranges <= AT_SENSOR * np.quantile(ranges, USUAL_RANGE)
 
 
 def _near(points: FloatArray) -> NDArray[np.bool_]:

@@ -121,7 +121,7 @@ def is_of_surface(neighbors: Neighborhoods, *, cell: float) -> Mask:
     median = float(np.median(local_spacings(neighbors, FARTHER)))
     if not _is_surface(neighbors, least=UNCOMMON * max(cell, median)):
         return np.zeros(len(neighbors.distance), dtype=np.bool_)
-    return np.asarray(_growth(neighbors) > LEAST_OF_ONE)
+    return _growth(neighbors) > LEAST_OF_ONE
 
 
 def disks(
@@ -248,4 +248,4 @@ def _one_a_voxel(points: FloatArray, edge: float) -> NDArray[np.intp]:
     """Indices of the first point in each voxel."""
     if not len(points):
         return np.zeros(0, dtype=np.intp)
-    return np.asarray(np.unique(voxel_numbers(points, edge), return_index=True)[1])
+    return np.unique(voxel_numbers(points, edge), return_index=True)[1]

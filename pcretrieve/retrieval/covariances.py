@@ -101,7 +101,7 @@ def _shrunk(
         if one_unit
         else np.maximum(variances, LEAST_VARIANCE * mean)
     )
-    return np.asarray((1 - intensity) * covariance + intensity * np.diag(target))
+    return (1 - intensity) * covariance + intensity * np.diag(target)
 
 
 def within_class_covariance(

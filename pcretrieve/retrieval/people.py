@@ -109,7 +109,7 @@ class People(NamedTuple):
         if own is not None:
             within = (1 - share) * within + share * np.trace(within) / np.trace(own) * own
         total = self.total - self.within + within
-        return np.asarray(np.linalg.inv(within) - np.linalg.inv(total))
+        return np.linalg.inv(within) - np.linalg.inv(total)
 
 
 def corrected(coordinates: FloatArray, network: FloatArray) -> FloatArray:
@@ -125,7 +125,7 @@ def corrected(coordinates: FloatArray, network: FloatArray) -> FloatArray:
 
 def row_products(rows: FloatArray, matrix: FloatArray) -> FloatArray:
     """The product of each row (N, L) with a matrix (L, K); its rounding does not depend on the other rows."""
-    return np.asarray((rows[:, np.newaxis] @ matrix)[:, 0])
+    return (rows[:, np.newaxis] @ matrix)[:, 0]
 
 
 def people(

@@ -425,7 +425,7 @@ def fitted_coefficients(trials: Trials, reference: Reference | None = None) -> F
 
     # A nearer shape and a farther next class never make an answer less sure.
     bounds = [(None, None), (None, 0.0), (0.0, None)]
-    return np.asarray(minimize(loss, expected, jac=True, bounds=bounds).x)
+    return minimize(loss, expected, jac=True, bounds=bounds).x
 
 
 def _mutual_pairs(logs: FloatArray, whitening: Whitening, distance: str) -> _Pairs:

@@ -96,7 +96,7 @@ def atom_shares(points: SurfacePoints, atoms: FloatArray) -> FloatArray:
         sparse_codes(points.features, atoms)
     )  # (L,): ∫ |z| / A
     total = pooled.sum()
-    return np.asarray(pooled / total if total else np.full(len(atoms), 1 / len(atoms)))
+    return pooled / total if total else np.full(len(atoms), 1 / len(atoms))
 
 
 def sparse_codes(

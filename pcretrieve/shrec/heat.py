@@ -276,6 +276,4 @@ def word_frequencies(gallery: Sequence[HeatPoints]) -> Callable[[HeatPoints], Fl
 
 def _frequencies(vocabulary: Vocabulary, points: HeatPoints) -> FloatArray:
     """(48,) shares of the area of a surface that the words have."""
-    return np.asarray(
-        points.shares @ vocabulary.weights(points.features, 2 * vocabulary.gap)
-    )
+    return points.shares @ vocabulary.weights(points.features, 2 * vocabulary.gap)

@@ -216,7 +216,7 @@ def _joined(shapes: FloatArray, turns: FloatArray) -> FloatArray:
     parts = [part / (np.linalg.norm(part) or 1.0) for part in (shapes, turns)]
     values = np.concatenate(parts, axis=1).ravel()
     values = np.minimum(values / (np.linalg.norm(values) or 1.0), LARGEST)
-    return np.asarray(values / (np.linalg.norm(values) or 1.0))
+    return values / (np.linalg.norm(values) or 1.0)
 
 
 def _directions(angles: FloatArray, weights: FloatArray) -> FloatArray:

@@ -186,7 +186,7 @@ class KrylovSpace:
         rows = slice(self.width - len(known), self.width)
         self.projected[rows, new] = known
         self.projected[new, rows] = known.T
-        return np.asarray(
+        return (
             self.projected[used, used] @ self.lost[used, new]
             - self.lost[used, rows] @ known
         )

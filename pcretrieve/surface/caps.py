@@ -387,7 +387,7 @@ def _bridged(cloud: PointCloud, one: End, other: End, spacing: float) -> PointCl
 
     def across(places: FloatArray, middle: FloatArray) -> FloatArray:
         offsets = places - middle
-        return np.asarray(offsets - np.outer(offsets @ along, along))
+        return offsets - np.outer(offsets @ along, along)
 
     rims = [across(each.rim, each.middle) / each.radius for each in (one, other)]
     opposite = (

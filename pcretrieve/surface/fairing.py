@@ -177,7 +177,7 @@ def with_ring(chosen: Mask, faces: IntArray) -> Mask:
 def faces_at(chosen: Mask, faces: IntArray) -> IntArray:
     """(k, 3) the faces with a vertex in a mask, (n,): edges of a patch are found fast among these."""
     a, b, c = (chosen[faces[:, corner]] for corner in range(3))
-    return np.asarray(faces[a | b | c])
+    return faces[a | b | c]
 
 
 def _operators(at: FloatArray, faces: IntArray) -> Operators:

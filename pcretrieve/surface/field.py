@@ -95,8 +95,8 @@ def _hidden(cloud: PointCloud, outside: Outside) -> Mask:
     """(n,) mask of hidden points: far from the outside; none if the positions of the sensors are known."""
     if cloud.viewpoints is not None:
         return np.zeros(len(cloud.points), dtype=bool)
-    return np.asarray(
-        outside.depth_at(cloud.points) > hidden_below(cloud.diagonal, outside.grid.cell)
+    return outside.depth_at(cloud.points) > hidden_below(
+        cloud.diagonal, outside.grid.cell
     )
 
 

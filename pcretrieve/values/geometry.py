@@ -238,7 +238,7 @@ class TriangleMesh(_Processed):
     @property
     def face_areas(self) -> FloatArray:
         """(m,) areas of the faces, unit length²."""
-        return np.asarray(np.sqrt(self.area_vectors**2 @ np.ones(3)))
+        return np.sqrt(self.area_vectors**2 @ np.ones(3))
 
     @property
     def flat_faces(self) -> NDArray[np.bool_]:

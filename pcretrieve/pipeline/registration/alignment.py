@@ -19,12 +19,12 @@ Poses: TypeAlias = Mapping[int, FloatArray]
 
 def moved(motion: FloatArray, points: FloatArray) -> FloatArray:
     """(n, 3) points after a rigid motion (4, 4); (m, n, 3) after each of (m, 4, 4) motions."""
-    return np.asarray(turned(motion, points) + motion[..., None, :3, 3])
+    return turned(motion, points) + motion[..., None, :3, 3]
 
 
 def turned(motion: FloatArray, directions: FloatArray) -> FloatArray:
     """(n, 3) directions after the rotation of a motion (4, 4); (m, n, 3) after each of (m, 4, 4)."""
-    return np.asarray(directions @ np.swapaxes(motion[..., :3, :3], -1, -2))
+    return directions @ np.swapaxes(motion[..., :3, :3], -1, -2)
 
 
 # Largest distance, in spacings, of the nearest point from the foot of the perpendicular to its tangent plane.
