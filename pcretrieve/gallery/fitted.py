@@ -150,9 +150,10 @@ def stored_measures(
     Returns
     -------
     dict
-        ``height chest waist hip thigh`` (m) and ``volume`` (m³), each with half of the difference between the
-        two surfaces of the scan; empty if the unit of the scan is not known, its surfaces were not stored, or
-        it shows another pose, for which the girths do not hold, or no person.
+        ``height chest waist hip thigh`` (m) and ``volume`` (m³), each with its ±: half of the difference
+        between the two surfaces of the scan, and, but for the volume, what two standing poses of one person
+        differ by, as the root of the sum of their squares. Empty if the unit of the scan is not known, its
+        surfaces were not stored, or it shows another pose, for which the girths do not hold, or no person.
 
     Raises
     ------
@@ -173,7 +174,10 @@ def stored_measures(
         return {}
     rows = {name: [unit * one[name] for one in found] for name in found[0]}
     rows["volume"] = [unit**3 * mesh.volume for mesh in meshes]
-    return {n: (float(np.mean(row)), float(np.ptp(row)) / 2) for n, row in rows.items()}
+    return {
+        name: (float(np.mean(row)), float(np.hypot(np.ptp(row) / 2, BESIDE[name][0] or 0)))
+        for name, row in rows.items()
+    }
 
 
 class TapeDifference(NamedTuple):
