@@ -355,7 +355,7 @@ N_QUERIES = 600
 
 # Weight of a query whose person is not in the gallery: a collection that has hardly any statistics of its own
 # should name no stranger. See docs/decisions.md, one scan each.
-STRANGERS = 30.0
+STRANGERS = 8.0
 
 # Number of quantiles of the distances of scans of one person.
 N_SAME = 201
