@@ -175,7 +175,10 @@ def stored_measures(
     rows = {name: [unit * one[name] for one in found] for name in found[0]}
     rows["volume"] = [unit**3 * mesh.volume for mesh in meshes]
     return {
-        name: (float(np.mean(row)), float(np.hypot(np.ptp(row) / 2, BESIDE[name][0] or 0)))
+        name: (
+            float(np.mean(row)),
+            float(np.hypot(np.ptp(row) / 2, BESIDE[name][0] or 0)),
+        )
         for name, row in rows.items()
     }
 
