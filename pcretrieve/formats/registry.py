@@ -89,8 +89,9 @@ class ScanPath:
         if isinstance(given, ScanPath):
             return given
         path = Path(given)
-        name, mark, member = path.name.partition(MARK)
-        if mark and member:
+        name, _, member = path.name.partition(MARK)
+        # Nothing, and a point, are no names of files.
+        if name.strip(".") and member:
             found = _format_of(path.with_name(name))
             if found is not None and found.names is not None:
                 path = path.with_name(name)

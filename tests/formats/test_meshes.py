@@ -196,6 +196,9 @@ def test_names_in_a_file(tmp_path: Path) -> None:
         ("x/a.glb#b.glb#c", ScanPath(Path("x/a.glb"), "b.glb#c")),
         ("x/a.glb#", ScanPath(Path("x/a.glb#"))),
         ("x/scan#1.xyz", ScanPath(Path("x/scan#1.xyz"))),
+        # As Emacs names its copies and locks.
+        ("x/#a.glb#", ScanPath(Path("x/#a.glb#"))),
+        ("x/.#a.glb", ScanPath(Path("x/.#a.glb"))),
         ("x#1.glb/a.ply", ScanPath(Path("x#1.glb/a.ply"))),
         ("s3://b/a.glb#1", ScanPath(Path("s3:/b/a.glb"), "1", "s3://b/a.glb")),
         ("https://h/a.ply", ScanPath(Path("https:/h/a.ply"), None, "https://h/a.ply")),
