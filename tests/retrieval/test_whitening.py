@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks.measuring import evaluate_table
+from benchmarks.transfer import by_nine_cameras
 from tables import classes_of, posed_logs, table_of
 
+import pcretrieve.retrieval
 from pcretrieve.descriptors import DESCRIPTORS, signature_length
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import RetrievalOptions, SignatureOptions
 from pcretrieve.retrieval import People, Whitening, fit_whitening, pairwise, people
-from pcretrieve.retrieval.people import corrected
+from pcretrieve.retrieval.people import SAMPLE, corrected
 from pcretrieve.retrieval.whitening import (
     calibrated_whitening,
     read_whitening,
@@ -239,7 +241,11 @@ def test_the_metric_of_people_finds_them(method: str, size_weight: float) -> Non
         np.linalg.eigvalsh(known.metric())[0]
         > -1e-6 * np.linalg.eigvalsh(known.metric())[-1]
     )
-    logs, labels = some_people(known)
+    # By nine cameras: damaged scans, of which the metric knows too, are not told apart by R-BiHDM alone.
+    installed = np.load(Path(pcretrieve.retrieval.__file__).with_name(SAMPLE))
+    whole = people(options, by_nine_cameras(installed))
+    assert whole is not None
+    logs, labels = some_people(whole)
     assert known.unlikeness(logs) == pytest.approx(1, rel=0.3)
     whitening = fit_whitening("auto", logs, labels, people=known)
     assert whitening.kind == "people"
@@ -248,9 +254,7 @@ def test_the_metric_of_people_finds_them(method: str, size_weight: float) -> Non
     found, without = (
         evaluate_table(table, whitening=one).map for one in (whitening, plain)
     )
-    # The metric knows poses and damages so wide that R-BiHDM alone does not tell these people apart.
-    is_lost = method == "r-bihdm" and not size_weight
-    assert 1 - found < (0.85 if is_lost else 0.65) * (1 - without)
+    assert 1 - found < 0.65 * (1 - without)
     # Scans of others are compared by their own neighbours, the more so the less they are like people.
     far = known.mean + 30 * (logs - known.mean)
     assert fit_whitening("auto", far, people=known).kind == "neighbours"
