@@ -130,7 +130,8 @@ def tangent_axes(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def area_vectors(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """(m, 3) the normals of faces, by their orientation, with the area as the length."""
-    a, b, c = (vertices[corner] for corner in faces.T)
+    # Of rows, `take` is four times as fast as an index.
+    a, b, c = (vertices.take(corner, axis=0) for corner in faces.T)
     return np.cross(b - a, c - a) / 2
 
 

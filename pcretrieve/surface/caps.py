@@ -203,9 +203,11 @@ def slope_of(
     points, normals: (n, 3) float64, of the surface.
     """
     along, across, near = _about(rim, axis, points)
+    outwards = np.einsum("ij,ij->i", normals[near], unit_vectors(across[near]))
     near &= along < ABOVE_RIM
     along, normals = along[near], normals[near]
-    if near.sum() < 3:
+    # Most normals round a crotch face its axis, because both legs do.
+    if near.sum() < 3 or outwards.mean() < 0:
         return 1.0, 0.0
     # The flood fill may have come in by the hole, and have turned normals at its rim inwards.
     away = across[near] + np.outer(along + 1, axis)

@@ -66,14 +66,13 @@ def faired(vertices: FloatArray, faces: IntArray, free: Mask) -> FloatArray:
     numbers, places = np.unique(patch, return_inverse=True)
     patch = places.reshape(-1, 3).astype(np.int32)
     at = vertices[numbers]
-    operators = _operators(at, patch)
-    curvature = _curvature(at, operators, (around & ~bent)[numbers])
+    curvature = _curvature(at, _operators(at, patch), (around & ~bent)[numbers])
     for _ in range(ROUNDS):
+        operators = _operators(at, patch)
         next_at = _least_bent(at, operators, curvature, free[numbers], bent[numbers])
         if _has_collapsed(next_at, patch):
             break
         at = next_at
-        operators = _operators(at, patch)
     moved: FloatArray = vertices.copy()
     moved[numbers] = at
     return moved

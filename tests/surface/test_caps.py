@@ -7,6 +7,7 @@ import pytest
 import shapes
 
 from pcretrieve.surface.caps import (
+    DEEP,
     NO_CAP,
     Capped,
     base_of,
@@ -190,9 +191,25 @@ def test_normals_round_a_deep_hole_point_away_from_its_axis(
     found = Capped(TriangleMesh(closed, whole.faces), cap, cap > 0)
     points = whole.vertices[~in_hole]
     outwards = unit_vectors(points / np.square([1, 1, length]))
-    turned = np.where(points[:, 2:] > -0.3 * length, -outwards, outwards)
+    turned = np.where(points[:, 2:] > -0.3, -outwards, outwards)
     normals = normals_of(outwards_at_rims(found, PointCloud(points, normals=turned)))
     assert np.array_equal(normals, outwards if is_mended else turned)
+
+
+def test_a_hole_between_two_legs_ends_no_part() -> None:
+    # Their normals face the axis of the hole, as if the flood fill had turned them.
+    angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, 60), np.linspace(-1, 2, 61))
+    normals = np.stack(
+        [np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1
+    ).reshape(-1, 3)
+    leg = 0.5 * normals + np.outer(height.ravel(), [0, 0, 1])
+    aside = np.array([1, 0, 0])
+    points = np.concatenate([leg - aside, leg + aside])
+    rim = np.array([[0.5, 0, 0], [-0.5, 0, 0], [0, 0.5, 0], [0, -0.5, 0]])
+    both = np.tile(normals, (2, 1))
+    found = slope_of(rim, np.array([0, 0, 1.0]), points, both)
+    assert not ends_a_part(*found)
+    assert found[0] > DEEP, "it becomes no dome"
 
 
 def test_a_tube_ends_in_its_hole_and_a_ball_does_not() -> None:
