@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import shapes
 from commands import program
+from search_server import egg, running, write_eggs
 
 from pcretrieve.formats import write_mesh
 
@@ -101,3 +102,14 @@ def test_scans_are_ingested_and_found(tmp_path: Path) -> None:
     assert "no scan" in program("list", *asked).stdout
     said = program("ingest", scans, *asked, "--memory", 4, "--retry-failed", code=2)
     assert "leave --memory out" in said.stderr
+
+
+def test_a_scan_is_served(tmp_path: Path) -> None:
+    """By a server, whose worker finds what a browser sends."""
+    write_eggs(tmp_path / "eggs.sqlite")
+    with running(tmp_path / "eggs.sqlite") as server:
+        assert b"Egg10" in server.ask("/shapes").body
+        found = server.outcome("egg.off", egg(tmp_path))
+        page = server.ask(f"/scan/{found['job']}").body
+    assert found["grade"]["name"] == "good"
+    assert b"&lt;kind 1&gt;" in page

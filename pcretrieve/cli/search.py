@@ -386,11 +386,10 @@ def serve_command(
         SECONDS,
         default=300,
     ),
-    memory: float = rare_option(
+    memory: float | None = rare_option(
         "--memory GIB",
-        "Give the process of a scan no more memory than this.",
+        "Give the process of a scan no more memory than this; 4 by default.",
         GIBIBYTES,
-        default=4,
     ),
     up: Axis | None = up_option,
     comparison: Comparison,

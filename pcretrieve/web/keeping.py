@@ -77,7 +77,7 @@ class Collection:
     location: str
     folder: Path
     timeout: float
-    memory: float
+    memory: float | None
 
     def add(self, scan: Path, shape_id: str, label: str | None) -> Record:
         """Store a scan as `pcretrieve ingest` does, which processes it once more."""

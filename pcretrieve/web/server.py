@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from pcretrieve import Catalogue, PipelineOptions, index
 from pcretrieve.errors import InputError
 from pcretrieve.options import OptionsLike
+from pcretrieve.values.files import IS_POSIX
 
 if TYPE_CHECKING:
     from pcretrieve.web.application import Site
@@ -34,6 +35,9 @@ MOST_CONNECTIONS = 200
 KEEP_ALIVE = 5
 FIRST_REQUEST = 10
 
+# Largest memory of the process of a scan by default, where the system has such a limit; GiB.
+MEMORY = 4.0 if IS_POSIX else None
+
 
 def serve(
     catalogue: str | Path,
@@ -44,7 +48,7 @@ def serve(
     read_only: bool = False,
     most_bytes: int = 200_000_000,
     timeout: float = 300.0,
-    memory: float = 4.0,
+    memory: float | None = None,
     up: str | None = None,
     keep: str | Path | None = None,
     export: str | Path | None = None,
@@ -68,8 +72,9 @@ def serve(
         Largest size of an uploaded scan.
     timeout : float, default 300
         Longest time to process an uploaded scan; seconds.
-    memory : float, default 4
-        Largest heap of the process that processes uploaded scans; GiB.
+    memory : float, optional
+        Largest heap of the process that processes uploaded scans; GiB. By default 4, where the system has
+        such a limit.
     up : {"x", "-x", "y", "-y", "z", "-z"}, optional
         The axis of the files that points upwards, for the pictures of all shapes. By default it is found for
         each: by the ground that was removed from its scan, or from the surface.
@@ -112,7 +117,7 @@ def serve(
         read_only=read_only,
         most_bytes=most_bytes,
         timeout=timeout,
-        memory=memory,
+        memory=memory or MEMORY,
         up=up,
         keep=keep,
     ) as site:
@@ -137,7 +142,7 @@ def opened_site(
     read_only: bool,
     most_bytes: int,
     timeout: float,
-    memory: float,
+    memory: float | None,
     up: str | None,
     keep: str | Path | None,
 ) -> Iterator[Site]:
