@@ -93,12 +93,12 @@ BESIDE = 0.88
 # How far the ends of the body along this axis reach, where hair is and soles are; relative to the length.
 AT_END = 0.1
 
-# Largest share of the surface that closes ends in hair, where no limb is missing.
-IN_HAIR = 0.005
+# Largest size of ends in hair, where no limb is missing.
+IN_HAIR = 0.0175
 
-# Largest mean cosine between the axis of a cut limb and the normals round it: round a crown without hair it
-# is .35 and more, round a shallow hole 1.
-TILTED = 0.33
+# An end is no cut limb if the cosine between its axis and the normals round it has this mean: it is 0 round a
+# cut limb, .35 and more round a crown without hair, 1 round a shallow hole.
+TILTED = 0.5
 
 # A face closes a cut limb only if the cosine between its normal and that of the nearest point is smaller: in
 # a smooth hole these agree.
@@ -145,11 +145,12 @@ class End:
     """Where the surface was closed across a limb.
 
     middle: (3,) float64.
-    share: of the area of the surface, weighted by how like the rim is to that of a limb.
+    size: root of its area relative to that of the surface, weighted by how flat the end is, and by how like
+        its rim is to that of a limb.
     """
 
     middle: FloatArray
-    share: float
+    size: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -461,7 +462,7 @@ class Fit:
         caps = parts(self.mesh, far[is_closing])[:N_ENDS]
         found = [end for cap in caps if (end := self._end(cap)) is not None]
         limbs: list[End] = []
-        for end in sorted(found, key=lambda one: -one.share):
+        for end in sorted(found, key=lambda one: -one.size):
             if all(self._are_apart(end, other) for other in limbs):
                 limbs.append(end)
         return tuple(limbs)
@@ -499,19 +500,15 @@ class Fit:
         rim = np.unique(self.to_points[1][far[is_near]])
         normals = np.asarray(self.cloud.normals)[rim]
         middle = np.average(self.middles[faces], axis=0, weights=self.areas[faces])
-        if (normals @ axis).mean() > TILTED:
-            return None
         offsets = self.cloud.points[rim] - middle
-        likeness = rim_of_limb(normals, offsets, axis)
+        likeness = max(rim_of_limb(normals, offsets, axis), SHEET)
+        likeness *= float(np.clip(1 - (normals @ axis).mean() / TILTED, 0, 1))
         closing = far[is_near & is_closing]
-        area = (
-            np.linalg.norm(self.areas[closing] @ self.normals[closing]) / self.areas.sum()
-        )
-        share = max(likeness, SHEET) * float(area)
-        is_hair = share < IN_HAIR and self.is_at_end(middle)
-        if is_hair or self.is_unseen(faces, middle, 2 * self._near_end):
-            return None
-        return End(middle, share)
+        area = float(np.linalg.norm(self.areas[closing] @ self.normals[closing]))
+        flatness = area / float(self.areas[far[is_near]].sum())
+        size = likeness * flatness * np.sqrt(area / float(self.areas.sum()))
+        is_hair = size < IN_HAIR and self.is_at_end(middle)
+        return None if is_hair else End(middle, size)
 
 
 def between(around: Neighborhoods) -> float:

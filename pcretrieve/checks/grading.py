@@ -24,16 +24,16 @@ CheckGrade = Literal["", "poor", "incomplete"]
 Limits = tuple[float, float]
 
 # Largest expected error of a scan that is not poor. See docs/decisions.md, grades.
-LARGEST_ERROR = 0.85
+LARGEST_ERROR = 1.0
 
-# Largest share of the surface that closes ends where noise and small holes are, and no limb is missing.
-ENDS_OF_NOISE = 0.00034
+# Largest size of closed ends where noise and small holes are, and no limb is missing.
+ENDS_OF_NOISE = 0.0032
 
 # Largest share of the surface where noise looks like layers.
 LAYERS_OF_NOISE = 0.03
 
 # Radius of a hole, relative to the length of the body, that a person would see: 6 cm of a standing person.
-LARGE_HOLE = 0.035
+LARGE_HOLE = 0.034
 
 # Ratio of spacings, over the surface, of which a part was scanned that has hardly any points elsewhere.
 UNEVEN = 2.3
@@ -245,23 +245,20 @@ def graded(
     shown: str,
     *,
     is_good: bool = False,
-    limits: Limits | None = None,
     error: float = 0.0,
     places: Sequence[FloatArray] = (),
 ) -> Check:
     """The check of a measurement, which is `shown` with its unit.
 
     is_good: counts if there are no limits.
-    limits: of this scan, where they depend on it.
     """
     measure = MEASURES[name]
-    limits = limits or measure.limits
     outcome: Outcome
-    if limits is None or value is None:
+    if measure.limits is None or value is None:
         outcome = "passed" if is_good else "look"
         is_over = not is_good
     else:
-        outcome = OUTCOMES[-1 - bisect_left(limits, value)]
+        outcome = OUTCOMES[-1 - bisect_left(measure.limits, value)]
         is_over = outcome == "failed"
     if outcome == "passed":
         return Check(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import compress
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -42,7 +41,7 @@ ERROR_OF_FILLED = 0.4
 ERROR_OF_LOST = 20.0
 ERROR_OF_NOISE = 20.0
 ERROR_OF_LAYERS = 40.0
-ERROR_OF_ENDS = 140.0
+ERROR_OF_ENDS = 29.0
 ERROR_OF_GAPS = 600.0
 
 # Log-signature error of one cut or bridge; those of several are independent.
@@ -95,15 +94,6 @@ N_COMPARED = 23
 
 # Ratio of the deviation of this signature over surfaces to that of the eigenvalues.
 ERROR_OF_DISAGREEMENT = 3.3
-
-# A hole that is larger than the others by this factor shows if its radius is at least the second number,
-# relative to the length of the body.
-UNUSUAL = 1.5
-SMALL_HOLE = 0.026
-
-# Where a scan has so many holes, one shows only if it is larger than the others, by the second number.
-MANY_HOLES = 3
-LARGER = 1.05
 
 # Share of the light that reaches a hole that a sensor could have seen into.
 OPEN = 0.7
@@ -276,11 +266,11 @@ def evenness_check(fit: Fit) -> Check:
 
 def ends_check(fit: Fit) -> Check:
     """Check whether the surface was closed across a limb."""
-    share = max((end.share for end in fit.ends), default=0.0)
-    missing = [end.middle for end in fit.ends if end.share > ENDS_OF_NOISE]
-    error = ERROR_OF_ENDS * max(0.0, share - ENDS_OF_NOISE)
-    shown = f"{percent(share)} of the surface"
-    return graded("Closed ends", share, shown, error=error, places=missing)
+    size = max((end.size for end in fit.ends), default=0.0)
+    missing = [end.middle for end in fit.ends if end.size > ENDS_OF_NOISE]
+    error = ERROR_OF_ENDS * max(0.0, size - ENDS_OF_NOISE)
+    shown = f"{percent(size)} of the root of the area of the surface"
+    return graded("Closed ends", size, shown, error=error, places=missing)
 
 
 def gaps_check(fit: Fit) -> Check:
@@ -291,19 +281,17 @@ def gaps_check(fit: Fit) -> Check:
 
 
 def hole_check(fit: Fit) -> Check:
-    """Check whether a hole shows: it is large, or unlike all others, and sensors could have seen it."""
-    is_open = [not hole.is_expected and _is_visible(hole, fit) for hole in fit.holes]
-    open_ones = sorted(compress(fit.holes, is_open), key=lambda hole: -hole.radius)
-    if not open_ones:
+    """Check whether a hole shows: it is large, and sensors could have seen it."""
+    holes = [
+        hole for hole in fit.holes if not hole.is_expected and _is_visible(hole, fit)
+    ]
+    if not holes:
         return graded("Largest hole", 0.0, "none")
-    usual = open_ones[1].radius if len(open_ones) > 1 else 0.0
-    limit = min(LARGE_HOLE, max(SMALL_HOLE, UNUSUAL * usual))
-    if len(fit.holes) >= MANY_HOLES:
-        limit = max(limit, LARGER * usual)
-    radius = open_ones[0].radius
-    places = [hole.middle for hole in open_ones if hole.radius > limit]
+    holes.sort(key=lambda hole: -hole.radius)
+    radius = holes[0].radius
+    places = [hole.middle for hole in holes if hole.radius > LARGE_HOLE]
     shown = f"{2 * radius * fit.length:.2g} wide, {percent(2 * radius)} of the length of the body"
-    return graded("Largest hole", radius, shown, limits=(limit, limit), places=places)
+    return graded("Largest hole", radius, shown, places=places)
 
 
 def _is_visible(hole: Hole, fit: Fit) -> bool:

@@ -196,7 +196,8 @@ def slope_of(
 
     In a hole of a face or a chest the normals at the rim are tilted towards the axis of the hole. Round the
     hole of a crown they are perpendicular to it, but tilt more and more towards the rim, as on a sphere.
-    Round a tube they do neither.
+    Round a tube they do neither. Round a crotch most of them face the axis, because both legs do: that counts
+    as a tilt of 1.
 
     rim: (r, 3) float64, the vertices of the rim.
     axis: (3,) float64, the unit normal of the flat patch that closes the hole.
@@ -206,7 +207,6 @@ def slope_of(
     outwards = np.einsum("ij,ij->i", normals[near], unit_vectors(across[near]))
     near &= along < ABOVE_RIM
     along, normals = along[near], normals[near]
-    # Most normals round a crotch face its axis, because both legs do.
     if near.sum() < 3 or outwards.mean() < 0:
         return 1.0, 0.0
     # The flood fill may have come in by the hole, and have turned normals at its rim inwards.

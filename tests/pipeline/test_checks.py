@@ -167,7 +167,7 @@ def test_a_tube_that_was_cut_off_has_an_end() -> None:
     points, normals = capsule()
     kept = points[:, 0] < 0.5
     fit = fit_of(cloud_of(points[kept], normals[kept]), tube(0.5))
-    assert fit.ends[0].share > 0.004
+    assert fit.ends[0].size > 0.04
     assert fit.ends[0].middle == pytest.approx([0.5, 0, 0], abs=0.1)
 
 
@@ -195,7 +195,7 @@ def test_one_cut_that_is_closed_in_two_pieces_is_one_end() -> None:
 def test_a_tube_with_its_end_has_none() -> None:
     points, normals = capsule()
     fit = fit_of(cloud_of(points, normals), tube(9.0))
-    assert sum(end.share for end in fit.ends) < 4e-4
+    assert sum(end.size for end in fit.ends) < 2e-3
 
 
 def test_two_layers_of_points_are_double_walls() -> None:

@@ -184,7 +184,7 @@ def test_a_missing_part_makes_a_scan_incomplete_whatever_the_error() -> None:
 
 
 def test_a_large_error_makes_a_scan_poor_and_its_largest_cause_is_named() -> None:
-    grade = grade_of([check("Gaps", 0.1), check("Surfaces", 1.0)])
+    grade = grade_of([check("Gaps", 0.1), check("Surfaces", 1.1)])
     assert (grade.name, grade.reasons) == ("poor", ("surfaces is wrong",))
     assert grade_of([check("Gaps", LARGEST_ERROR - 0.01)]).is_good
 
