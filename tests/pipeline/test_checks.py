@@ -17,6 +17,7 @@ from pcretrieve import PointCloud, TriangleMesh
 from pcretrieve.checks import Check, findings_of
 from pcretrieve.checks.findings import N_NEIGHBORS, parts_at
 from pcretrieve.checks.fit import Fit, parts
+from pcretrieve.checks.grading import ENDS_OF_NOISE
 from pcretrieve.checks.layers import double_layers
 from pcretrieve.checks.stages import body_check, hole_check, neck
 from pcretrieve.draw.axes import person_of
@@ -196,6 +197,18 @@ def test_a_tube_with_its_end_has_none() -> None:
     points, normals = capsule()
     fit = fit_of(cloud_of(points, normals), tube(9.0))
     assert sum(end.size for end in fit.ends) < 2e-3
+
+
+@pytest.mark.parametrize(("top", "is_end"), [(0.0, True), (0.6, False)])
+def test_a_crown_that_is_closed_flat_is_no_end_of_a_limb(
+    top: float, is_end: bool
+) -> None:
+    """Normals round it tilt towards its axis, unlike those of half a ball."""
+    points = on_ball(40_000)
+    seen = points[points[:, 2] < top]
+    closed = TriangleMesh(np.minimum(BALL.vertices, [9, 9, top]), BALL.faces)
+    ends = fit_of(cloud_of(seen, seen), closed).ends
+    assert (max(end.size for end in ends) > ENDS_OF_NOISE) == is_end
 
 
 def test_two_layers_of_points_are_double_walls() -> None:
