@@ -233,10 +233,13 @@ def reached(page: Page, selector: str) -> None:
     """Press Tab until an element has the focus, and see that the focus is drawn."""
     for _ in range(40):
         page.keyboard.press("Tab")
-        if page.evaluate(
-            "selector => document.activeElement.matches(selector)", selector
-        ):
-            style = page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
+        # At once, because a list that has just been searched is replaced, and its focus is lost.
+        style = page.evaluate(
+            "selector => document.activeElement.matches(selector) "
+            "&& getComputedStyle(document.activeElement).outlineStyle",
+            selector,
+        )
+        if style:
             assert style != "none", f"{selector} does not show that it has the focus"
             return
     raise AssertionError(f"{selector} is not reached by the key Tab")
