@@ -57,10 +57,18 @@ GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 class NearPair(NamedTuple):
     """Two near shapes.
 
-    evidence: what makes them copies: one ``file``; one ``surface``, mirrored or not, such as two meshes of
-        one scan, or two scans of a body that did not move; or one ``body`` in one pose. Empty if only
-        signatures are compared.
-    classes: their classes, of which two are a wrong label, or two bodies.
+    Attributes
+    ----------
+    first, second : str
+        Their ids.
+    distance, limit : float
+        The distance of their signatures, and the largest one of copies.
+    evidence : {"file", "surface", "body", ""}
+        What makes them copies: one ``file``; one ``surface``, mirrored or not, such as two meshes of one
+        scan, or two scans of a body that did not move; or one ``body`` in one pose. Empty if only signatures
+        are compared.
+    classes : tuple of str or None
+        Their classes, of which two are a wrong label, or two bodies.
     """
 
     first: str
