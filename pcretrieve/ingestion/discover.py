@@ -33,9 +33,9 @@ from pcretrieve.formats.identity import printable
 from pcretrieve.formats.registry import FILE, FORMATS, INSTEAD, missing_extra, suffixes
 from pcretrieve.formats.remote import remote_files
 from pcretrieve.formats.text import is_table
-from pcretrieve.ingestion.pool import Worker, alone, in_processes
+from pcretrieve.ingestion.pool import Worker, alone, in_processes, own_limit
 from pcretrieve.options import check_many
-from pcretrieve.values.files import IS_POSIX, in_order
+from pcretrieve.values.files import in_order
 
 logger = logging.getLogger(__name__)
 
@@ -222,8 +222,7 @@ def _listed(url: str, limits: Mapping[str, Any] | None) -> list[ScanPath]:
     try:
         if limits is None:
             return remote_files(url)
-        most = min(limits["memory"] or LISTING_MEMORY, LISTING_MEMORY)
-        memory = most if IS_POSIX else None
+        memory = own_limit(min(limits["memory"] or LISTING_MEMORY, LISTING_MEMORY))
         return alone(remote_files, url, timeout=limits["timeout"], memory=memory)
     except ShapeError as error:
         raise InputError(

@@ -147,6 +147,11 @@ def in_processes(
         crew.stop()
 
 
+def own_limit(memory: float) -> float | None:
+    """A limit of memory that no user gave; None where the system has no such limits. GiB."""
+    return memory if IS_POSIX else None
+
+
 def alone(
     function: Callable[..., Answer],
     /,

@@ -66,13 +66,15 @@ def faired(vertices: FloatArray, faces: IntArray, free: Mask) -> FloatArray:
     numbers, places = np.unique(patch, return_inverse=True)
     patch = places.reshape(-1, 3).astype(np.int32)
     at = vertices[numbers]
-    curvature = _curvature(at, _operators(at, patch), (around & ~bent)[numbers])
-    for _ in range(ROUNDS):
-        operators = _operators(at, patch)
+    operators = _operators(at, patch)
+    curvature = _curvature(at, operators, (around & ~bent)[numbers])
+    for n_left in reversed(range(ROUNDS)):
         next_at = _least_bent(at, operators, curvature, free[numbers], bent[numbers])
         if _has_collapsed(next_at, patch):
             break
         at = next_at
+        if n_left:
+            operators = _operators(at, patch)
     moved: FloatArray = vertices.copy()
     moved[numbers] = at
     return moved

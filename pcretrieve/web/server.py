@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 from pcretrieve import Catalogue, PipelineOptions, index
 from pcretrieve.errors import InputError
+from pcretrieve.ingestion.pool import own_limit
 from pcretrieve.options import OptionsLike
-from pcretrieve.values.files import IS_POSIX
 
 if TYPE_CHECKING:
     from pcretrieve.web.application import Site
@@ -35,8 +35,8 @@ MOST_CONNECTIONS = 200
 KEEP_ALIVE = 5
 FIRST_REQUEST = 10
 
-# Largest memory of the process of a scan by default, where the system has such a limit; GiB.
-MEMORY = 4.0 if IS_POSIX else None
+# Largest memory of the process of a scan by default; GiB.
+MEMORY = 4.0
 
 
 def serve(
@@ -117,7 +117,7 @@ def serve(
         read_only=read_only,
         most_bytes=most_bytes,
         timeout=timeout,
-        memory=memory or MEMORY,
+        memory=memory or own_limit(MEMORY),
         up=up,
         keep=keep,
     ) as site:
