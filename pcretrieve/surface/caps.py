@@ -196,18 +196,20 @@ def slope_of(
 
     In a hole of a face or a chest the normals at the rim are tilted towards the axis of the hole. Round the
     hole of a crown they are perpendicular to it, but tilt more and more towards the rim, as on a sphere.
-    Round a tube they do neither. Round a crotch most of them face the axis, because both legs do: that counts
-    as a tilt of 1.
+    Round a tube they do neither. Round a crotch, and beyond it, most of them face the axis, because both legs
+    do: that counts as a tilt of 1.
 
     rim: (r, 3) float64, the vertices of the rim.
     axis: (3,) float64, the unit normal of the flat patch that closes the hole.
     points, normals: (n, 3) float64, of the surface.
     """
     along, across, near = _about(rim, axis, points)
-    outwards = np.einsum("ij,ij->i", normals[near], unit_vectors(across[near]))
-    near &= along < ABOVE_RIM
+    outwards = np.einsum("ij,ij->i", normals, unit_vectors(across))
+    beyond = near & (along > ABOVE_RIM)
+    is_between = outwards[near].sum() < 0 and outwards[beyond].sum() < 0
+    near &= ~beyond
     along, normals = along[near], normals[near]
-    if near.sum() < 3 or outwards.mean() < 0:
+    if near.sum() < 3 or is_between:
         return 1.0, 0.0
     # The flood fill may have come in by the hole, and have turned normals at its rim inwards.
     away = across[near] + np.outer(along + 1, axis)

@@ -191,7 +191,7 @@ def test_normals_round_a_deep_hole_point_away_from_its_axis(
     found = Capped(TriangleMesh(closed, whole.faces), cap, cap > 0)
     points = whole.vertices[~in_hole]
     outwards = unit_vectors(points / np.square([1, 1, length]))
-    turned = np.where(points[:, 2:] > -0.3, -outwards, outwards)
+    turned = np.where(points[:, 2:] > -0.3 * length, -outwards, outwards)
     normals = normals_of(outwards_at_rims(found, PointCloud(points, normals=turned)))
     assert np.array_equal(normals, outwards if is_mended else turned)
 
