@@ -130,9 +130,9 @@ def tangent_axes(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def area_vectors(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """(m, 3) the normals of faces, by their orientation, with the area as the length."""
-    # Of rows, `take` is four times as fast as an index.
-    a, b, c = (vertices.take(corner, axis=0) for corner in faces.T)
-    return np.cross(b - a, c - a) / 2
+    # Columns, which are contiguous, are multiplied three times as fast as rows.
+    a, b, c = (vertices.T.take(corner, axis=1) for corner in faces.T)
+    return np.ascontiguousarray(np.cross(b - a, c - a, axis=0).T) / 2
 
 
 def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:

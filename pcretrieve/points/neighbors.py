@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcretrieve.arrays import bounds
 from pcretrieve.options import ScanOptions
 from pcretrieve.values import FloatArray
-from pcretrieve.values.compiled import compiled, inner
+from pcretrieve.values.compiled import compiled, inlined, inner
 
 Index = NDArray[np.intp]
 Order = NDArray[np.int32]
@@ -167,7 +167,7 @@ def _nearest(
             distance[q, j] = np.sqrt(_square(points, near[q, j], exact))
 
 
-@compiled(error_model="numpy", inline="always")
+@inlined(error_model="numpy")
 def _search(
     grouped: FloatArray,
     starts: Order,
@@ -209,7 +209,7 @@ def _block(place: float, n: int, ring: int) -> tuple[int, int]:
     return max(0, cell - ring), min(n, cell + ring + 1)
 
 
-@compiled(error_model="numpy", inline="always")
+@inlined(error_model="numpy")
 def _collect(
     grouped: FloatArray,
     starts: Order,
@@ -237,7 +237,7 @@ def _collect(
     return n
 
 
-@compiled(error_model="numpy", inline="always")
+@inlined(error_model="numpy")
 def _insert(keys: FloatArray, waiting: FloatArray, n_waiting: int) -> int:
     """Sort the smallest of the waiting keys into an empty list; returns how many there are."""
     n = 0

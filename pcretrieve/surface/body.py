@@ -427,4 +427,5 @@ def _one_sidedness(mesh: TriangleMesh, invented: Mask) -> float:
     # part balance, and 1/2 if this part is one side of a sheet and the points are the other.
     share = invented[mesh.faces] @ np.full(3, 1 / 3)  # (m,)
     vectors = mesh.area_vectors
-    return float(np.linalg.norm(share @ vectors) / np.linalg.norm(vectors, axis=1).sum())
+    area = np.sqrt(vectors**2 @ np.ones(3)).sum()
+    return float(np.linalg.norm(share @ vectors) / area)

@@ -15,7 +15,7 @@ from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.marching import level_set
 from pcretrieve.surface.poisson import not_closed, poisson
 from pcretrieve.values import FloatArray, Grid, Mask, PointCloud, TriangleMesh
-from pcretrieve.values.compiled import compiled, inner
+from pcretrieve.values.compiled import compiled, inlined, inner
 from pcretrieve.values.repair import largest_component
 from pcretrieve.values.topology import components, defects
 
@@ -169,7 +169,7 @@ def _lines(
     return first, last + 1
 
 
-@compiled(inline="always")
+@inlined()
 def _meeting(
     at: FloatArray,
     face: NDArray[np.int32],

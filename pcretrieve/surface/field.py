@@ -7,7 +7,7 @@ import numpy as np
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.points.voxels import Outside, Voxels
 from pcretrieve.values import FloatArray, IntArray, Mask, PointCloud
-from pcretrieve.values.compiled import compiled, inner
+from pcretrieve.values.compiled import compiled, inlined, inner
 
 # Radius of the neighbourhood of a voxel, and standard deviation of the Gaussian
 # weight of its points; in voxels.
@@ -211,7 +211,7 @@ def _reached(place: float, n: int) -> tuple[int, int]:
     return max(0, int(np.ceil(place - REACH))), min(n, int(place + REACH) + 1)
 
 
-@compiled(inline="always")
+@inlined()
 def _set_terms(
     terms: FloatArray, point: FloatArray, normal: FloatArray, n_z: int
 ) -> None:
@@ -234,7 +234,7 @@ def _set_terms(
         terms[t + 8] = factor * along
 
 
-@compiled(inline="always")
+@inlined()
 def _add_terms(
     sums: FloatArray,
     terms: FloatArray,
@@ -264,7 +264,7 @@ def _add_terms(
                 _add_line(sums, here, weight, terms[9 * (first - low) : 9 * (last - low)])
 
 
-@compiled(inline="always")
+@inlined()
 def _add_line(sums: FloatArray, here: int, weight: float, terms: FloatArray) -> None:
     # Numba need not test whether an index without a sign counts from the end of an array.
     start = np.uint64(here)

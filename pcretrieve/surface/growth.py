@@ -21,7 +21,7 @@ from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.voxels import FARTHEST, Voxels, distances, touching
 from pcretrieve.surface.marching import marched, voxels_of
 from pcretrieve.values import IntArray, Mask, TriangleMesh
-from pcretrieve.values.compiled import compiled, inner
+from pcretrieve.values.compiled import compiled, inlined, inner
 
 # Largest amount by which the depth of a voxel, as the priority of region growing, may exceed its distance to
 # the nearest point; in voxels. It is small, so that a contact, with points of both surfaces in it, has a
@@ -179,7 +179,7 @@ class Queues(NamedTuple):
     top: NDArray[np.int64]
 
 
-@compiled(inline="always")
+@inlined()
 def _put(queues: Queues, queue: int, cell: int, priority: int) -> None:
     """Append a voxel to its bucket."""
     queues.after[queue, cell] = -1
@@ -191,7 +191,7 @@ def _put(queues: Queues, queue: int, cell: int, priority: int) -> None:
     queues.top[queue] = max(queues.top[queue], priority)
 
 
-@compiled(inline="always")
+@inlined()
 def _take(queues: Queues) -> tuple[int, int]:
     """The queue and the voxel that is next, which is removed; the voxel is −1 if there is none."""
     for queue in (1, 0):

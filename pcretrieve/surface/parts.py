@@ -19,7 +19,7 @@ from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.voxels import Voxels, components, distances
 from pcretrieve.values import FloatArray, Grid, Mask
-from pcretrieve.values.compiled import compiled, inner
+from pcretrieve.values.compiled import compiled, inlined, inner
 
 # Radius of the surfel, an oriented disk, that represents a point; in voxels.
 DISK = 2.0
@@ -71,7 +71,7 @@ def walls(
     return walls
 
 
-@compiled(inline="always")
+@inlined()
 def _cross(
     links: Mask,
     at: FloatArray,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pcretrieve.arrays import DOUBLE_OFFSET, FloatArray, Frame, IntArray, Mask
 from pcretrieve.arrays.open3d import open3d_mesh
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.values.compiled import compiled, inner
+from pcretrieve.values.compiled import compiled, inlined, inner
 from pcretrieve.values.geometry import TriangleMesh
 from pcretrieve.values.topology import compact, twins
 
@@ -27,6 +27,9 @@ LEAST_COSINE = 0.8
 
 # Smallest quality of a face (1 is equilateral, 0 is degenerate) after a collapse, unless it was less before.
 LEAST_QUALITY = 0.5
+
+# Sorts after all keys.
+LAST_KEY = np.iinfo(np.int64).max
 
 Keys = NDArray[np.int64]
 Point = tuple[float, float, float]
@@ -118,7 +121,7 @@ def _normal(a: Point, b: Point, c: Point) -> tuple[float, float, float, float]:
     return x, y, z, np.sqrt(x * x + y * y + z * z)
 
 
-@inner()
+@inlined()
 def _times(q: FloatArray, u: int, x: float, y: float, z: float) -> Point:
     return (
         q[u, 0] * x + q[u, 3] * y + q[u, 4] * z,
@@ -127,7 +130,7 @@ def _times(q: FloatArray, u: int, x: float, y: float, z: float) -> Point:
     )
 
 
-@inner()
+@inlined()
 def _meeting(vertices: FloatArray, q: FloatArray, u: int, v: int) -> tuple[float, Point]:
     """The additional cost of the minimum of the quadrics of two vertices, and its place."""
     # Each vertex is at the minimum of its own quadric, so that a displacement y costs yᵀ Q y more. The
@@ -150,7 +153,7 @@ def _meeting(vertices: FloatArray, q: FloatArray, u: int, v: int) -> tuple[float
     return float(cost), (vertices[u, 0] + x, vertices[u, 1] + y, vertices[u, 2] + z)
 
 
-@inner()
+@inlined()
 def _solved(
     matrix: tuple[float, float, float, float, float, float], right: Point
 ) -> Point:
@@ -174,32 +177,35 @@ def _key(cost: float, edge: int) -> int:
     return int(np.int64(np.float32(cost).view(np.int32)) << 32 | edge)
 
 
-@inner()
+@inlined()
 def _sink(heap: Keys, size: int, at: int) -> None:
+    """Move a key down a heap of some size, in which each key has four keys below it."""
     key = heap[at]
     while True:
-        child = 2 * at + 1
+        child = 4 * at + 1
         if child >= size:
             break
-        # Without a branch, which would be mispredicted.
-        child += child + 1 < size and heap[child + 1] < heap[child]
-        if heap[child] >= key:
+        # Without branches, which would be mispredicted.
+        a = child + (heap[child + 1] < heap[child])
+        b = child + 2 + (heap[child + 3] < heap[child + 2])
+        least = b if heap[b] < heap[a] else a
+        if heap[least] >= key:
             break
-        heap[at] = heap[child]
-        at = child
+        heap[at] = heap[least]
+        at = least
     heap[at] = key
 
 
-@inner()
+@inlined()
 def _rise(heap: Keys, at: int) -> None:
     key = heap[at]
-    while at > 0 and heap[(at - 1) // 2] > key:
-        heap[at] = heap[(at - 1) // 2]
-        at = (at - 1) // 2
+    while at > 0 and heap[(at - 1) // 4] > key:
+        heap[at] = heap[(at - 1) // 4]
+        at = (at - 1) // 4
     heap[at] = key
 
 
-@inner()
+@inlined()
 def _keeps_shape(
     vertices: FloatArray, corners: IntArray, twin: IntArray, h: int, place: Point
 ) -> bool:
@@ -237,7 +243,7 @@ def _quality(a: Point, b: Point, c: Point, double: float) -> float:
     return 2 * np.sqrt(3) * double / squares if squares > 0 else 0.0
 
 
-@inner()
+@inlined()
 def _keeps_topology(
     corners: IntArray, twin: IntArray, h: int, mark: IntArray, label: int
 ) -> bool:
@@ -255,7 +261,7 @@ def _keeps_topology(
     return n_shared == 2 and n_u + n_v > 6
 
 
-@inner()
+@inlined()
 def _merge(
     corners: IntArray, twin: IntArray, edge: IntArray, half: IntArray, h: int
 ) -> int:
@@ -282,7 +288,7 @@ class Edges(NamedTuple):
 
     of: (3m,) the edge of each half-edge.
     half: (e,) a half-edge of each edge, −1 once it is removed.
-    heap: (e,) keys of the queued edges, the least first.
+    heap: (e + 3,) keys of the queued edges, the least first; then `LAST_KEY`.
     known: (e,) the step in which the cost of the edge was computed.
     queued: (e,) whether the edge is in the heap.
     """
@@ -305,7 +311,7 @@ def _edges(
     """All edges, queued by cost."""
     edge = np.empty(len(corners), dtype=np.int32)
     half = np.empty(len(corners) // 2, dtype=np.int32)
-    heap = np.empty(len(half), dtype=np.int64)
+    heap = np.full(len(half) + 3, LAST_KEY)
     size = 0
     for h in range(len(corners)):
         if h < twin[h]:
@@ -314,13 +320,13 @@ def _edges(
             cost, _ = _meeting(vertices, quadrics, corners[h], corners[twin[h]])
             heap[size] = _key(cost / area, size)
             size += 1
-    for at in range(size // 2 - 1, -1, -1):
+    for at in range(size // 4, -1, -1):
         _sink(heap, size, at)
     known = np.zeros(len(half), dtype=np.int32)
     return Edges(edge, half, heap, known, np.ones(len(half), dtype=np.bool_))
 
 
-@inner()
+@inlined()
 def _requeue(
     corners: IntArray,
     twin: IntArray,
@@ -367,7 +373,7 @@ def _collapsed(
     # Whether an edge of the vertex may not be queued.
     is_rejected = np.zeros(len(vertices), dtype=np.bool_)
     edges = _edges(vertices, corners, twin, quadrics, area)
-    size, step, label = len(edges.heap), 0, 0
+    size, step, label = len(edges.half), 0, 0
     while len(corners) // 3 - 2 * step > n_faces and size > 0:
         edge = edges.heap[0] & 0x7FFFFFFF
         h = edges.half[edge]
@@ -400,7 +406,7 @@ def _collapsed(
         size = _requeue(corners, twin, edges, h, is_rejected, size)
 
 
-@inner()
+@inlined()
 def _join(
     vertices: FloatArray, quadrics: FloatArray, u: int, v: int, place: Point
 ) -> None:
@@ -411,12 +417,12 @@ def _join(
         quadrics[u, k] += quadrics[v, k]
 
 
-@inner()
+@inlined()
 def _popped(edges: Edges, size: int) -> int:
     """Remove the first edge from a heap of some size; returns the new size."""
     edges.queued[edges.heap[0] & 0x7FFFFFFF] = False
     size -= 1
-    edges.heap[0] = edges.heap[size]
+    edges.heap[0], edges.heap[size] = edges.heap[size], LAST_KEY
     _sink(edges.heap, size, 0)
     return size
 

@@ -210,11 +210,11 @@ def components(mesh: TriangleMesh) -> Index:
     of_vertex = joined_by(
         np.concatenate([a, b]), np.concatenate([b, c]), len(mesh.vertices)
     )  # (n,)
-    # (m,); unreferenced vertices are no components.
-    _, of_face = np.unique(of_vertex[a], return_inverse=True)
-    largest_first = np.argsort(
-        -np.bincount(of_face, weights=mesh.face_areas), kind="stable"
-    )
+    of_face = of_vertex[a]
+    areas = np.bincount(of_face, weights=mesh.face_areas)
+    # Unreferenced vertices are no components.
+    areas[np.bincount(of_face) == 0] = -1
+    largest_first = np.argsort(-areas, kind="stable")
     return np.asarray(np.argsort(largest_first)[of_face], dtype=np.intp)
 
 
