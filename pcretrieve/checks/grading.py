@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from pcretrieve.values import FloatArray, Grade
+from pcretrieve.values.shapes import LIMB_MISSING
 
 Outcome = Literal["passed", "look", "failed"]
 
@@ -167,7 +168,7 @@ MEASURES = {
         (ENDS_OF_NOISE, ENDS_OF_NOISE),
         "Points lie on the ends of the limbs.",
         "The surface was closed across a limb that ends in a hole: scan the part that is missing.",
-        "the end of a limb is missing",
+        LIMB_MISSING,
         "incomplete",
     ),
     "Gaps": Measure(

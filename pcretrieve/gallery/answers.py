@@ -20,7 +20,7 @@ from pcretrieve.errors import (
     ShapeError,
     did_you_mean,
 )
-from pcretrieve.gallery.fitted import index
+from pcretrieve.gallery.fitted import index, stored_signature
 from pcretrieve.options import OptionsLike, PipelineOptions, check_many
 from pcretrieve.retrieval.covariances import LEAST_SHAPES
 from pcretrieve.retrieval.distances import checked_k, nearest_of, position_of
@@ -566,10 +566,18 @@ def _ranked(
         ]
         found = nearest_of([matrix.ids[number] for number in chosen], row[chosen], most)
     else:
-        compared = query if isinstance(query, str) else query.signature
-        made = index(catalogue, options=question.options)
-        found = made.ranked(
-            compared, most, among=among, rerank=question.options.retrieval.rerank
+        options = question.options
+        asked = catalogue.record(query) if isinstance(query, str) else query
+        lacks_limb = asked.grade is not None and asked.grade.lacks_limb
+        compared: str | Signature = query if isinstance(query, str) else query.signature
+        if isinstance(query, str) and lacks_limb:
+            compared = stored_signature(catalogue, query, options=options)
+        found = index(catalogue, options=options).ranked(
+            compared,
+            most,
+            among=among,
+            rerank=options.retrieval.rerank,
+            lacks_limb=lacks_limb,
         )
     left_out = query if question.exclude_self else None
     return _some(found, [row for row, name in enumerate(found.ids) if name != left_out])

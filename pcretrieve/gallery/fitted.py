@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -40,7 +41,7 @@ from pcretrieve.values import (
 logger = logging.getLogger(__name__)
 
 # Version of the arrays of an index, which is incremented when their meaning changes.
-FORMAT = 14
+FORMAT = 15
 
 # Smallest number of shapes for which an index is stored, or a map. The scores of 600 shapes, with the import
 # of what fits them, would be two thirds of a query by id.
@@ -109,7 +110,7 @@ def stored_signature(
     Returns
     -------
     Signature
-        As `describe` returns it, with the error over the surfaces of the scan.
+        With the error over the surfaces of the scan; comparable with those of the catalogue.
 
     Raises
     ------
@@ -122,12 +123,15 @@ def stored_signature(
     from pcretrieve.descriptors.describe import with_overlaps
 
     with Catalogue.opened(catalogue) as store:
-        chosen = PipelineOptions.of(options, store.options).signature
-        needs = DESCRIPTORS[chosen.method].needs
+        chosen = PipelineOptions.of(options, store.options)
+        needs = DESCRIPTORS[chosen.signature.method].needs
         if "overlaps" not in needs or "overlaps" in store.options.catalogue.keep:
-            return describe(store.shape(shape_id, needs), chosen)
-        shape = store.shape(shape_id, (*needs, "mesh"))
-        return describe(with_overlaps(shape, store.options.spectral.element), chosen)
+            shape = store.shape(shape_id, needs)
+        else:
+            shape = store.shape(shape_id, (*needs, "mesh"))
+            shape = with_overlaps(shape, store.options.spectral.element)
+    made = describe(shape, chosen.signature)
+    return replace(made, digest=chosen.signature_digest)
 
 
 def stored_measures(

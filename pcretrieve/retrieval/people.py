@@ -18,6 +18,10 @@ therefore takes each scan half of the way to what it expects of the other scans 
 
     x ← (x + B max(0, A x + a)) / 2
 
+A scan without the end of a limb, or without the head, is far from others of this person, in a direction that
+depends on the limb more than on the person. It is therefore compared as it is, and again for each limb, after
+what such a loss moves coordinates by has been taken away.
+
 References
 ----------
 .. [1] M. Köstinger, M. Hirzer, P. Wohlhart, P. M. Roth and H. Bischof, "Large scale metric learning from
@@ -39,7 +43,8 @@ from pcretrieve.values import FloatArray
 # of r-bihdm and of log area, divided by the scale of each; network (137, H): A, a and B one above the other,
 # of hapt and N_VALUES of r-bihdm, with H hidden units. Written by scripts/benchmark people --learn. drawn
 # (105, 105), what scans by drawn sensors have changed in within and total: written by scripts/benchmark
-# transfer --learn. And the fields of `Reference`, written by scripts/benchmark people --refer.
+# transfer --learn, as losses (K, 105), what the loss of a limb moves coordinates by. And the fields of
+# `Reference`, written by scripts/benchmark people --refer.
 SAMPLE = "people.npz"
 N_VALUES = 23
 
@@ -83,6 +88,7 @@ class People(NamedTuple):
     """The mean (L,) of the coordinates of people, their covariance within people and in total, (L, L).
 
     network: (2 l + 1, H), A, a and B of the first l coordinates; empty but for the default descriptor.
+    losses: (K, L), what the loss of the end of a limb, or of the head, moves coordinates by.
     reference: what distances mean in the metric; for the default descriptor, by the form alone.
     """
 
@@ -90,6 +96,7 @@ class People(NamedTuple):
     within: FloatArray
     total: FloatArray
     network: FloatArray
+    losses: FloatArray
     reference: Reference | None = None
 
     def unlikeness(self, coordinates: FloatArray) -> float:
@@ -158,4 +165,5 @@ def people(
     known = None
     if is_default and not options.size_weight and "same" in sample:
         known = Reference(*(sample[name] for name in Reference._fields))
-    return People(sample["mean"][chosen] * scale, within, total, network, known)
+    mean, losses = (sample[name][..., chosen] * scale for name in ("mean", "losses"))
+    return People(mean, within, total, network, losses, known)

@@ -109,6 +109,8 @@ class Whitening(Arrays):
         What was used and why, in one line.
     network : (2 L + 1, H) float64
         The correction, as in `pcretrieve.retrieval.people`; without hidden units none.
+    losses : (K, L) float64
+        What log-signatures of people move by if the end of a limb is missing; empty if not known.
     """
 
     kind: str
@@ -119,6 +121,7 @@ class Whitening(Arrays):
     options_digest: str = ""
     reason: str = ""
     network: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    losses: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         if self.kind not in (*WHITENINGS, CALIBRATED):
@@ -128,6 +131,7 @@ class Whitening(Arrays):
         length = len(self._lock("mean", (None,)))
         self._lock("matrix", (length, length))
         self._lock("network", (None, None))
+        self._lock("losses", (None, None))
 
     def check_made_for(self, digest: str) -> None:
         """InputError if the whitening was fitted on signatures of another digest."""
@@ -312,8 +316,9 @@ def _of_people(own: covariances.Fit, people: People, unlike: float) -> Whitening
     reason = f"people: {1 - share:.0%} learned from simulated people"
     reason += f", {share:.0%} from {own.reason}" if share else ""
     n_own = len(own.shapes) if share else 0
+    learned = people.network, people.losses
     return Whitening(
-        "people", people.mean, root, n_own, own.shrinkage, "", reason, people.network
+        "people", people.mean, root, n_own, own.shrinkage, "", reason, *learned
     )
 
 

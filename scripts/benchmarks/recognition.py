@@ -253,6 +253,8 @@ def learned(scans: Scans) -> dict[str, FloatArray]:
         "total": shrunk + between,
         "scale": scale,
     }
+    # These come from damaged scans: see benchmarks.transfer.
+    moments["losses"] = np.zeros((0, len(scale)))
     moments["network"] = _network(scans, moments)
     return {name: array.astype(np.float32) for name, array in moments.items()}
 
