@@ -5,7 +5,8 @@
     scripts/benchmark transfer many.sqlite                      # each kind of sensor left out once
     scripts/make_people --out bodies --people 200 --seed 48 --bodies
     scripts/benchmark transfer many.sqlite --anny bodies        # the same of others, by sensors of benchmarks
-    scripts/benchmark transfer many.sqlite --learn --share .75  # writes pcretrieve/retrieval/people.npz
+    scripts/benchmark transfer many.sqlite --learn --share .25  # writes pcretrieve/retrieval/people.npz
+    scripts/benchmark people --refer bodies --limit 60 --sensors turntable uniform      # and what it means
 
 Scans whose sensors, poses and damages were drawn at random scatter otherwise within people than those of nine
 cameras. The covariance within people is a mixture of both, of which they have a share. What people differ by
@@ -115,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--share",
         nargs="+",
         type=float,
-        default=[0.0, 0.5, 0.75, 1.0],
+        default=[0.0, 0.25, 0.5, 0.75],
         help="shares of the drawn sensors (default: %(default)s)",
     )
     parser.add_argument(
