@@ -371,6 +371,8 @@ def answer_to(catalogue: Catalogue, query: str | Described, question: Question) 
     records = tuple(known[shape_id] for shape_id in found.ids)
     asked = catalogue.record(query) if isinstance(query, str) else query
     notes = tuple(_notes(catalogue, query, [*known.values()], scores, question))
+    if asked.grade is not None and asked.grade.lacks_limb:
+        notes += ("among people it is also compared as if no limb were missing",)
     answer = Answer(found, records, scan=asked.grade, query=query, notes=notes)
     own = asked.label if isinstance(asked, Record) else None
     # Neighbours of its class spare the search for others in a large catalogue.
