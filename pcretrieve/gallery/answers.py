@@ -362,17 +362,15 @@ def answer_to(catalogue: Catalogue, query: str | Described, question: Question) 
         for shape_id, distance in zip(ranked.ids, ranked.distances, strict=True)
         if shape_id != query and (label := known[shape_id].label) is not None
     ]
-    scores = (
-        None
-        if question.matrix is not None
-        else index(catalogue, options=question.options).scores
-    )
+    is_given = question.matrix is not None
+    made = None if is_given else index(catalogue, options=question.options)
+    scores = None if made is None else made.scores
     found = _cut(catalogue, ranked, question)
     records = tuple(known[shape_id] for shape_id in found.ids)
     asked = catalogue.record(query) if isinstance(query, str) else query
     notes = tuple(_notes(catalogue, query, [*known.values()], scores, question))
-    if asked.grade is not None and asked.grade.lacks_limb:
-        notes += ("among people it is also compared as if no limb were missing",)
+    if asked.grade and asked.grade.lacks_limb and made and made.whitening.losses.size:
+        notes += ("it was also compared as if no limb were missing",)
     answer = Answer(found, records, scan=asked.grade, query=query, notes=notes)
     own = asked.label if isinstance(asked, Record) else None
     # Neighbours of its class spare the search for others in a large catalogue.
