@@ -353,7 +353,9 @@ def _answers(
 
 def answer_to(catalogue: Catalogue, query: str | Described, question: Question) -> Answer:
     """Answer one query that is known already. No file is read, whatever the query is called."""
-    ranked = _ranked(catalogue, query, question)
+    asked = catalogue.record(query) if isinstance(query, str) else query
+    lacks_limb = asked.grade is not None and asked.grade.lacks_limb
+    ranked = _ranked(catalogue, query, question, lacks_limb=lacks_limb)
     known = {record.id: record for record in catalogue.rows.several(ranked.ids)}
     # Without shapes that another process has removed meanwhile.
     ranked = _some(ranked, [row for row, name in enumerate(ranked.ids) if name in known])
@@ -367,9 +369,8 @@ def answer_to(catalogue: Catalogue, query: str | Described, question: Question) 
     scores = None if made is None else made.scores
     found = _cut(catalogue, ranked, question)
     records = tuple(known[shape_id] for shape_id in found.ids)
-    asked = catalogue.record(query) if isinstance(query, str) else query
     notes = tuple(_notes(catalogue, query, [*known.values()], scores, question))
-    if asked.grade and asked.grade.lacks_limb and made and made.whitening.losses.size:
+    if lacks_limb and made is not None and made.whitening.losses.size:
         notes += ("it was also compared as if no limb were missing",)
     answer = Answer(found, records, scan=asked.grade, query=query, notes=notes)
     own = asked.label if isinstance(asked, Record) else None
@@ -550,7 +551,7 @@ def _stored(catalogue: Catalogue, shape_id: str) -> str:
 
 
 def _ranked(
-    catalogue: Catalogue, query: str | Described, question: Question
+    catalogue: Catalogue, query: str | Described, question: Question, *, lacks_limb: bool
 ) -> Neighbors:
     """The first results, at least `LOOKED_AT`, without the query if it is to be left out."""
     among = None if question.labels is None else _labelled(catalogue, question.labels)
@@ -567,8 +568,6 @@ def _ranked(
         found = nearest_of([matrix.ids[number] for number in chosen], row[chosen], most)
     else:
         options = question.options
-        asked = catalogue.record(query) if isinstance(query, str) else query
-        lacks_limb = asked.grade is not None and asked.grade.lacks_limb
         compared: str | Signature = query if isinstance(query, str) else query.signature
         if isinstance(query, str) and lacks_limb:
             compared = stored_signature(catalogue, query, options=options)

@@ -19,8 +19,8 @@ therefore takes each scan half of the way to what it expects of the other scans 
     x ← (x + B max(0, A x + a)) / 2
 
 A scan without the end of a limb, or without the head, is far from others of this person, in a direction that
-depends on the limb more than on the person. It is therefore compared as it is, and again for each limb, after
-what such a loss moves coordinates by has been taken away.
+depends on what is missing more than on the person. It is therefore compared as it is, and again for each of
+some losses, after what the loss moves coordinates by has been taken away.
 
 References
 ----------

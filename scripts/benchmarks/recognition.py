@@ -217,13 +217,17 @@ def scans_of(catalogues: Sequence[Path]) -> Scans:
 SHRINKAGE, LEAST = 0.03, 1e-3
 
 
+def person_means(points: FloatArray, person: Positions) -> FloatArray:
+    """(p, L) means of the coordinates (n, L) of each person."""
+    sums = np.stack([np.bincount(person, column) for column in points.T], axis=1)
+    return np.asarray(sums / np.bincount(person)[:, np.newaxis])
+
+
 def people_means(points: FloatArray, person: Positions) -> tuple[FloatArray, FloatArray]:
     """(p, L) means of the coordinates (n, L) of each person, and (L, L) the covariance within people."""
-    n_of = np.bincount(person)
-    sums = np.stack([np.bincount(person, column) for column in points.T], axis=1)
-    means = sums / n_of[:, np.newaxis]
+    means = person_means(points, person)
     apart = points - means[person]
-    return means, apart.T @ apart / (len(points) - len(n_of))
+    return means, apart.T @ apart / (len(points) - len(means))
 
 
 def shrunk_within(within: FloatArray) -> FloatArray:
