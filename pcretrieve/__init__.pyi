@@ -71,6 +71,7 @@ from .gallery.fitted import (
 from .gallery.groups import (
     NearPair as NearPair,
     cluster as cluster,
+    copies as copies,
     duplicates as duplicates,
     places as places,
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -272,6 +272,7 @@ def _write_csv(outcomes: Outcomes) -> None:
 @command("duplicates")
 def duplicates_command(
     *,
+    scans: tuple[str, ...] = argument("[SCAN|FOLDER...]"),
     catalogue: str = catalogue_option,
     threshold: float | None = option(
         "--threshold DISTANCE",
@@ -287,6 +288,8 @@ def duplicates_command(
 ) -> Result:
     """Find copies of shapes: at another resolution, mirrored, or two scans of one body in one pose.
 
+    With scans that are not stored, the pairs are those of one of them and a stored shape.
+
     The table has the distance, its limit, the evidence and both ids, nearest first; pairs of two classes are
     in a second table. Distances are those of the moments of the surfaces, which must be stored; the
     signatures of copies are alike too. The evidence is one file, one surface, or one body in one pose. With
@@ -294,9 +297,19 @@ def duplicates_command(
 
     \b
     pcretrieve duplicates --catalogue bodies.sqlite --html pairs.html
+    pcretrieve duplicates new_scans --catalogue bodies.sqlite
     """
     check_one_form(as_csv=as_csv)
+    if scans and page is not None:
+        raise click.UsageError("a page shows stored shapes: leave out --html, or ingest")
     store, options = comparison.opened(catalogue)
+    if scans:
+        failures: list[ShapeError] = []
+        copies = pr.copies(store, scans, options=options, threshold=threshold)
+        found = _told_copies(failures, copies)
+        documents = (pair._asdict() for pair in found)
+        show = partial(_write_pairs_csv if as_csv else _write_pairs, found)
+        return Result(documents, options, show, failures)
     pairs = pr.duplicates(store, options=options, threshold=threshold)
     if page is not None:
         compared = options.of_copies if threshold is None else options
@@ -307,10 +320,24 @@ def duplicates_command(
     return Result([pair._asdict() for pair in pairs], options, show)
 
 
-def _write_pairs(pairs: Sequence[pr.NearPair]) -> None:
-    one_class = [pair for pair in pairs if pair.is_of_one_class]
+def _told_copies(
+    failures: list[ShapeError],
+    found: Iterable[tuple[str, list[pr.NearPair] | ShapeError]],
+) -> Iterator[pr.NearPair]:
+    """The copies of all scans; messages tell of failures."""
+    for _, pairs in found:
+        if isinstance(pairs, ShapeError):
+            failures.append(pairs)
+            say(f"failed: {pairs}")
+        else:
+            yield from pairs
+
+
+def _write_pairs(pairs: Iterable[pr.NearPair]) -> None:
+    known = [*pairs]
+    one_class = [pair for pair in known if pair.is_of_one_class]
     write_table(PAIR, map(_pair_row, one_class))
-    if mixed := [pair for pair in pairs if not pair.is_of_one_class]:
+    if mixed := [pair for pair in known if not pair.is_of_one_class]:
         write_lines(
             *[""] * bool(one_class), "Of two classes: a wrong label, or two bodies"
         )
@@ -325,7 +352,7 @@ def _pair_row(pair: pr.NearPair) -> tuple[str, ...]:
     return (*numbers, pair.evidence, pair.first, pair.second)
 
 
-def _write_pairs_csv(pairs: Sequence[pr.NearPair]) -> None:
+def _write_pairs_csv(pairs: Iterable[pr.NearPair]) -> None:
     from pcretrieve.values.files import csv_text
 
     header = (*COLUMNS_OF_PAIRS, "first_class", "second_class")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import product
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -13,12 +14,12 @@ from pcretrieve.arrays import vertex_normals
 from pcretrieve.catalogue import Catalogue, CatalogueLike
 from pcretrieve.catalogue.cache import short_digest
 from pcretrieve.descriptors.hapt import in_principal_frame
-from pcretrieve.errors import OptionError
+from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.gallery.fitted import SMALLEST_KEPT, index, reference_of
 from pcretrieve.options import OptionsLike, PipelineOptions
 from pcretrieve.retrieval import SignatureIndex, pairwise
 from pcretrieve.retrieval.people import RATES
-from pcretrieve.values import FloatArray, TriangleMesh
+from pcretrieve.values import FloatArray, Signature, TriangleMesh
 
 # Largest distance of two copies of one body in one pose, by the logarithms of their moments: see
 # docs/decisions.md, SAME.
@@ -158,20 +159,76 @@ def duplicates(
         As by `search`.
     """
     with Catalogue.opened(catalogue) as store:
-        chosen = PipelineOptions.of(options, store.options)
-        if threshold is not None and not 0 <= threshold < np.inf:
-            raise OptionError(f"threshold must be 0 or more, got {threshold}")
+        chosen, limit = _comparison(store, options, threshold)
         if not len(store):
             return []
-        if threshold is not None:
-            found = near_pairs(index(store, options=chosen), threshold)
-        else:
-            found = _copies(store, chosen)
+        compared = chosen if threshold is not None else chosen.of_copies
+        found = near_pairs(index(store, options=compared), limit)
+        if threshold is None and found:
+            found = _copies(store, chosen, found)
         label = store.labels()
         return [
             pair._replace(classes=(label[pair.first], label[pair.second]))
             for pair in found
         ]
+
+
+def copies(
+    catalogue: CatalogueLike,
+    scans: Iterable[str | Path],
+    *,
+    options: OptionsLike = None,
+    threshold: float | None = None,
+) -> Iterator[tuple[str, list[NearPair] | ShapeError]]:
+    """The shapes of a catalogue of which scans that are not stored are copies.
+
+    Parameters
+    ----------
+    catalogue : Catalogue, str or Path
+        The shapes, as in `duplicates`.
+    scans : iterable of str or Path
+        Files of scans, or folders, which stand for all scans in them. Each scan is processed.
+    options, threshold : object
+        As in `duplicates`.
+
+    Yields
+    ------
+    tuple of str and (list of NearPair or ShapeError)
+        The path of a scan, and its pairs as by `duplicates`, with the path in place of the first id; or the
+        error of a scan that cannot be read or has no usable surface.
+
+    Raises
+    ------
+    CatalogueError, InputError
+        As by `search`.
+    """
+    # Imported here, because stored shapes need no readers.
+    from pcretrieve.formats.identity import content_hash
+    from pcretrieve.ingestion.discover import discover
+    from pcretrieve.pipeline.process import process, signature_of
+
+    with Catalogue.opened(catalogue) as store:
+        chosen, limit = _comparison(store, options, threshold)
+        compared = chosen if threshold is not None else chosen.of_copies
+        label = store.labels()
+        for scan in discover([*scans]):
+            try:
+                shape = process(scan, store.options)
+                signatures = [
+                    signature_of(shape, one, scan) for one in (compared, chosen)
+                ]
+            except ShapeError as error:
+                yield str(scan), error
+                continue
+            made = index(store, options=compared)
+            found = [
+                NearPair(str(scan), other, distance, limit, "", (None, label[other]))
+                for other, distance in _within(made, signatures[0], limit)
+            ]
+            if threshold is None and found:
+                given = _Given(signatures[1], shape.mesh, content_hash(scan))
+                found = _copies(store, chosen, found, given)
+            yield str(scan), found
 
 
 def cluster(
@@ -221,16 +278,12 @@ def cluster(
 
 def near_pairs(index: SignatureIndex, limit: float) -> list[NearPair]:
     """Find all pairs of shapes that are at most so far apart, nearest first."""
-    found = []
-    for shape_id in index.ids:
-        k = 4  # doubled until one is no longer near
-        while (near := index.nearest(shape_id, k)).distances[-1] <= limit and k < len(
-            index
-        ):
-            k *= 2
-        for other, distance in zip(near.ids, near.distances.tolist(), strict=True):
-            if other > shape_id and distance <= limit:
-                found.append(NearPair(shape_id, other, distance, limit))
+    found = [
+        NearPair(shape_id, other, distance, limit)
+        for shape_id in index.ids
+        for other, distance in _within(index, shape_id, limit)
+        if other > shape_id
+    ]
     return sorted(found, key=lambda pair: (pair.distance, pair.first, pair.second))
 
 
@@ -248,18 +301,55 @@ def plane_map(points: FloatArray) -> FloatArray:
     return _framed(_apart(_framed(places), min(GAP, SHARE / np.sqrt(len(places)))))
 
 
-def _copies(store: Catalogue, options: PipelineOptions) -> list[NearPair]:
-    """The pairs whose moments are alike, and then their signatures, with the evidence."""
-    alike = near_pairs(index(store, options=options.of_copies), SAME)
-    if not alike:
-        return []
+class _Given(NamedTuple):
+    """A scan that is compared, and not stored: its signature, its surface, and the hash of its file."""
+
+    signature: Signature
+    mesh: TriangleMesh
+    content_hash: str
+
+
+def _comparison(
+    store: Catalogue, options: OptionsLike, threshold: float | None
+) -> tuple[PipelineOptions, float]:
+    """The options by which shapes are compared, and the largest distance."""
+    if threshold is not None and not 0 <= threshold < np.inf:
+        raise OptionError(f"threshold must be 0 or more, got {threshold}")
+    limit = SAME if threshold is None else threshold
+    return PipelineOptions.of(options, store.options), limit
+
+
+def _within(
+    index: SignatureIndex, query: str | Signature, limit: float
+) -> Iterator[tuple[str, float]]:
+    """The ids and distances of the shapes that are at most so far from a query, nearest first."""
+    k = 4  # doubled until one is no longer near
+    while (near := index.query(query, k)).distances[-1] <= limit and k < len(index):
+        k *= 2
+    for other, distance in zip(near.ids, near.distances.tolist(), strict=True):
+        if distance <= limit:
+            yield other, distance
+
+
+def _copies(
+    store: Catalogue,
+    options: PipelineOptions,
+    alike: Sequence[NearPair],
+    given: _Given | None = None,
+) -> list[NearPair]:
+    """The pairs with like moments whose signatures are alike too, with the evidence.
+
+    given: the first of each pair, if it is not stored.
+    """
     made = index(store, options=options)
     limit = _largest_distance(made, options)
-    return [
-        pair._replace(evidence=_evidence(store, pair))
-        for pair in alike
-        if _distance(made, pair) <= limit
-    ]
+    found = []
+    for pair in alike:
+        one = made.point_of(given.signature if given else pair.first)
+        other = made.point_of(pair.second)
+        if pairwise(made.distance, one, other)[0, 0] <= limit:
+            found.append(pair._replace(evidence=_evidence(store, pair, given)))
+    return found
 
 
 def _largest_distance(made: SignatureIndex, options: PipelineOptions) -> float:
@@ -272,12 +362,15 @@ def _largest_distance(made: SignatureIndex, options: PipelineOptions) -> float:
     return float(np.interp(FALSE_COPIES, RATES, reference.apart))
 
 
-def _evidence(store: Catalogue, pair: NearPair) -> Literal["file", "surface", "body"]:
+def _evidence(
+    store: Catalogue, pair: NearPair, given: _Given | None
+) -> Literal["file", "surface", "body"]:
     """What two shapes whose moments and signatures are alike have in common."""
-    one, other = store[pair.first], store[pair.second]
-    if one.content_hash == other.content_hash:
+    one = given or store[pair.first]
+    if one.content_hash == store[pair.second].content_hash:
         return "file"
-    gap = _surface_gap(store.mesh(pair.first), store.mesh(pair.second))
+    mesh = given.mesh if given else store.mesh(pair.first)
+    gap = _surface_gap(mesh, store.mesh(pair.second))
     return "surface" if gap <= ONE_SURFACE else "body"
 
 
@@ -302,12 +395,6 @@ def _surface_gap(one: TriangleMesh, other: TriangleMesh) -> float:
         apart = np.abs((offsets * normals[by][nearest]).sum(axis=1))
         gaps.append(float(np.quantile(apart, SURFACE_SHARE)))
     return min(gaps)
-
-
-def _distance(index: SignatureIndex, pair: NearPair) -> float:
-    """The distance of the signatures of two shapes."""
-    one, other = index.point_of(pair.first), index.point_of(pair.second)
-    return float(pairwise(index.distance, one, other)[0, 0])
 
 
 def _framed(places: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
+from unittest.mock import ANY
 
 import numpy as np
 import pytest
@@ -497,6 +498,35 @@ def test_copies_of_two_classes_are_in_a_table_of_their_own(tmp_path: Path) -> No
     assert [(row[0], row[1], *row[4:]) for row in rows] == [
         (one.first, one.second, one.evidence, *one.classes) for one in found
     ]
+
+
+def test_scans_that_are_not_stored_are_compared_with_what_is(
+    near: Path, tmp_path: Path
+) -> None:
+    """A coarse mirror image is a copy, another body is none, and a file that fails stops neither."""
+    coarse, other = (shapes.ellipsoid((1, 1, height), 2) for height in (1.8, 1.5))
+    write_mesh(
+        pr.TriangleMesh(coarse.vertices * [-1, 1, 1], coarse.faces[:, ::-1]),
+        tmp_path / "mirrored.off",
+    )
+    write_mesh(other, tmp_path / "other.off")
+    (tmp_path / "broken.off").write_text("OFF\n")
+    done = run("duplicates", tmp_path, "-c", near, code=3)
+    assert [line.split()[2:] for line in done.stdout.splitlines()[1:]] == [
+        ["surface", str(tmp_path / "mirrored.off"), "0"]
+    ]
+    assert "broken.off" in done.stderr
+    found = {Path(name).stem: pairs for name, pairs in pr.copies(near, [tmp_path])}
+    assert isinstance(found["broken"], pr.ShapeError) and found["other"] == []
+    assert found["mirrored"] == [
+        pr.NearPair(str(tmp_path / "mirrored.off"), "0", ANY, ANY, "surface", (None, "a"))
+    ]
+    ((_, every),) = pr.copies(near, [tmp_path / "other.off"], threshold=1e9)
+    assert isinstance(every, list) and {one.second for one in every} == {*"012345"}
+    assert every == sorted(every, key=lambda one: one.distance)
+    assert "leave out --html" in refusal(
+        "duplicates", tmp_path, "-c", near, "--html", tmp_path / "page.html"
+    )
 
 
 def test_a_map_is_a_picture_or_a_page(near: Path, tmp_path: Path) -> None:
