@@ -159,10 +159,9 @@ def duplicates(
         As by `search`.
     """
     with Catalogue.opened(catalogue) as store:
-        chosen, limit = _comparison(store, options, threshold)
+        chosen, compared, limit = _comparison(store, options, threshold)
         if not len(store):
             return []
-        compared = chosen if threshold is not None else chosen.of_copies
         found = near_pairs(index(store, options=compared), limit)
         if threshold is None and found:
             found = _copies(store, chosen, found)
@@ -208,27 +207,28 @@ def copies(
     from pcretrieve.pipeline.process import process, signature_of
 
     with Catalogue.opened(catalogue) as store:
-        chosen, limit = _comparison(store, options, threshold)
-        compared = chosen if threshold is not None else chosen.of_copies
+        chosen, compared, limit = _comparison(store, options, threshold)
         label = store.labels()
         for scan in discover([*scans]):
+            name = str(scan)
             try:
                 shape = process(scan, store.options)
-                signatures = [
+                first, own = (
                     signature_of(shape, one, scan) for one in (compared, chosen)
-                ]
+                )
             except ShapeError as error:
-                yield str(scan), error
+                yield name, error
                 continue
-            made = index(store, options=compared)
             found = [
-                NearPair(str(scan), other, distance, limit, "", (None, label[other]))
-                for other, distance in _within(made, signatures[0], limit)
+                NearPair(name, other, distance, limit, "", (None, label[other]))
+                for other, distance in _within(
+                    index(store, options=compared), first, limit
+                )
             ]
             if threshold is None and found:
-                given = _Given(signatures[1], shape.mesh, content_hash(scan))
+                given = _Given(own, shape.mesh, content_hash(scan))
                 found = _copies(store, chosen, found, given)
-            yield str(scan), found
+            yield name, found
 
 
 def cluster(
@@ -311,12 +311,14 @@ class _Given(NamedTuple):
 
 def _comparison(
     store: Catalogue, options: OptionsLike, threshold: float | None
-) -> tuple[PipelineOptions, float]:
-    """The options by which shapes are compared, and the largest distance."""
-    if threshold is not None and not 0 <= threshold < np.inf:
+) -> tuple[PipelineOptions, PipelineOptions, float]:
+    """The options of a request, those by which shapes are compared first, and the largest distance."""
+    chosen = PipelineOptions.of(options, store.options)
+    if threshold is None:
+        return chosen, chosen.of_copies, SAME
+    if not 0 <= threshold < np.inf:
         raise OptionError(f"threshold must be 0 or more, got {threshold}")
-    limit = SAME if threshold is None else threshold
-    return PipelineOptions.of(options, store.options), limit
+    return chosen, chosen, threshold
 
 
 def _within(

@@ -188,13 +188,18 @@ def _likeliest_shrinkage(
     return INTENSITIES[int(np.argmax(likelihood))]
 
 
-def neighbour_covariance(logs: FloatArray, shrinkage: Shrinkage) -> Fit:
-    """The covariance of the differences of neighbours among log-signatures (N, L), or why there is none."""
+def neighbour_covariance(
+    logs: FloatArray, shrinkage: Shrinkage, compared: Positions | None = None
+) -> Fit:
+    """The covariance of the differences of neighbours among log-signatures (N, L), or why there is none.
+
+    compared: the coordinates by which neighbours are found; by default all.
+    """
     if len(logs) < LEAST_SHAPES:
         reason = f"none, because {len(logs)} shapes are too few to learn from neighbours ({LEAST_SHAPES})"
         return Fit(logs, None, 0.0, reason)
     used = checked_shrinkage("neighbours", shrinkage)
-    pairs = neighbour_pairs(logs)
+    pairs = neighbour_pairs(logs, compared)
     n_pairs = len(pairs.weights)
     if n_pairs < LEAST_PAIRS:
         reason = f"none, because only {n_pairs} pairs of shapes are mutual neighbours ({LEAST_PAIRS})"
@@ -242,15 +247,21 @@ class NeighbourPairs(NamedTuple):
     n_neighbors: int
 
 
-def neighbour_pairs(logs: FloatArray) -> NeighbourPairs:
-    """The pairs of shapes, given as log-signatures (N, L), that are among each other's nearest."""
+def neighbour_pairs(
+    logs: FloatArray, compared: Positions | None = None
+) -> NeighbourPairs:
+    """The pairs of shapes, given as log-signatures (N, L), that are among each other's nearest.
+
+    compared: the coordinates by which they are found; by default all.
+    """
     from scipy.sparse import triu
 
-    rows = np.arange(len(logs)) if len(logs) <= LARGEST else near_groups(logs, LARGEST)
+    known = logs if compared is None else logs[:, compared]
+    rows = np.arange(len(logs)) if len(logs) <= LARGEST else near_groups(known, LARGEST)
     # So that ties do not depend on the order of the table.
     rows = rows[np.lexsort(logs[rows].T)]
     points = np.ascontiguousarray(logs[rows])
-    lists = neighbour_lists(_blocks(points), len(points))
+    lists = neighbour_lists(_blocks(np.ascontiguousarray(known[rows])), len(points))
     order = rerank(lists, parameters=PAIRING)
     most = min(MOST_NEIGHBORS, order.shape[1] - 1)
     k = min(_distinct_number(order, most), order.shape[1] - 1)

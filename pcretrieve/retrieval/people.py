@@ -37,6 +37,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pcretrieve.options import SignatureOptions, fused_names
+from pcretrieve.retrieval.distances import Positions
 from pcretrieve.values import FloatArray
 
 # mean (105,), within and total (105, 105), scale (105,): the moments of the coordinates of hapt, of 59 values
@@ -89,6 +90,7 @@ class People(NamedTuple):
 
     network: (2 l + 1, H), A, a and B of the first l coordinates; empty but for the default descriptor.
     losses: (K, L), what the loss of the end of a limb, or of the head, moves coordinates by.
+    compared: the coordinates by which neighbours in a catalogue are found: those of hapt, if there are any.
     reference: what distances mean in the metric; for the default descriptor, by the form alone.
     """
 
@@ -97,6 +99,7 @@ class People(NamedTuple):
     total: FloatArray
     network: FloatArray
     losses: FloatArray
+    compared: Positions
     reference: Reference | None = None
 
     def unlikeness(self, coordinates: FloatArray) -> float:
@@ -166,4 +169,7 @@ def people(
     if is_default and not options.size_weight and "same" in sample:
         known = Reference(*(sample[name] for name in Reference._fields))
     mean, losses = (sample[name][..., chosen] * scale for name in ("mean", "losses"))
-    return People(mean, within, total, network, losses, known)
+    # Limbs that are not parted change the distances along a surface, and so R-BiHDM, more than a class does.
+    # The size, at −1, is compared with hapt.
+    compared = np.flatnonzero((chosen < BEGINS["r-bihdm"]) | ("hapt" not in names))
+    return People(mean, within, total, network, losses, compared, known)

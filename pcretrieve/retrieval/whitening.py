@@ -209,6 +209,7 @@ def fit_whitening(
         )
     covariances.checked_shrinkage(kind, shrinkage)
     used, unlike = kind, np.inf
+    compared = None if people is None else people.compared
     if people is not None and len(logs) and kind in (*AUTOMATIC, "people"):
         unlike = people.unlikeness(logs)
     if kind in AUTOMATIC:
@@ -222,7 +223,7 @@ def fit_whitening(
         own = covariances.Fit(logs, None, 0.0, "none")
         if not (kind == "auto" and _are_of_one_scan_each(labels)):
             logs = corrected(logs, people.network)
-            own = covariances.neighbour_covariance(logs, shrinkage)
+            own = covariances.neighbour_covariance(logs, shrinkage, compared)
         return replace(_of_people(own, people, unlike), options_digest=options_digest)
     fit = covariances.Fit(logs, None, 0.0, "none")
     if used == "pca":
@@ -232,7 +233,7 @@ def fit_whitening(
             logs, labels, shrinkage, one_unit=metric != "values"
         )
     elif used == "neighbours":
-        fit = covariances.neighbour_covariance(logs, shrinkage)
+        fit = covariances.neighbour_covariance(logs, shrinkage, compared)
     if fit.covariance is None:
         zero, identity = np.zeros(logs.shape[1]), np.eye(logs.shape[1])
         return Whitening(

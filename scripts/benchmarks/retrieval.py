@@ -6,6 +6,9 @@ FOLDER of --data has the subfolders shrec11, tosca and shrec14_csd, as far as th
 and the scans in scans/ need no data. With --keep, the catalogues stay in a folder, so that the next run
 computes only what is missing. Without it a run takes half an hour on one core.
 
+Sets such as tosca-turntable are scanned by the sensors of scripts/benchmark grades, on which the descriptors
+were not chosen; they are computed only if --only names them.
+
 With --no-match, a share of the classes is left out of the gallery. "sure" is the share of right answers among
 those that are called sure, "given" the share of the right answers that are. The last columns say how good the
 answer "no match" is, if a match must have a score of .9: precision is the share of these answers to queries
@@ -35,6 +38,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.bodies import Body
 from benchmarks.measuring import (
     MEASURES,
     Column,
@@ -44,9 +48,12 @@ from benchmarks.measuring import (
     evaluate_table,
     measure_values,
     print_lines,
+    progress,
     use_one_core,
 )
-from benchmarks.sets import SETS, ingested, left_out, pooled_vectors, written_set
+from benchmarks.sensors import SENSORS
+from benchmarks.sets import SETS, Item, ingested, left_out, pooled_vectors, written_set
+from benchmarks.simulation import write_ply
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import BenchmarkError, OptionError
 from pcretrieve.evaluation import rank_table
@@ -68,6 +75,13 @@ SCANS = {
     "tosca-sensors": "tosca",
     "people-scans": "humans",
     "samples": "scans",
+}
+
+# Sets that other sensors scan, by those of `benchmarks.sensors`: not among the sets of a run that names none.
+BY_SENSOR = {
+    f"{name}-{sensor}": (source, sensor)
+    for name, source in (("tosca", "tosca"), ("people", "humans"))
+    for sensor in ("nine", "uniform", "turntable")
 }
 VECTORS: dict[str, tuple[str, Metric]] = {
     "shrec14-real": ("real.mat", "values"),
@@ -124,7 +138,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argument_parser(__doc__)
     add_data(parser)
     parser.add_argument(
-        "--only", nargs="+", choices=NAMES, default=NAMES, help="some sets only"
+        "--only",
+        nargs="+",
+        choices=(*NAMES, *BY_SENSOR),
+        default=NAMES,
+        help="some sets only",
     )
     parser.add_argument(
         "--samples", type=Path, default=Path("scans"), help="folder of the sample scans"
@@ -181,7 +199,7 @@ def _needed(name: str, given: argparse.Namespace) -> Path:
         return data / "shrec14_csd"
     if name == "samples":
         return Path(given.samples)
-    source = (MESHES | SCANS)[name]
+    source = BY_SENSOR[name][0] if name in BY_SENSOR else (MESHES | SCANS)[name]
     return Path() if source == "humans" else data / source
 
 
@@ -223,8 +241,25 @@ def _files(
     if name == "samples" or MESHES.get(name) in ("shrec11", "tosca"):
         return _needed(name, given), None
     files = folder / f"{name}-files"
+    if name in BY_SENSOR:
+        source, sensor = BY_SENSOR[name]
+        return files, _scanned(SETS[source](given.data, None), files, sensor)
     items = SETS[(MESHES | SCANS)[name]](given.data, None)
     return files, written_set(items, files, CONDITIONS.get(name))
+
+
+def _scanned(items: Sequence[Item], folder: Path, sensor: str) -> dict[str, str]:
+    """Write scans of a set by a sensor, and return their classes."""
+    folder.mkdir(exist_ok=True)
+    labels = {}
+    for item in progress(items, folder.name):
+        path = folder / f"{item.name}.ply"
+        if not path.exists():
+            body = Body(item.name, item.label, item.mesh)
+            rng = np.random.default_rng(item.number)
+            write_ply(path, SENSORS[sensor](body, rng))
+        labels[path.name] = item.label
+    return labels
 
 
 def _rows(

@@ -304,6 +304,26 @@ def test_the_metric_of_people_is_known_for_these_signatures_alone() -> None:
         fit_whitening("people", np.ones((3, 8)))
 
 
+@pytest.mark.parametrize("method", ("hapt+r-bihdm", "r-bihdm+hapt"))
+def test_limbs_that_are_not_parted_do_not_pair_strangers(method: str) -> None:
+    """What R-BiHDM is depends on how limbs are joined, and not on the class."""
+    known, rng = people(SignatureOptions(method=method)), np.random.default_rng(1)
+    assert known is not None
+    label = np.repeat(np.arange(12), 6)
+    parts = {
+        "hapt": rng.normal(0, 0.5, (12, 45))[label] + rng.normal(0, 0.1, (72, 45)),
+        "r-bihdm": rng.normal(0, 2, (72, 23)),
+    }
+    logs = np.hstack([parts[name] for name in method.split("+")])
+    right = []
+    for moments in (known, None):
+        points = fit_whitening("neighbours", logs, people=moments).apply(logs)
+        apart = pairwise("log", points, points)
+        np.fill_diagonal(apart, np.inf)
+        right.append((label[apart.argmin(axis=1)] == label).mean())
+    assert right[0] == 1 and right[1] < 0.5
+
+
 def test_labels_are_used_by_auto_alone() -> None:
     logs, labels = posed_logs(), classes_of(60, 6)
     assert fit_whitening("auto", logs, labels).kind == "within-class"
