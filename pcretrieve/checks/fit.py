@@ -93,8 +93,10 @@ BESIDE = 0.88
 # How far the ends of the body along this axis reach, where hair is and soles are; relative to the length.
 AT_END = 0.1
 
-# Largest size of ends in hair, where no limb is missing.
+# Largest size of ends that sensors do not see, in hair or under feet, where no limb is missing; and how far
+# the body reaches beyond them, relative to the length: .09 and more beyond a leg that is cut.
 IN_HAIR = 0.0175
+LAST = 0.05
 
 # An end is no cut limb if the cosine between its axis and the normals round it has this mean: it is 0 round a
 # cut limb, .35 and more round a crown without hair, 1 round a shallow hole.
@@ -450,8 +452,8 @@ class Fit:
         """Whether a place is at an end of the body that sensors beside it see badly: a crown, or a sole."""
         if self._blind_axis is None:
             return False
-        along, at = self.places @ self._blind_axis, place @ self._blind_axis
-        return bool(min(along.max() - at, at - along.min()) < AT_END * self.length)
+        along = (self.places - place) @ self._blind_axis
+        return bool(min(along.max(), -along.min()) < AT_END * self.length)
 
     @cached_property
     def ends(self) -> tuple[End, ...]:
@@ -507,8 +509,16 @@ class Fit:
         area = float(np.linalg.norm(self.areas[closing] @ self.normals[closing]))
         flatness = area / float(self.areas[far[is_near]].sum())
         size = likeness * flatness * np.sqrt(area / float(self.areas.sum()))
-        is_hair = size < IN_HAIR and self.is_at_end(middle)
-        return None if is_hair else End(middle, size)
+        is_expected = size < IN_HAIR and self._is_hidden(faces, middle)
+        return None if is_expected else End(middle, size)
+
+    def _is_hidden(self, faces: Faces, middle: FloatArray) -> bool:
+        """Whether faces end the body where sensors see badly: in hair beside a turntable, or under feet."""
+        if self._blind_axis is not None:
+            return self.is_at_end(middle)
+        reach = ((self.places - middle) @ self.axis(faces)).max()
+        is_last = bool(reach < LAST * self.length)
+        return is_last and self.is_unseen(faces, middle, self._near_end)
 
 
 def between(around: Neighborhoods) -> float:

@@ -6,9 +6,9 @@
 
 Kinds: people of Anny (bodies: make_people --bodies), animals, hands, bones and parts of machines. Sensors:
 nine cameras; uniform points with noise, six holes and strays; one depth camera beside a turntable, with hair
-that answers in patches and soles that nobody saw; 10,000 and 200,000 uniform points; and clean meshes, which
-are used as they are. Damages: the end of a limb or the head, a hole of 8 % of the length, nine tenths of the
-points on one side, and a second body that is pressed into the first.
+that answers in patches and soles that nobody saw; 10,000 and 200,000 uniform points; nine cameras above the
+soles; and clean meshes, which are used as they are. Damages: the end of a limb or the head, a hole of 8 % of
+the length, nine tenths of the points on one side, and a second body that is pressed into the first.
 
 Each individual is scanned whole in two poses, or on two sides. The nearest of a scan is looked for among
 the whole scans by the same sensor in the other pose, by the default descriptor: in the metric of people, or,

@@ -38,8 +38,8 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.bodies import Body, sealed, skin_of
 from benchmarks.measuring import argument_parser, progress
-from benchmarks.sensors import DAMAGES, KINDS, WHOLE, drawn, left_by
-from benchmarks.simulation import RigOptions, scan
+from benchmarks.sensors import DAMAGES, KINDS, NINE_ABOVE, WHOLE, drawn, left_by
+from benchmarks.simulation import scan
 from benchmarks.simulation.samples import moved, random_motion, write_ply
 from pcretrieve.formats import write_mesh
 from pcretrieve.retrieval import Positions
@@ -88,9 +88,6 @@ CHANGED = (
         "bulge",
     ),
 )
-
-# Nine cameras, the lowest of which see the soles at more than the largest angle of incidence.
-RIG = RigOptions(elevations=(5.0, 45.0, -12.0), n_points=20_000)
 
 # How much wider the ranges of angles are for scans by several sensors, and the share of these with a damage.
 WIDER, DAMAGED = 1.3, 0.25
@@ -334,7 +331,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 write_mesh(body, path)
                 continue
             rng = np.random.default_rng((given.seed, person, 10 + POSES.index(pose)))
-            write_ply(path, moved(random_motion(rng), scan(body, RIG, rng).points))
+            write_ply(path, moved(random_motion(rng), scan(body, NINE_ABOVE, rng).points))
     _write_table(given.out, rows)
 
 

@@ -71,6 +71,7 @@ FAMILIES = {
 # The family of a sensor of benchmarks.sensors.
 FAMILY_OF = {
     "nine": "cameras",
+    "above": "cameras",
     "uniform": "uniform",
     "sparse": "uniform",
     "dense": "uniform",

@@ -6,12 +6,16 @@ two balls that touch.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
-from benchmarks.bodies import standing_places
+import trimesh
+from benchmarks.bodies import Mask, standing_places
 from benchmarks.simulation.bodies import POSES, body, make_subject
 from benchmarks.uniform import BODIES, points_of
 from shapes import icosphere
+from trimesh.remesh import subdivide_to_size
 
 from pcretrieve import PointCloud, TriangleMesh
 from pcretrieve.checks import Check, findings_of
@@ -102,7 +106,7 @@ def test_small_holes_alone_are_none() -> None:
     assert fit.holes == ()
 
 
-def by_turntable(points: FloatArray, normals: FloatArray) -> FloatArray:
+def by_turntable(points: FloatArray, normals: FloatArray) -> Mask:
     """(n,) whether a camera beside a turntable with the axis z measures points: seldom at a grazing angle."""
     beside = np.sqrt(1 - normals[:, 2] ** 2).clip(0)
     return np.asarray(np.random.default_rng(1).random(len(points)) < beside**2)
@@ -208,7 +212,49 @@ def test_a_crown_that_is_closed_flat_is_no_end_of_a_limb(
     seen = points[points[:, 2] < top]
     closed = TriangleMesh(np.minimum(BALL.vertices, [9, 9, top]), BALL.faces)
     ends = fit_of(cloud_of(seen, seen), closed).ends
-    assert (max(end.size for end in ends) > ENDS_OF_NOISE) == is_end
+    assert (max((end.size for end in ends), default=0.0) > ENDS_OF_NOISE) == is_end
+
+
+def from_above(points: FloatArray, normals: FloatArray) -> Mask:
+    """(n,) whether cameras that see little of what faces down measure points."""
+    is_lucky = np.random.default_rng(1).random(len(points)) < 0.55
+    return np.asarray((normals[:, 2] > -0.7) | is_lucky)
+
+
+def on_legs(*ends: float) -> tuple[PointCloud, TriangleMesh]:
+    """A ball on slim legs that end so far below its middle, without points of the soles."""
+    rng = np.random.default_rng(3)
+    points = [on_ball(150_000)]
+    normals, vertices, faces = [*points], [BALL.vertices], [BALL.faces]
+    for side, end in zip((-0.3, 0.3), ends, strict=True):
+        n = round(1800 * (end - 0.9))
+        angle, zeros = rng.uniform(0, 2 * np.pi, n), np.zeros(n)
+        round_leg = np.stack([np.cos(angle), np.sin(angle), zeros], axis=1)
+        middle = np.stack([zeros + side, zeros, -rng.uniform(0.9, end, n)], axis=1)
+        points.append(0.03 * round_leg + middle)
+        normals.append(round_leg)
+        leg = trimesh.creation.cylinder(
+            0.03, segment=[[side, 0, -0.9], [side, 0, -end]], sections=32
+        )
+        place, corners = subdivide_to_size(leg.vertices, leg.faces, 0.02)  # type: ignore[no-untyped-call]
+        faces.append(corners + sum(map(len, vertices)))
+        vertices.append(place)
+    mesh = TriangleMesh(np.concatenate(vertices), np.concatenate(faces))
+    return cloud_of(np.concatenate(points), np.concatenate(normals)), mesh
+
+
+@pytest.mark.parametrize("sees", [by_turntable, from_above])
+def test_soles_are_no_ends_but_a_leg_that_ends_above_the_other_is(
+    sees: Callable[[FloatArray, FloatArray], Mask],
+) -> None:
+    for left, n_ends in ((1.5, 0), (1.2, 1)):
+        cloud, mesh = on_legs(left, 1.5)
+        kept = sees(cloud.points, np.asarray(cloud.normals))
+        seen = cloud_of(cloud.points[kept], np.asarray(cloud.normals)[kept])
+        ends = [end for end in fit_of(seen, mesh).ends if end.size > ENDS_OF_NOISE]
+        assert len(ends) == n_ends
+        for end in ends:
+            assert end.middle == pytest.approx([-0.3, 0, -left], abs=0.02)
 
 
 def test_two_layers_of_points_are_double_walls() -> None:
