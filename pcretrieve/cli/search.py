@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -303,21 +303,19 @@ def duplicates_command(
     if scans and page is not None:
         raise click.UsageError("a page shows stored shapes: leave out --html, or ingest")
     store, options = comparison.opened(catalogue)
+    failures: list[ShapeError] = []
     if scans:
-        failures: list[ShapeError] = []
         copies = pr.copies(store, scans, options=options, threshold=threshold)
-        found = _told_copies(failures, copies)
-        documents = (pair._asdict() for pair in found)
-        show = partial(_write_pairs_csv if as_csv else _write_pairs, found)
-        return Result(documents, options, show, failures)
-    pairs = pr.duplicates(store, options=options, threshold=threshold)
+        pairs = sorted(_told_copies(failures, copies), key=lambda pair: pair.distance)
+    else:
+        pairs = pr.duplicates(store, options=options, threshold=threshold)
     if page is not None:
         compared = options.of_copies if threshold is None else options
         written = pr.duplicates_page(store, pairs, page, options=compared)
         say(f"page: {shown_path(str(written))}", is_broken=False)
     say(f"{len(pairs)} {'pair' if len(pairs) == 1 else 'pairs'}")
     show = partial(_write_pairs_csv if as_csv else _write_pairs, pairs)
-    return Result([pair._asdict() for pair in pairs], options, show)
+    return Result([pair._asdict() for pair in pairs], options, show, failures)
 
 
 def _told_copies(
@@ -333,11 +331,10 @@ def _told_copies(
             yield from pairs
 
 
-def _write_pairs(pairs: Iterable[pr.NearPair]) -> None:
-    known = [*pairs]
-    one_class = [pair for pair in known if pair.is_of_one_class]
+def _write_pairs(pairs: Sequence[pr.NearPair]) -> None:
+    one_class = [pair for pair in pairs if pair.is_of_one_class]
     write_table(PAIR, map(_pair_row, one_class))
-    if mixed := [pair for pair in known if not pair.is_of_one_class]:
+    if mixed := [pair for pair in pairs if not pair.is_of_one_class]:
         write_lines(
             *[""] * bool(one_class), "Of two classes: a wrong label, or two bodies"
         )
@@ -352,7 +349,7 @@ def _pair_row(pair: pr.NearPair) -> tuple[str, ...]:
     return (*numbers, pair.evidence, pair.first, pair.second)
 
 
-def _write_pairs_csv(pairs: Iterable[pr.NearPair]) -> None:
+def _write_pairs_csv(pairs: Sequence[pr.NearPair]) -> None:
     from pcretrieve.values.files import csv_text
 
     header = (*COLUMNS_OF_PAIRS, "first_class", "second_class")
