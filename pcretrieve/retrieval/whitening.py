@@ -195,7 +195,7 @@ def fit_whitening(
 
     logs: (N, L) float64, log-signatures, one in each row.
     people: the moments of such signatures of people, if known; ``auto`` stands for ``people`` if the shapes
-        are alike.
+        are alike. Neighbours are found by `People.compared`, else by all coordinates.
     metric: the metric of the signatures. The coordinates of the metric ``values`` may have different units.
         For ``within-class`` only.
     """
