@@ -208,24 +208,23 @@ def copies(
 
     with Catalogue.opened(catalogue) as store:
         chosen, compared, limit = _comparison(store, options, threshold)
-        label = store.labels()
+        made, label = index(store, options=compared), store.labels()
         for scan in discover([*scans]):
             name = str(scan)
             try:
                 shape = process(scan, store.options)
-                first, own = (
-                    signature_of(shape, one, scan) for one in (compared, chosen)
-                )
+                own = signature_of(shape, compared, scan)
+                near = [*_within(made, own, limit)]
+                if near and threshold is None:
+                    own = signature_of(shape, chosen, scan)
             except ShapeError as error:
                 yield name, error
                 continue
             found = [
                 NearPair(name, other, distance, limit, "", (None, label[other]))
-                for other, distance in _within(
-                    index(store, options=compared), first, limit
-                )
+                for other, distance in near
             ]
-            if threshold is None and found:
+            if found and threshold is None:
                 given = _Given(own, shape.mesh, content_hash(scan))
                 found = _copies(store, chosen, found, given)
             yield name, found
