@@ -32,6 +32,7 @@ import argparse
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -48,11 +49,20 @@ from benchmarks.measuring import (
     evaluate_table,
     measure_values,
     print_lines,
-    progress,
     use_one_core,
 )
 from benchmarks.sensors import SENSORS
-from benchmarks.sets import SETS, Item, ingested, left_out, pooled_vectors, written_set
+from benchmarks.sets import (
+    SETS,
+    Item,
+    Writer,
+    ingested,
+    left_out,
+    pooled_vectors,
+    write_clean,
+    write_scanned,
+    written_set,
+)
 from benchmarks.simulation import write_ply
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.errors import BenchmarkError, OptionError
@@ -77,12 +87,14 @@ SCANS = {
     "samples": "scans",
 }
 
-# Sets that other sensors scan, by those of `benchmarks.sensors`: not among the sets of a run that names none.
+# Sets that other sensors scan: the set of meshes, and the sensor of `benchmarks.sensors`. A run that names no
+# sets has none of them.
 BY_SENSOR = {
     f"{name}-{sensor}": (source, sensor)
     for name, source in (("tosca", "tosca"), ("people", "humans"))
     for sensor in ("nine", "uniform", "turntable")
 }
+SOURCES = MESHES | SCANS | {name: source for name, (source, _) in BY_SENSOR.items()}
 VECTORS: dict[str, tuple[str, Metric]] = {
     "shrec14-real": ("real.mat", "values"),
     "shrec14-synthetic": ("synthetic.mat", "values"),
@@ -199,7 +211,7 @@ def _needed(name: str, given: argparse.Namespace) -> Path:
         return data / "shrec14_csd"
     if name == "samples":
         return Path(given.samples)
-    source = BY_SENSOR[name][0] if name in BY_SENSOR else (MESHES | SCANS)[name]
+    source = SOURCES[name]
     return Path() if source == "humans" else data / source
 
 
@@ -241,25 +253,19 @@ def _files(
     if name == "samples" or MESHES.get(name) in ("shrec11", "tosca"):
         return _needed(name, given), None
     files = folder / f"{name}-files"
+    write: Writer = write_clean
     if name in BY_SENSOR:
-        source, sensor = BY_SENSOR[name]
-        return files, _scanned(SETS[source](given.data, None), files, sensor)
-    items = SETS[(MESHES | SCANS)[name]](given.data, None)
-    return files, written_set(items, files, CONDITIONS.get(name))
+        write = partial(_scanned, BY_SENSOR[name][1])
+    elif name in CONDITIONS:
+        write = partial(write_scanned, CONDITIONS[name])
+    return files, written_set(SETS[SOURCES[name]](given.data, None), files, write)
 
 
-def _scanned(items: Sequence[Item], folder: Path, sensor: str) -> dict[str, str]:
-    """Write scans of a set by a sensor, and return their classes."""
-    folder.mkdir(exist_ok=True)
-    labels = {}
-    for item in progress(items, folder.name):
-        path = folder / f"{item.name}.ply"
-        if not path.exists():
-            body = Body(item.name, item.label, item.mesh)
-            rng = np.random.default_rng(item.number)
-            write_ply(path, SENSORS[sensor](body, rng))
-        labels[path.name] = item.label
-    return labels
+def _scanned(sensor: str, item: Item, folder: Path) -> Path:
+    """Write a scan of an item by a sensor."""
+    path, body = folder / f"{item.name}.ply", Body(item.name, item.label, item.mesh)
+    write_ply(path, SENSORS[sensor](body, np.random.default_rng(item.number)))
+    return path
 
 
 def _rows(

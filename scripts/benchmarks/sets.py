@@ -128,28 +128,35 @@ SETS: dict[str, Callable[[Path, int | None], list[Item]]] = {
 """Sets of clean meshes by name: functions of the folder of all sets and the number of meshes (None: all)."""
 
 
+# What writes an item of a set into a folder, and returns its file.
+Writer = Callable[[Item, Path], Path]
+
+
+def write_clean(item: Item, folder: Path) -> Path:
+    """Write the mesh of an item."""
+    path = folder / f"{item.name}.off"
+    write_mesh(item.mesh, path)
+    return path
+
+
+def write_scanned(condition: str, item: Item, folder: Path) -> Path:
+    """Write a scan of an item under a condition."""
+    rng = np.random.default_rng(item.number)
+    return write_scan(folder / item.name, item.mesh, condition, rng)
+
+
 def written_set(
-    items: Sequence[Item], folder: Path, condition: str | None
+    items: Sequence[Item], folder: Path, write: Writer = write_clean
 ) -> dict[str, str]:
-    """Write the meshes of a set, or scans of them."""
+    """Write the meshes of a set, or scans of them, that are not there, and return their classes."""
     folder.mkdir(exist_ok=True)
     labels = {}
     for item in progress(items, folder.name):
         written = next(iter(folder.glob(f"{item.name}.*")), None)
         if written is None:
-            written = _written(item, folder, condition)
+            written = write(item, folder)
         labels[written.name] = item.label
     return labels
-
-
-def _written(item: Item, folder: Path, condition: str | None) -> Path:
-    if condition is not None:
-        return write_scan(
-            folder / item.name, item.mesh, condition, np.random.default_rng(item.number)
-        )
-    path = folder / f"{item.name}.off"
-    write_mesh(item.mesh, path)
-    return path
 
 
 def pooled_vectors(path: Path, metric: Metric) -> SignatureTable:

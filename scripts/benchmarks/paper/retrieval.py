@@ -7,7 +7,7 @@ import io
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal, NamedTuple
@@ -22,6 +22,7 @@ from benchmarks.sets import (
     pooled_vectors,
     read_mesh,
     spread,
+    write_scanned,
     written_set,
 )
 from benchmarks.simulation import POSES, body, make_subject
@@ -533,11 +534,11 @@ def track(name: str, data: Path, temporary: Path, n_bodies: int | None) -> Track
         return Track(f"{len(paths)} meshes of {layout}", folder, keep, labels)
     items, folder = SETS["humans"](data, n_bodies), temporary / name
     if name == "synthetic":
-        labels = written_set(items, folder, None)
+        labels = written_set(items, folder)
         return Track(
             f"{len(items)} clean meshes of simulated people", folder, keep, labels
         )
-    labels = written_set(items, folder, CONDITION)
+    labels = written_set(items, folder, partial(write_scanned, CONDITION))
     return Track(
         f"{len(items)} scans of simulated people, reconstructed",
         folder,
