@@ -305,7 +305,7 @@ REAL = {name for name, kind in TABLES["shapes"].items() if kind == "double preci
 def checksum(row: Mapping[str, Any]) -> int:
     """The checksum of the values of a record, by which readers notice changed bits."""
     values = [
-        float(row[name]) if name in REAL and row[name] is not None else row[name]
+        float(row[name]) if name in REAL and isinstance(row[name], int) else row[name]
         for name in SUMMED
     ]
     if row["mark"] is not None:

@@ -326,6 +326,12 @@ def test_a_whole_catalogue_has_no_defects(path: Path) -> None:
     )
 
 
+def test_a_number_that_is_no_number_any_more_is_damage(path: Path) -> None:
+    execute(path, "UPDATE shapes SET area = 'est-' WHERE id = '2'")
+    with pytest.raises(CatalogueError, match="is damaged "), Catalogue(path) as store:
+        store.records()
+
+
 THIRD = "WHERE shape = (SELECT number FROM shapes WHERE id = '2')"
 LABEL = "a class that no other shape has"
 
