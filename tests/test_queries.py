@@ -26,7 +26,7 @@ from pcretrieve.errors import (
     ScanReadError,
     ShapeError,
 )
-from pcretrieve.values import Neighbors, PointCloud, TriangleMesh
+from pcretrieve.values import Neighbors, TriangleMesh
 
 N_KINDS, N_EACH = 3, 4
 SCANS = Path(__file__).parent.parent / "scans"
@@ -316,6 +316,7 @@ def test_one_question_has_one_answer(
     text = page.read_text(encoding="utf-8")
     heads = {
         "sure": f"This is {answer.label}, <small>sure</small>",
+        "between": f'<span class="between">{answer.named}?</span>',
         "stranger": "A stranger",
     }
     assert heads[answer.verdict] in text and f"Because {answer.because}." in text
@@ -552,28 +553,3 @@ def test_a_collection_of_one_scan_each_names_people_and_strangers(tmp_path: Path
         "unknown",
         "it is the only scan of person-1",
     )
-
-
-def test_a_scan_without_feet_is_compared_as_if_it_had_them(tmp_path: Path) -> None:
-    """As a file, and as a stored shape; a signature alone does not tell that something is missing."""
-    stored = [
-        SCANS / f"person-{name}.ply" for name in ("1/person-1_stand", "3/person-3_kick")
-    ]
-    pr.ingest(stored, tmp_path / "c.sqlite", workers=1)
-    whole = pr.read_scan(SCANS / "person-1" / "person-1_walk.ply")
-    assert isinstance(whole, PointCloud)
-    points = whole.points
-    height = points[:, 1] - points[:, 1].min()
-    cut = tmp_path / "cut.xyz"
-    np.savetxt(cut, points[height > 0.12 * height.max()])
-    asked = pr.search(tmp_path / "c.sqlite", cut)
-    assert asked.scan is not None and asked.scan.lacks_limb
-    assert "it was also compared as if no limb were missing" in asked.notes
-    for query in (cut, "cut"):
-        told = nearest(tmp_path / "c.sqlite", query, exclude_self=True)
-        plain = nearest(tmp_path / "c.sqlite", pr.signature(cut), k=3)
-        plain = among(plain, ["person-1_stand", "person-3_kick"], 2)
-        assert told.ids == plain.ids == ("person-1_stand", "person-3_kick")
-        assert told.distances[0] < 0.95 * plain.distances[0]
-        assert (told.distances <= plain.distances).all()
-        pr.ingest([cut], tmp_path / "c.sqlite", workers=1)

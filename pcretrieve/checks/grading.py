@@ -11,7 +11,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from pcretrieve.values import FloatArray, Grade
-from pcretrieve.values.shapes import LIMB_MISSING
 
 Outcome = Literal["passed", "look", "failed"]
 
@@ -168,7 +167,7 @@ MEASURES = {
         (ENDS_OF_NOISE, ENDS_OF_NOISE),
         "Points lie on the ends of the limbs.",
         "The surface was closed across a limb that ends in a hole: scan the part that is missing.",
-        LIMB_MISSING,
+        "the end of a limb is missing",
         "incomplete",
     ),
     "Gaps": Measure(

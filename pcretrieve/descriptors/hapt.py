@@ -23,17 +23,24 @@ from pcretrieve.errors import DegenerateMeshError
 from pcretrieve.values import FloatArray, Grid, IntArray, Mask, Signature, TriangleMesh
 from pcretrieve.values.compiled import compiled, inner
 
-# R, in units of √A with the area A of the surface, each 1.38 times the one before, and the ratio c = σ / R. A
-# person of 1.7 m² has arms of .03, thighs of .06 and a head of .07. See docs/decisions.md, HAPT.
-RADII = np.array([0.02 * 1.38**step for step in range(5)])
+# R, in units of √A with the area A of the surface, each 1.113 times the one before, and the ratio c = σ / R.
+# A person of 1.7 m² has arms of .03, thighs of .06, a head of .07. See docs/decisions.md, HAPT.
+RADII = np.array([0.0166 * 1.113**step for step in range(22)])
 SPREAD = 0.5
 
-# Values of the transform. Higher ones than .9 are found in balls alone.
-LEVELS = np.linspace(0.1, 0.9, 9)
+# Values of the transform, each 1.6 times the one before. Higher ones are found in balls alone.
+STEP = 1.6
+LEVELS = np.array([0.052 * STEP**step for step in range(7)])
 
-# Edge of a voxel, the σ of the smallest radius, and largest distance of sample points; in units of √A.
+# What the volumes are multiplied by, (r, l). Thin parts, and the middle of parts, where levels are high,
+# change less with the pose than the larger volumes at low levels. A learned metric has weights of its own.
+WEIGHTS = LEVELS**4 / RADII[:, np.newaxis] ** 3
+
+# Edge of a voxel in units of √A, twice as long for the radii from `WIDE` on; largest distance of sample
+# points, in voxels.
 CELL = 0.01
-SPACING = 0.0075
+WIDE = 0.06
+SPACING = 1.25
 
 # Memory is limited to about 1 GB: a body of unit area that is long, thin and bent has a large bounding box,
 # and long triangles have many sample points, most of which are nearer to each other than the spacing.
@@ -45,38 +52,56 @@ def hapt(mesh: TriangleMesh) -> Signature:
     """Histograms of the area projection transform [1]_, for five radii.
 
     The settings that the article leaves open, or varies with the data (see docs/decisions.md, HAPT): radii of
-    .02 to .073 √A, relative to the area A because the unit of a file may be unknown; c = 1/2; voxels of .01
-    √A; normals interpolated from the vertices; cumulative histograms in units of volume, not of the share of
-    the body; and the Hellinger distance in the place of the Jeffrey divergence, to which it is proportional
-    for small differences, and which is no metric.
+    .017 to .16 √A, relative to the area A because the unit of a file may be unknown; c = 1/2; voxels of .01
+    and .02 √A; normals interpolated from the vertices; cumulative histograms in units of volume, not of the
+    share of the body, to which a voxel contributes in part where the transform is near a level; weights of
+    radii and levels; and the Hellinger distance in the place of the Jeffrey divergence, to which it is
+    proportional for small differences, and which is no metric.
+
+    values : (154,), for each radius the volumes at the levels of .052 to .87, relative to R³, times the
+    fourth power of the level.
 
     References
     ----------
     .. [1] A. Giachetti and C. Lovato, "Radial symmetry detection and shape characterization with the
        multiscale area projection transform", Computer Graphics Forum 31 (2012).
     """
-    areas = projected_areas(mesh, RADII, SPREAD)  # (r, k)
-    counts = [(areas >= level).sum(axis=1) for level in LEVELS]
-    values = CELL**3 * np.column_stack(counts).ravel()
-    return Signature(values, kind="hapt", metric="histograms")
-
-
-def projected_areas(mesh: TriangleMesh, radii: FloatArray, spread: float) -> FloatArray:
-    """(r, k) the transform for radii (r,), in units of √A, at the centres of all k voxels inside a body."""
     framed = in_principal_frame(mesh)
-    grid = _grid(framed, margin=int(np.ceil(spread * radii.max() / CELL)) + 1)
+    is_wide = RADII >= WIDE
+    values = [
+        _volumes(framed, RADII[~is_wide], CELL),
+        _volumes(framed, RADII[is_wide], 2 * CELL),
+    ]
+    weighted = WEIGHTS * np.concatenate(values)
+    return Signature(weighted.ravel(), kind="hapt", metric="histograms")
+
+
+def _volumes(framed: TriangleMesh, radii: FloatArray, cell: float) -> FloatArray:
+    """(r, l) in how much of a body the transform for each radius exceeds each level."""
+    areas = projected_areas(framed, radii, SPREAD, cell)  # (r, k)
+    # A voxel counts in part half a step below and above the level: whole ones would make steps of the values.
+    steps = np.log(areas.clip(LEVELS[0] / STEP) / LEVELS[0]) / np.log(STEP)
+    counts = [(steps - k + 0.5).clip(0, 1).sum(axis=1) for k in range(len(LEVELS))]
+    return np.asarray(cell**3 * np.column_stack(counts))
+
+
+def projected_areas(
+    framed: TriangleMesh, radii: FloatArray, spread: float, cell: float
+) -> FloatArray:
+    """(r, k) the transform for radii (r,) at the centres of all k voxels inside a body of unit area."""
+    grid = _grid(framed, cell, margin=int(np.ceil(spread * radii.max() / cell)) + 1)
     inside = np.flatnonzero(interior(framed, grid))  # (k,)
     if not len(inside):
         raise DegenerateMeshError(
-            f"hapt needs a body with an interior, got a surface that encloses no voxel of {CELL:g} √area: "
+            f"hapt needs a body with an interior, got a surface that encloses no voxel of {cell:g} √area: "
             "close its holes, or choose a descriptor of surfaces"
         )
     samples = _samples(framed, grid)
     steps = np.array([grid.shape[1] * grid.shape[2], grid.shape[2], 1])
     transform = np.empty((len(radii), len(inside)))
     for row, radius in zip(transform, radii, strict=True):
-        arrived = _arrived(samples, radius / CELL, grid.shape)
-        offsets, shares = _ball(spread * radius / CELL)
+        arrived = _arrived(samples, radius / cell, grid.shape)
+        offsets, shares = _ball(spread * radius / cell)
         row[:] = _gathered(arrived, inside, offsets @ steps, shares) / (
             4 * np.pi * radius**2
         )
@@ -87,16 +112,32 @@ def projected_areas(mesh: TriangleMesh, radii: FloatArray, spread: float) -> Flo
 def _arrived(
     samples: FloatArray, radius: float, shape: tuple[int, int, int]
 ) -> FloatArray:
-    """The area that arrives in each voxel of a grid, in C order, from a surface that moves inwards."""
+    """The area that arrives in each voxel of a grid, in C order, from a surface that moves inwards.
+
+    The area of a point is divided between the eight voxels around it, trilinearly: with the nearest voxel
+    alone, the errors of small radii would be two thirds of what poses change.
+    """
     arrived = np.zeros(shape[0] * shape[1] * shape[2])
+    step_x, step_y = shape[1] * shape[2], shape[2]
     for i in range(len(samples)):
-        voxel, is_held = 0, True
-        for axis in range(3):
-            moved = int(np.rint(samples[i, axis] - radius * samples[i, 3 + axis]))
-            is_held &= 0 <= moved < shape[axis]
-            voxel = voxel * shape[axis] + moved
-        if is_held:
-            arrived[voxel] += samples[i, 6]
+        x, y, z = (
+            samples[i, 0] - radius * samples[i, 3],
+            samples[i, 1] - radius * samples[i, 4],
+            samples[i, 2] - radius * samples[i, 5],
+        )
+        a, b, c = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
+        if not (
+            0 <= a < shape[0] - 1 and 0 <= b < shape[1] - 1 and 0 <= c < shape[2] - 1
+        ):
+            continue
+        first = a * step_x + b * step_y + c
+        for right in range(2):
+            along_x = samples[i, 6] * (x - a if right else a + 1 - x)
+            for behind in range(2):
+                along_y = along_x * (y - b if behind else b + 1 - y)
+                voxel = first + right * step_x + behind * step_y
+                arrived[voxel] += along_y * (c + 1 - z)
+                arrived[voxel + 1] += along_y * (z - c)
     return arrived
 
 
@@ -123,28 +164,28 @@ def _gathered(
     return gathered
 
 
-def _grid(mesh: TriangleMesh, margin: int) -> Grid:
+def _grid(mesh: TriangleMesh, cell: float, margin: int) -> Grid:
     """A grid that is its own mirror image, because the directions of principal axes are arbitrary."""
-    reach = np.ceil(np.abs(mesh.vertices).max(axis=0) / CELL) + margin  # (3,)
+    reach = np.ceil(np.abs(mesh.vertices).max(axis=0) / cell) + margin  # (3,)
     if (n_voxels := np.prod(2 * reach + 1)) > MOST_VOXELS:
         raise DegenerateMeshError(
-            f"hapt needs a body of at most {MOST_VOXELS:,} voxels of {CELL:g} √area, got {n_voxels:,.0f}: "
+            f"hapt needs a body of at most {MOST_VOXELS:,} voxels of {cell:g} √area, got {n_voxels:,.0f}: "
             "the body is too thin for its length; choose another descriptor"
         )
     n_x, n_y, n_z = (2 * reach + 1).astype(int).tolist()
-    return Grid(-reach * CELL, CELL, (n_x, n_y, n_z))
+    return Grid(-reach * cell, cell, (n_x, n_y, n_z))
 
 
 def _samples(mesh: TriangleMesh, grid: Grid) -> FloatArray:
     """(p, 7) points of a surface, in voxels, their unit normals, and the areas that they represent.
 
-    These are the centres of the triangles into which each triangle is divided, at most `SPACING` wide.
+    These are the centres of the triangles into which each triangle is divided, at most `SPACING` voxels wide.
     """
     corners = mesh.corners  # (3, 3, m)
     widest = np.sqrt(
         ((corners - corners[:, [2, 0, 1]]) ** 2).sum(axis=0).max(axis=0)
     )  # (m,)
-    n_parts = np.maximum(1, np.ceil(widest / SPACING))  # (m,) of each edge
+    n_parts = np.maximum(1, np.ceil(widest / (SPACING * grid.cell)))  # (m,) of each edge
     if (n_points := (n_parts**2).sum()) > MOST_POINTS:
         raise DegenerateMeshError(
             f"hapt needs a surface of at most {MOST_POINTS:,} sample points, got {n_points:,.0f}: some "
@@ -220,10 +261,14 @@ def _weighted_normal(
 
 
 def _ball(radius: float) -> tuple[NDArray[np.intp], FloatArray]:
-    """Offsets (b, 3) of the voxels in a ball, and their shares (b,) in it: less than 1 at its rim."""
+    """Offsets (b, 3) of the voxels in a ball, and their shares (b,) in it: less than 1 at its rim.
+
+    The sum of the shares is the volume of the ball.
+    """
     reach = int(np.ceil(radius))
     offsets = np.indices(3 * (2 * reach + 1,)).reshape(3, -1).T - reach
     shares = np.clip(radius + 0.5 - np.linalg.norm(offsets, axis=1), 0, 1)
+    shares *= 4 / 3 * np.pi * radius**3 / shares.sum()
     return offsets[shares > 0], shares[shares > 0]
 
 
@@ -306,7 +351,7 @@ HAPT = Descriptor(
     has_size=False,
     length=lambda _: len(RADII) * len(LEVELS),
     metric="histograms",
-    spread=0.012,
+    spread=0.026,
 )
 
 

@@ -334,7 +334,7 @@ def within_class_folds(
             logs[fitted],
             [table.labels[position] for position in fitted],
             shrinkage=options.shrinkage,
-            metric=table.metric,
+            one_unit=table.has_one_unit,
             options_digest=table.digest,
         )
         yield np.flatnonzero(scored), whitening

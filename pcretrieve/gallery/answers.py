@@ -20,7 +20,7 @@ from pcretrieve.errors import (
     ShapeError,
     did_you_mean,
 )
-from pcretrieve.gallery.fitted import index, stored_signature
+from pcretrieve.gallery.fitted import index
 from pcretrieve.options import OptionsLike, PipelineOptions, check_many
 from pcretrieve.retrieval.covariances import LEAST_SHAPES
 from pcretrieve.retrieval.distances import checked_k, nearest_of, position_of
@@ -354,8 +354,7 @@ def _answers(
 def answer_to(catalogue: Catalogue, query: str | Described, question: Question) -> Answer:
     """Answer one query that is known already. No file is read, whatever the query is called."""
     asked = catalogue.record(query) if isinstance(query, str) else query
-    lacks_limb = asked.grade is not None and asked.grade.lacks_limb
-    ranked = _ranked(catalogue, query, question, lacks_limb=lacks_limb)
+    ranked = _ranked(catalogue, query, question)
     known = {record.id: record for record in catalogue.rows.several(ranked.ids)}
     # Without shapes that another process has removed meanwhile.
     ranked = _some(ranked, [row for row, name in enumerate(ranked.ids) if name in known])
@@ -370,8 +369,6 @@ def answer_to(catalogue: Catalogue, query: str | Described, question: Question) 
     found = _cut(catalogue, ranked, question)
     records = tuple(known[shape_id] for shape_id in found.ids)
     notes = tuple(_notes(catalogue, query, [*known.values()], scores, question))
-    if lacks_limb and made is not None and made.whitening.losses.size:
-        notes += ("it was also compared as if no limb were missing",)
     answer = Answer(found, records, scan=asked.grade, query=query, notes=notes)
     own = asked.label if isinstance(asked, Record) else None
     # Neighbours of its class spare the search for others in a large catalogue.
@@ -551,7 +548,7 @@ def _stored(catalogue: Catalogue, shape_id: str) -> str:
 
 
 def _ranked(
-    catalogue: Catalogue, query: str | Described, question: Question, *, lacks_limb: bool
+    catalogue: Catalogue, query: str | Described, question: Question
 ) -> Neighbors:
     """The first results, at least `LOOKED_AT`, without the query if it is to be left out."""
     among = None if question.labels is None else _labelled(catalogue, question.labels)
@@ -567,16 +564,10 @@ def _ranked(
         ]
         found = nearest_of([matrix.ids[number] for number in chosen], row[chosen], most)
     else:
-        options = question.options
-        compared: str | Signature = query if isinstance(query, str) else query.signature
-        if isinstance(query, str) and lacks_limb:
-            compared = stored_signature(catalogue, query, options=options)
-        found = index(catalogue, options=options).ranked(
-            compared,
-            most,
-            among=among,
-            rerank=options.retrieval.rerank,
-            lacks_limb=lacks_limb,
+        compared = query if isinstance(query, str) else query.signature
+        made = index(catalogue, options=question.options)
+        found = made.ranked(
+            compared, most, among=among, rerank=question.options.retrieval.rerank
         )
     left_out = query if question.exclude_self else None
     return _some(found, [row for row, name in enumerate(found.ids) if name != left_out])

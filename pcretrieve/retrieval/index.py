@@ -221,13 +221,10 @@ class SignatureIndex:
             If the kind, the digest, the unit or the length of the signature is not that of the table, or a
             value is not positive and finite.
         """
-        return self._nearest(self.point_of(signature), checked_k(k))
-
-    def _nearest(self, points: FloatArray, k: int) -> Neighbors:
-        """The nearest to any of some points (h, L)."""
-        found = [self._candidates(point, min(k, len(self))) for point in points[:, None]]
-        candidates = np.unique(np.concatenate(found))
-        distances = pairwise(self._distance, points, self.points[candidates]).min(axis=0)
+        k = checked_k(k)
+        point = self.point_of(signature)
+        candidates = self._candidates(point, min(k, len(self)))
+        distances = pairwise(self._distance, point, self.points[candidates])[0]
         # Candidates ascend, and so do their ids: a stable sort leaves equal distances in the ids' order.
         first = np.argsort(distances, kind="stable")[:k]
         return Neighbors(
@@ -245,22 +242,15 @@ class SignatureIndex:
         *,
         among: Collection[str] | None = None,
         rerank: str = "none",
-        lacks_limb: bool = False,
     ) -> Neighbors:
-        """The `k` first results, or more, with their scores; of some shapes, all of which are compared.
-
-        lacks_limb: whether the scan of the query, a signature, lacks the end of a limb: it is compared as it
-            is, and after each of `Whitening.losses` has been taken away.
-        """
-        points = self.point_of(query, lacks_limb=lacks_limb)
+        """The `k` first results, or more, with their scores; of some shapes, all of which are compared."""
         # The neighbourhoods among which a list is sorted again need more shapes than asked for.
         most = k if rerank == "none" else max(k, N_NEAR)
         if among is None:
-            found = self._nearest(points, checked_k(most))
+            found = self.query(query, most)
         else:
             known = sorted({*among} & {*self.ids})
-            distances = self.between(known, points).min(axis=0)
-            found = nearest_of(known, distances, most)
+            found = nearest_of(known, self.between(known, self.point_of(query))[0], most)
         results = found
         if rerank != "none":
             shape_id = query if isinstance(query, str) else None
@@ -288,13 +278,8 @@ class SignatureIndex:
         rows: FloatArray = self.points[[self._row(shape_id) for shape_id in ids]]
         return pairwise(self._distance, rows if points is None else points, rows)
 
-    def point_of(
-        self, query: str | Signature | ArrayLike, *, lacks_limb: bool = False
-    ) -> FloatArray:
-        """The whitened coordinates (1, L) of a shape of the table, or of a signature that is comparable.
-
-        With `lacks_limb`, one row more for each loss of a limb that is taken away.
-        """
+    def point_of(self, query: str | Signature | ArrayLike) -> FloatArray:
+        """The whitened coordinates (1, L) of a shape of the table, or of a signature that is comparable."""
         if isinstance(query, str):
             place = self._row(query)
             held: FloatArray = self.points[place : place + 1]
@@ -308,10 +293,7 @@ class SignatureIndex:
             raise InputError(
                 f"the query must have shape {row}, as the table's rows have, got {point.shape}"
             )
-        rows = point[np.newaxis]
-        if lacks_limb and self.whitening.losses.size:
-            rows = np.concatenate([rows, rows - self.whitening.losses])
-        return self.whitening.apply(rows)
+        return self.whitening.apply(point[np.newaxis])
 
     def _candidates(self, point: FloatArray, k: int) -> NDArray[np.intp]:
         """Rows, ascending, that include the `k` nearest to a point and all rows at equal distance."""

@@ -10,17 +10,12 @@ likelihoods of d is, up to constants, −dᵀ M d with
 which is the metric KISSME [1]_. It is that of linear discriminants: in directions in which people do not
 differ, S_t = S_w, and differences do not count. Other whitenings would amplify these directions.
 
-Both covariances are those of raw scans of simulated people in several poses, and of coarser meshes of scans
-(people.txt): the distance of two scans of people hardly changes when others are added to a catalogue.
+Both covariances are those of raw scans of simulated people in several poses by several sensors, and of
+coarser meshes of scans (people.txt): the distance of two scans of people hardly changes when others are added
+to a catalogue.
 
-Pose moves coordinates along curves. Before the default descriptor is compared, a network of one hidden layer
-therefore takes each scan half of the way to what it expects of the other scans of this person:
-
-    x ← (x + B max(0, A x + a)) / 2
-
-A scan without the end of a limb, or without the head, is far from others of this person, in a direction that
-depends on what is missing more than on the person. It is therefore compared as it is, and again for each of
-some losses, after what the loss moves coordinates by has been taken away.
+Some of the scans that teach are damaged: directions in which a missing limb, a hole or a thin side moves
+coordinates count less.
 
 References
 ----------
@@ -40,33 +35,33 @@ from pcretrieve.options import SignatureOptions, fused_names
 from pcretrieve.retrieval.distances import Positions
 from pcretrieve.values import FloatArray
 
-# mean (105,), within and total (105, 105), scale (105,): the moments of the coordinates of hapt, of 59 values
-# of r-bihdm and of log area, divided by the scale of each; network (137, H): A, a and B one above the other,
-# of hapt and N_VALUES of r-bihdm, with H hidden units. Written by scripts/benchmark people --learn. drawn
-# (105, 105), what scans by drawn sensors have changed in within and total: written by scripts/benchmark
-# transfer --learn, as losses (K, 105), what the loss of a limb moves coordinates by. And the fields of
-# `Reference`, written by scripts/benchmark people --refer.
+# mean (214,), within and total (214, 214), scale (214,): the moments of the coordinates of hapt, of 59 values
+# of r-bihdm and of log area, divided by the scale of each; of symmetric matrices the upper triangles. Written
+# by scripts/benchmark people --learn. And the fields of `Reference`, by scripts/benchmark people --refer.
 SAMPLE = "people.npz"
+SYMMETRIC = ("within", "total")
 N_VALUES = 23
 
 # Where the coordinates of a descriptor begin, how many of r-bihdm there are, and of how many modes they are.
-BEGINS = {"hapt": 0, "r-bihdm": 45}
+BEGINS = {"hapt": 0, "r-bihdm": 154}
 MOST_VALUES = 59
 N_MODES = 60
 
 # Scans are those of people if they are at most this unlike the simulated ones, and well known if they are at
 # most KNOWN unlike: see `People.unlikeness` and docs/decisions.md, people.
-ALIKE = 12.0
-KNOWN = 2.0
+ALIKE = 5.0
+KNOWN = 1.3
 
-# Least share of the neighbours in a catalogue, if something can be learned from them: with many scans of each
-# person they know this person's poses better than simulated people do.
+# Share of the scans that are less unlike: half of a collection of people and animals is like people.
+LESS_UNLIKE = 0.75
+
+# Least share of labelled scans by which the metric is calibrated: they show what their sensor changes.
 LEAST_SHARE = 0.05
 
 # False-match rates at which distances are known.
 RATES = np.concatenate([[0.0], np.geomspace(1e-4, 1, 41)])
 
-# Number of scans, or up to twice as many, from which it is found how unlike they are: a median needs no more.
+# Number of scans, or up to twice as many, from which it is found how unlike they are: it needs no more.
 COMPARED = 10_000
 
 
@@ -88,8 +83,6 @@ class Reference(NamedTuple):
 class People(NamedTuple):
     """The mean (L,) of the coordinates of people, their covariance within people and in total, (L, L).
 
-    network: (2 l + 1, H), A, a and B of the first l coordinates; empty but for the default descriptor.
-    losses: (K, L), what the loss of the end of a limb, or of the head, moves coordinates by.
     compared: the coordinates by which neighbours in a catalogue are found: those of hapt, if there are any.
     reference: what distances mean in the metric; for the default descriptor, by the form alone.
     """
@@ -97,17 +90,17 @@ class People(NamedTuple):
     mean: FloatArray
     within: FloatArray
     total: FloatArray
-    network: FloatArray
-    losses: FloatArray
     compared: Positions
     reference: Reference | None = None
 
     def unlikeness(self, coordinates: FloatArray) -> float:
-        """The median variance of some scans (N, L) about the mean, in units of that of simulated scans."""
+        """How far some scans (N, L) are from the mean: the variance, in units of that of simulated scans.
+
+        That of the scan of which three quarters of the others are nearer.
+        """
         apart = coordinates[:: max(1, len(coordinates) // COMPARED)] - self.mean
-        return float(
-            np.median((apart * np.linalg.solve(self.total, apart.T).T).mean(axis=1))
-        )
+        variances = (apart * np.linalg.solve(self.total, apart.T).T).mean(axis=1)
+        return float(np.quantile(variances, LESS_UNLIKE))
 
     def metric(self, own: FloatArray | None = None, share: float = 0.0) -> FloatArray:
         """M (L, L), positive semidefinite.
@@ -122,45 +115,40 @@ class People(NamedTuple):
         return np.linalg.inv(within) - np.linalg.inv(total)
 
 
-def corrected(coordinates: FloatArray, network: FloatArray) -> FloatArray:
-    """(N, L) coordinates, the first of them half of the way to what the network expects of the person."""
-    if not network.size:
-        return coordinates
-    n, moved = len(network) // 2, np.array(coordinates)
-    hidden = row_products(moved[:, :n], network[:n]) + network[n]
-    moved[:, :n] += row_products(np.maximum(hidden, 0, out=hidden), network[n + 1 :].T)
-    moved[:, :n] /= 2
-    return moved
+def unpacked(arrays: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """The arrays of `SAMPLE` as float64, with whole matrices."""
+    sample = {name: arrays[name].astype(np.float64) for name in arrays}
+    upper = np.triu_indices(len(sample["mean"]))
+    for name in SYMMETRIC:
+        triangle, sample[name] = sample[name], np.empty(2 * sample["mean"].shape)
+        sample[name][upper] = sample[name].T[upper] = triangle
+    return sample
 
 
-def row_products(rows: FloatArray, matrix: FloatArray) -> FloatArray:
-    """The product of each row (N, L) with a matrix (L, K); its rounding does not depend on the other rows."""
-    return (rows[:, np.newaxis] @ matrix)[:, 0]
+def installed() -> dict[str, FloatArray]:
+    """The arrays of `SAMPLE`."""
+    return unpacked(np.load(str(resources.files(__package__).joinpath(SAMPLE))))
 
 
 def people(
-    options: SignatureOptions, arrays: Mapping[str, FloatArray] | None = None
+    options: SignatureOptions, sample: Mapping[str, FloatArray] | None = None
 ) -> People | None:
     """The moments of the coordinates of signatures by some options; None if they are not known.
 
-    arrays: those of `SAMPLE`, by default; or others that scripts/benchmark people has learned.
+    sample: the arrays of `SAMPLE`, by default; or others that scripts/benchmark people has learned.
     """
     names = fused_names(options.method)
     is_known = set(names) <= set(BEGINS) and len(set(names)) == len(names)
     is_known &= "r-bihdm" not in names or options.n_values <= MOST_VALUES
     if not is_known or options.n_modes != N_MODES or options.scale != "area":
         return None
-    arrays = arrays or np.load(str(resources.files(__package__).joinpath(SAMPLE)))
-    sample = {name: arrays[name].astype(np.float64) for name in arrays}
+    sample = sample or installed()
     length = {"hapt": BEGINS["r-bihdm"], "r-bihdm": options.n_values}
     chosen = np.concatenate([np.arange(length[name]) + BEGINS[name] for name in names])
     scale = np.ones(len(chosen)) if len(names) > 1 else sample["scale"][chosen]
     if options.size_weight:
         chosen, scale = np.append(chosen, -1), np.append(scale, options.size_weight)
-    is_default = (
-        names == tuple(BEGINS) and options.n_values == N_VALUES and "network" in sample
-    )
-    network = sample["network"] if is_default else np.zeros((0, 0))
+    is_default = names == tuple(BEGINS) and options.n_values == N_VALUES
     among = np.ix_(chosen, chosen)
     within, total = (
         sample[name][among] * np.outer(scale, scale) for name in ("within", "total")
@@ -168,8 +156,8 @@ def people(
     known = None
     if is_default and not options.size_weight and "same" in sample:
         known = Reference(*(sample[name] for name in Reference._fields))
-    mean, losses = (sample[name][..., chosen] * scale for name in ("mean", "losses"))
+    mean = sample["mean"][chosen] * scale
     # Limbs that are not parted change the distances along a surface, and so R-BiHDM, more than a class does.
     # The size, at −1, is compared with hapt.
     compared = np.flatnonzero((chosen < BEGINS["r-bihdm"]) | ("hapt" not in names))
-    return People(mean, within, total, network, losses, compared, known)
+    return People(mean, within, total, compared, known)

@@ -339,7 +339,7 @@ def _left_out(
                 sample.logs[others],
                 labels,
                 shrinkage=options.shrinkage,
-                metric=table.metric,
+                one_unit=table.has_one_unit,
             )
         except InputError:
             continue  # the other classes have one shape each, or equal ones

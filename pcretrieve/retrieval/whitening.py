@@ -26,7 +26,7 @@ from __future__ import annotations
 import io
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -38,15 +38,8 @@ from pcretrieve.errors import InputError, OptionError, did_you_mean
 from pcretrieve.options import RetrievalOptions, Shrinkage, WhiteningKind
 from pcretrieve.retrieval import covariances
 from pcretrieve.retrieval.distances import table_coordinates
-from pcretrieve.retrieval.people import (
-    ALIKE,
-    KNOWN,
-    LEAST_SHARE,
-    People,
-    corrected,
-    row_products,
-)
-from pcretrieve.values import FloatArray, Metric, SignatureTable
+from pcretrieve.retrieval.people import ALIKE, KNOWN, LEAST_SHARE, People
+from pcretrieve.values import FloatArray, SignatureTable
 from pcretrieve.values.base import Value
 from pcretrieve.values.files import member_array, opened_archive, write_file
 
@@ -107,10 +100,6 @@ class Whitening(Arrays):
         Digest of the signatures of the fit, to which alone the whitening may be applied.
     reason : str
         What was used and why, in one line.
-    network : (2 L + 1, H) float64
-        The correction, as in `pcretrieve.retrieval.people`; without hidden units none.
-    losses : (K, L) float64
-        What log-signatures of people move by if the end of a limb is missing; empty if not known.
     """
 
     kind: str
@@ -120,8 +109,6 @@ class Whitening(Arrays):
     shrinkage: float = 0.0
     options_digest: str = ""
     reason: str = ""
-    network: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
-    losses: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         if self.kind not in (*WHITENINGS, CALIBRATED):
@@ -130,8 +117,6 @@ class Whitening(Arrays):
             )
         length = len(self._lock("mean", (None,)))
         self._lock("matrix", (length, length))
-        self._lock("network", (None, None))
-        self._lock("losses", (None, None))
 
     def check_made_for(self, digest: str) -> None:
         """InputError if the whitening was fitted on signatures of another digest."""
@@ -150,7 +135,9 @@ class Whitening(Arrays):
             )
         if self.kind == "none":
             return logs
-        return row_products(corrected(logs, self.network) - self.mean, self.matrix.T)
+        # Row by row: the rounding of a row must not depend on the other rows.
+        whitened = (logs - self.mean)[:, np.newaxis] @ self.matrix.T
+        return np.asarray(whitened[:, 0])
 
 
 def write_whitening(whitening: Whitening, path: Path) -> None:
@@ -188,7 +175,7 @@ def fit_whitening(
     *,
     shrinkage: Shrinkage = "auto",
     people: People | None = None,
-    metric: Metric = "logarithms",
+    one_unit: bool = True,
     options_digest: str = "",
 ) -> Whitening:
     """Fit a whitening to log-signatures.
@@ -196,8 +183,7 @@ def fit_whitening(
     logs: (N, L) float64, log-signatures, one in each row.
     people: the moments of such signatures of people, if known; ``auto`` stands for ``people`` if the shapes
         are alike. Neighbours are found by `People.compared`, else by all coordinates.
-    metric: the metric of the signatures. The coordinates of the metric ``values`` may have different units.
-        For ``within-class`` only.
+    one_unit: as `SignatureTable.has_one_unit`; for ``within-class`` only.
     """
     if kind not in (*WHITENINGS, *AUTOMATIC):
         raise OptionError(
@@ -221,8 +207,7 @@ def fit_whitening(
                 "60: take one of these descriptors, or another whitening"
             )
         own = covariances.Fit(logs, None, 0.0, "none")
-        if not (kind == "auto" and _are_of_one_scan_each(labels)):
-            logs = corrected(logs, people.network)
+        if unlike > 1 and not (kind == "auto" and _are_of_one_scan_each(labels)):
             own = covariances.neighbour_covariance(logs, shrinkage, compared)
         return replace(_of_people(own, people, unlike), options_digest=options_digest)
     fit = covariances.Fit(logs, None, 0.0, "none")
@@ -230,7 +215,7 @@ def fit_whitening(
         fit = _pca(logs, shrinkage)
     elif used == "within-class":
         fit = covariances.within_class_covariance(
-            logs, labels, shrinkage, one_unit=metric != "values"
+            logs, labels, shrinkage, one_unit=one_unit
         )
     elif used == "neighbours":
         fit = covariances.neighbour_covariance(logs, shrinkage, compared)
@@ -265,7 +250,7 @@ def table_whitening(
         table.labels,
         shrinkage=options.shrinkage,
         people=people,
-        metric=table.metric,
+        one_unit=table.has_one_unit,
         options_digest=table.digest,
     )
 
@@ -279,11 +264,11 @@ def calibrated_whitening(
         return table_whitening(
             table, options.model_copy(update={"whitening": "within-class"})
         )
-    logs = corrected(logs, people.network)
     own = covariances.within_class_covariance(
         logs, table.labels, options.shrinkage, one_unit=True
     )
-    return replace(_of_people(own, people, unlike), options_digest=table.digest)
+    found = _of_people(own, people, max(unlike, 1 / (1 - LEAST_SHARE)))
+    return replace(found, options_digest=table.digest)
 
 
 def _chosen(logs: FloatArray, labels: Sequence[str | None] | None, unlike: float) -> str:
@@ -310,17 +295,14 @@ def _of_people(own: covariances.Fit, people: People, unlike: float) -> Whitening
 
     own: what the shapes themselves teach. The less they are like the simulated people, the more it counts.
     """
-    share = 0.0 if own.covariance is None else max(LEAST_SHARE, 1 - 1 / unlike)
+    share = 0.0 if own.covariance is None else 1 - 1 / unlike
     weights, directions = np.linalg.eigh(people.metric(own.covariance, share))
     root = (directions * np.sqrt(np.maximum(weights, 0))) @ directions.T
     root *= np.sqrt(np.trace(people.total) / np.trace(root @ people.total @ root))
     reason = f"people: {1 - share:.0%} learned from simulated people"
     reason += f", {share:.0%} from {own.reason}" if share else ""
     n_own = len(own.shapes) if share else 0
-    learned = people.network, people.losses
-    return Whitening(
-        "people", people.mean, root, n_own, own.shrinkage, "", reason, *learned
-    )
+    return Whitening("people", people.mean, root, n_own, own.shrinkage, "", reason)
 
 
 def _pca(logs: FloatArray, shrinkage: Shrinkage) -> covariances.Fit:

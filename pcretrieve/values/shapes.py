@@ -203,9 +203,6 @@ GradeName = Literal["good", "poor", "incomplete"]
 # What a person may decide about a scan: to scan again, that it will do, or nothing but a note.
 Decision = Literal["rescan", "accept", "note"]
 
-#: The reason of a grade, as it begins, if the end of a limb, or the head, is missing.
-LIMB_MISSING = "the end of a limb is missing"
-
 
 @dataclass(frozen=True, slots=True)
 class Grade:
@@ -233,11 +230,6 @@ class Grade:
     name: GradeName
     error: float
     reasons: tuple[str, ...] = ()
-
-    @property
-    def lacks_limb(self) -> bool:
-        """Whether the end of a limb, or the head, is missing."""
-        return any(reason.startswith(LIMB_MISSING) for reason in self.reasons)
 
     def __post_init__(self) -> None:
         if self.name not in get_args(GradeName):

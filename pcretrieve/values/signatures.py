@@ -158,6 +158,11 @@ class SignatureTable(Value):
             f"{self.values.shape[1]} values each)"
         )
 
+    @property
+    def has_one_unit(self) -> bool:
+        """Whether all coordinates have one unit, as those of fused descriptors, divided by their spreads."""
+        return self.metric != "values" or "+" in self.kind
+
     def select(self, ids: Sequence[str]) -> SignatureTable:
         """The signatures of some shapes, in the order of `ids`; InputError if the table lacks one."""
         rows = {shape_id: row for row, shape_id in enumerate(self.ids)}

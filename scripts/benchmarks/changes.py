@@ -106,7 +106,7 @@ class Task(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """The values of hapt (45,), of r-bihdm (59,) and of moments (6,) of one shape."""
+    """The values of hapt (154,), of r-bihdm (59,) and of moments (6,) of one shape."""
 
     hapt: FloatArray
     r_bihdm: FloatArray

@@ -26,7 +26,7 @@ class Examined:
     """What is found of one scan.
 
     word: that of the grade, or "failed".
-    point, judged: coordinates of the default signature, (68,), and of that by which scans are judged, (23,).
+    point, judged: coordinates of the default signature, (177,), and of that by which scans are judged, (23,).
     checks: of each check by its name, the outcome, the measurement and the expected error.
     """
 

@@ -3,7 +3,9 @@
     scripts/make_people --out seen --people 1500 --seed 1     # and others of other seeds
     pcretrieve ingest seen --labels seen/labels.csv -c seen.sqlite
     scripts/benchmark people seen.sqlite --unseen 1000        # learns from the others, and prints the curve
-    scripts/benchmark people seen.sqlite --learn              # writes pcretrieve/retrieval/people.npz
+    scripts/make_people --out many --people 600 --seed 71 --poses 4 --sensors cameras uniform turntable steps
+    pcretrieve ingest many --labels many/labels.csv -c many.sqlite
+    scripts/benchmark people seen.sqlite many.sqlite --learn  # writes pcretrieve/retrieval/people.npz
     scripts/benchmark people others.sqlite --coarser          # adds what coarser meshes of scans change
     scripts/benchmark people --refer bodies --judge           # what distances of others mean is worth
     scripts/benchmark people --refer bodies --limit 60        # adds it to the package
@@ -16,8 +18,7 @@ one person that are refused where one in a thousand pairs of two people is accep
 there are, 1 − rank-1 is continued as a power of n; these rows are marked as fitted. "form and size" is by
 `--size-weight 6`.
 
-The metric is learned by the covariances within and between people, and a network, in the space of this
-metric, by what one scan of a person tells of the mean of the others: see `pcretrieve.retrieval.people`.
+The metric is that of the covariances within and between people: see `pcretrieve.retrieval.people`.
 """
 
 from __future__ import annotations
@@ -30,7 +31,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.neural_network import MLPRegressor
 
 import pcretrieve.retrieval
 from benchmarks.bodies import Body, Sources, anny
@@ -47,6 +47,7 @@ from benchmarks.sensors import SENSORS
 from benchmarks.sets import to_faces
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
+from pcretrieve.descriptors.hapt import RADII, WEIGHTS
 from pcretrieve.errors import BenchmarkError, ShapeError
 from pcretrieve.evaluation.measures import recognition_curve, verification
 from pcretrieve.gallery.answers import SURE
@@ -66,7 +67,14 @@ from pcretrieve.retrieval import (
     people,
     table_whitening,
 )
-from pcretrieve.retrieval.people import BEGINS, RATES, SAMPLE, Reference
+from pcretrieve.retrieval.people import (
+    BEGINS,
+    RATES,
+    SAMPLE,
+    SYMMETRIC,
+    Reference,
+    installed,
+)
 from pcretrieve.retrieval.scores import (
     Trials,
     features,
@@ -91,14 +99,14 @@ TABLE = Table(
 
 
 class SensorScans(NamedTuple):
-    """Coordinates of the default signature (n, 68), and the person (n,) of each of n scans by one sensor."""
+    """Coordinates of the default signature (n, L), and the person (n,) of each of n scans by one sensor."""
 
     points: FloatArray
     person: Positions
 
 
 class Scans(NamedTuple):
-    """Coordinates of the three parts (n, 45), (n, 59), (n, 1), and the person (n,) of each of n scans.
+    """Coordinates of the three parts (n, 154), (n, 59), (n, 1), and the person (n,) of each of n scans.
 
     ids: (n,) of the shapes; files of `make_people --sensors` have the sensor in their names.
     """
@@ -153,37 +161,39 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--draw", type=Path, metavar="PICTURE", help="draw the curve")
     given = parser.parse_args(arguments)
-    target = Path(pcretrieve.retrieval.__file__).with_name(SAMPLE)
     scans = {}
     if given.refer:
         scans = {name: scans_by(name, given.refer, given.limit) for name in given.sensors}
     if given.judge:
         if len(scans) < 2:
             parser.error("--judge leaves a sensor out: give --refer, and two --sensors")
-        print_lines(_judged(scans, np.load(target)))
+        print_lines(_judged(scans, installed()))
         return
     if given.learn or given.coarser or given.refer:
-        arrays = (
-            learned(scans_of(given.catalogues)) if given.learn else dict(np.load(target))
-        )
+        sample = learned(scans_of(given.catalogues)) if given.learn else installed()
         if given.coarser:
             changed = coarser(given.catalogues) / np.outer(
-                arrays["scale"], arrays["scale"]
+                sample["scale"], sample["scale"]
             )
-            arrays |= {
-                name: (arrays[name] + changed).astype(np.float32)
-                for name in ("within", "total")
-            }
+            sample |= {name: sample[name] + changed for name in ("within", "total")}
         if given.refer:
-            known = reference([*scans.values()], arrays)._asdict()
-            arrays |= {name: array.astype(np.float32) for name, array in known.items()}
-        packed = io.BytesIO()
-        np.savez_compressed(packed, allow_pickle=False, **arrays)
-        write_file(target, packed.getvalue())
+            sample |= reference([*scans.values()], sample)._asdict()
+        written = io.BytesIO()
+        np.savez_compressed(written, allow_pickle=False, **packed(sample))
+        target = Path(pcretrieve.retrieval.__file__).with_name(SAMPLE)
+        write_file(target, written.getvalue())
     else:
         print_lines(
             _lines(scans_of(given.catalogues), given.methods, given.unseen, given.draw)
         )
+
+
+def packed(sample: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """The arrays of `SAMPLE` as they are stored: float32, and the upper triangles of symmetric matrices."""
+    upper = np.triu_indices(len(sample["mean"]))
+    triangles = {name: sample[name][upper] for name in SYMMETRIC}
+    stored = {**sample} | triangles
+    return {name: np.asarray(array, np.float32) for name, array in stored.items()}
 
 
 def scans_of(catalogues: Sequence[Path]) -> Scans:
@@ -214,7 +224,11 @@ def scans_of(catalogues: Sequence[Path]) -> Scans:
 
 # Shrinkage of the covariance within people towards its own diagonal, and least variance within people
 # relative to the mean: some bins of hapt are empty for nearly all people.
-SHRINKAGE, LEAST = 0.03, 1e-3
+SHRINKAGE, LEAST = 0.03, 3e-3
+
+# What the coordinates of hapt are divided by before that, (r, l): without the weights, they are roots of
+# volumes relative to R², of about the same variance within people.
+EVEN = np.sqrt(WEIGHTS) * RADII[:, np.newaxis]
 
 
 def person_means(points: FloatArray, person: Positions) -> FloatArray:
@@ -244,23 +258,23 @@ def learned(scans: Scans) -> dict[str, FloatArray]:
     )
     scale = np.repeat(scale, [part.shape[1] for part in scans.parts.values()])
     points = np.concatenate(list(scans.parts.values()), axis=1) / scale
+    unit = np.ones(len(scale))
+    unit[: EVEN.size] = EVEN.ravel()
+    unit[: EVEN.size] *= np.sqrt((points / unit)[:, : EVEN.size].var(axis=0).sum())
     n_of = np.bincount(scans.person)
-    means, within = people_means(points, scans.person)
+    means, within = people_means(points / unit, scans.person)
     shrunk = shrunk_within(within)
     # The covariance between people without that of the means of a few scans.
     between = np.cov(means.T) - within * (1 / n_of).mean()
     weights, directions = np.linalg.eigh(between)
     between = (directions * np.maximum(weights, 0)) @ directions.T
-    moments = {
+    units = np.outer(unit, unit)
+    return {
         "mean": points.mean(axis=0),
-        "within": shrunk,
-        "total": shrunk + between,
+        "within": units * shrunk,
+        "total": units * (shrunk + between),
         "scale": scale,
     }
-    # These come from damaged scans: see benchmarks.transfer.
-    moments["losses"] = np.zeros((0, len(scale)))
-    moments["network"] = _network(scans, moments)
-    return {name: array.astype(np.float32) for name, array in moments.items()}
 
 
 # Numbers of faces of the coarser meshes, and the share of what they change in the covariance within people:
@@ -269,7 +283,7 @@ N_FACES, COARSER = (1000, 2000, 3000), 0.25
 
 
 def coarser(catalogues: Sequence[Path]) -> FloatArray:
-    """(105, 105) the share of the second moment of what coarser meshes of stored scans change."""
+    """(214, 214) the share of the second moment of what coarser meshes of stored scans change."""
     tasks: list[tuple[Path, str, int]] = []
     for path in catalogues:
         with Catalogue(path) as catalogue:
@@ -289,7 +303,7 @@ def coarser(catalogues: Sequence[Path]) -> FloatArray:
 
 
 def _changed(task: tuple[Path, str, int]) -> FloatArray | None:
-    """(105,) what the coordinates change by if the mesh of a scan has so many faces; None if it fails."""
+    """(214,) what the coordinates change by if the mesh of a scan has so many faces; None if it fails."""
     path, shape_id, n_faces = task
     options = PipelineOptions().changed(surface={"mode": "keep"})
     with Catalogue(path) as catalogue:
@@ -307,50 +321,6 @@ def _changed(task: tuple[Path, str, int]) -> FloatArray | None:
         parts = [coordinates(one.values, one.metric) for one in made]
         points.append(np.concatenate([*parts, [np.log(shape.area)]]))
     return np.asarray(points[1] - points[0])
-
-
-# Number of hidden units, and weight decay. A layer of 128 units is no worse than two of 256 and 128; a decay
-# of .3 or 5 gives a rank-1 among 10,000 people, fitted, of .972 or .968, not .970.
-N_HIDDEN, DECAY = 128, 1.0
-
-# Least weight of a direction that the network changes, relative to the largest.
-LEAST_WEIGHT = 0.003
-
-
-def _network(scans: Scans, moments: Mapping[str, FloatArray]) -> FloatArray:
-    """The network of `pcretrieve.retrieval.people.corrected`."""
-    options = SignatureOptions()
-    points = fused_points(scans.parts, options)
-    whitening = fit_whitening("people", points, people=people(options, moments))
-    whitened = whitening.apply(points)
-    n_of = np.bincount(scans.person)
-    sums = np.stack([np.bincount(scans.person, column) for column in whitened.T], axis=1)
-    known = n_of[scans.person] > 1
-    own, person = whitened[known], scans.person[known]
-    others = (sums[person] - own) / (n_of[person] - 1)[:, np.newaxis]
-    unit = own.std()
-    network = MLPRegressor(
-        hidden_layer_sizes=(N_HIDDEN,),
-        alpha=DECAY,
-        early_stopping=True,
-        n_iter_no_change=15,
-        max_iter=500,
-        random_state=0,
-    )
-    network.fit(own / unit, others / unit)
-    (first, last), (bias, shift) = network.coefs_, network.intercepts_
-    back = unit * np.linalg.pinv(whitening.matrix, rcond=LEAST_WEIGHT, hermitian=True)
-    first, last, shift = (
-        whitening.matrix @ first / unit,
-        last @ back,
-        whitening.mean + shift @ back,
-    )
-    # The shift is the output of one more unit, which is always 1.
-    first, bias = (
-        np.column_stack([first, np.zeros(len(first))]),
-        np.append(bias - whitening.mean @ first, 1.0),
-    )
-    return np.concatenate([first, [bias], np.column_stack([last.T, shift])])
 
 
 # Numbers of people, and of scans of each, in galleries of which a query is drawn, and how many queries of
@@ -390,10 +360,10 @@ def _described(task: tuple[Body, str]) -> tuple[float, ...] | None:
 
 
 def reference(
-    sensors: Sequence[SensorScans], arrays: Mapping[str, FloatArray]
+    sensors: Sequence[SensorScans], sample: Mapping[str, FloatArray]
 ) -> Reference:
-    """What distances mean, from scans of people by several sensors; `arrays` are those of `SAMPLE`."""
-    known = people(SignatureOptions(), arrays)
+    """What distances mean, from scans of people by several sensors; `sample` as by `learned`."""
+    known = people(SignatureOptions(), sample)
     if known is None:
         raise TypeError("the metric of people must be known for the default signature")
     metric = fit_whitening("people", known.mean[np.newaxis], people=known)
@@ -465,7 +435,7 @@ N_COLLECTIONS = 12
 
 
 def _judged(
-    sensors: Mapping[str, SensorScans], arrays: Mapping[str, FloatArray]
+    sensors: Mapping[str, SensorScans], sample: Mapping[str, FloatArray]
 ) -> Iterator[str]:
     """Answers to scans by a sensor of which the reference knows nothing, neither of the people.
 
@@ -474,7 +444,7 @@ def _judged(
     yield ANSWERS.head
     for name, scans in sensors.items():
         others = [_half(each, 0) for other, each in sensors.items() if other != name]
-        known = reference(others, arrays)
+        known = reference(others, sample)
         judged = _half(scans, 1)
         n_there = len(np.unique(judged.person))
         for n_people in (number for number in COLLECTIONS if number < n_there):
@@ -550,11 +520,11 @@ def _some(scans: Scans, chosen: Positions) -> Scans:
 def _lines(
     scans: Scans, methods: Sequence[str], n_unseen: int | None, picture: Path | None
 ) -> Iterator[str]:
-    n_people, arrays = int(scans.person.max()) + 1, None
+    n_people, sample = int(scans.person.max()) + 1, None
     curves: dict[str, FloatArray] = {}
     if n_unseen is not None:
         drawn = np.random.default_rng(0).permutation(n_people)
-        arrays = learned(_some(scans, drawn[:-n_unseen]))
+        sample = learned(_some(scans, drawn[:-n_unseen]))
         scans = _some(scans, drawn[-n_unseen:])
         yield f"learned from {n_people - n_unseen:,} other people"
     yield f"{len(scans.person):,} scans of {scans.person.max() + 1:,} people"
@@ -566,7 +536,7 @@ def _lines(
             options = SignatureOptions(method=method, size_weight=SIZE_WEIGHT * sized)
             points = fused_points(scans.parts, options)
             for kind in ("none", "neighbours", "people"):
-                known = people(options, arrays)
+                known = people(options, sample)
                 whitening = fit_whitening(kind, points, people=known)
                 found = recognition(whitening.apply(points), scans.person)
                 compared = "form and size" if sized else "form"

@@ -76,7 +76,7 @@ def compared(shape: Shape, method: str) -> FloatArray:
 # Numbers of values of the descriptors that do not have as many as `n_values` says.
 LENGTHS = {
     "ispm": (1 + 2 + 4 + 8) * N_VALUES,
-    "hapt": 5 * 9,
+    "hapt": 22 * 7,
     "moments": 6,
     **dict.fromkeys(
         ("hks-bow-spatial", "si-hks-bow-spatial"), N_VALUES * (N_VALUES + 1) // 2

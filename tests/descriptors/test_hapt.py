@@ -11,6 +11,7 @@ from pcretrieve.descriptors import hapt
 from pcretrieve.descriptors.hapt import (
     CELL,
     _vertex_normals,
+    in_principal_frame,
     interior,
     moments,
     projected_areas,
@@ -62,7 +63,8 @@ def roots(mesh: TriangleMesh) -> FloatArray:
 def test_the_area_of_a_sphere_arrives_at_its_centre() -> None:
     """Unit area: R = 1 / √(4 π)."""
     radius = 1 / np.sqrt(4 * np.pi)
-    transform = projected_areas(shapes.icosphere(4), np.array([radius]), 0.25)
+    ball = in_principal_frame(shapes.icosphere(4))
+    transform = projected_areas(ball, np.array([radius]), 0.25, CELL)
     assert transform.max() == pytest.approx(1, abs=0.01)
     assert transform.shape[1] * CELL**3 == pytest.approx(
         4 / 3 * np.pi * radius**3, rel=0.01
@@ -75,7 +77,8 @@ def test_half_of_a_sphere_arrives_on_the_axis_of_a_tube() -> None:
     """On the axis of a tube of radius R, a length 2 c R of it arrives: 2 π R · 2 c R of 4 π R²."""
     thin = tube(0.05, 1.5)
     radius = 0.05 / np.sqrt(thin.area)
-    transform = projected_areas(thin, np.array([radius / 2, radius, 2 * radius]), 0.5)
+    radii = np.array([radius / 2, radius, 2 * radius])
+    transform = projected_areas(in_principal_frame(thin), radii, 0.5, CELL)
     half, own, double = transform
     # Where the ends of the tube do not contribute: the median of the voxels on its axis.
     on_axis = own > np.quantile(own, 0.97)

@@ -179,31 +179,6 @@ def test_agrees_with_brute_force(
         assert matrix.nearest(shape_id, 7) == made.nearest(shape_id, 7)
 
 
-def test_a_scan_without_a_limb_is_compared_as_if_it_had_each(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """By brute force over all losses, whether all shapes are compared or lower bounds leave most out."""
-    rng = np.random.default_rng(5)
-    table, losses = a_table(300), rng.normal(size=(3, 15))
-    whitening = replace(an_index(table, whitening="pca").whitening, losses=losses)
-    logs = coordinates(table.values)
-    gallery = whitening.apply(logs)
-    for n_all in (0, 1000):
-        monkeypatch.setattr(index, "N_ALL", n_all)
-        made = SignatureIndex(table, whitening=whitening)
-        for row, k in zip(range(0, 300, 29), (1, 3, 40) * 4, strict=False):
-            values = np.exp(logs[row] + losses[row % 3] + 0.01 * rng.normal(size=15))
-            asked, query = Signature(values, table.kind, table.digest), np.log(values)
-            completed = whitening.apply(np.stack([query, *(query - losses)]))
-            nearest = pairwise(made._distance, completed, gallery).min(axis=0)
-            ranked = sorted(zip(nearest.tolist(), table.ids, strict=True))[:k]
-            for among in (None, table.ids):
-                found = made.ranked(asked, k, among=among, lacks_limb=True)
-                pairs = zip(found.distances.tolist(), found.ids, strict=True)
-                assert [*pairs] == ranked and found.ids[0] == table.ids[row]
-            assert made.ranked(asked, 1).distances > 5 * found.distances[0]
-
-
 @pytest.mark.parametrize("distance", DISTANCES.values(), ids=DISTANCES)
 def test_few_and_equal_shapes(distance: Distance) -> None:
     """Ties are broken by id; of fewer shapes than asked for, all are answered."""

@@ -8,15 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks.measuring import evaluate_table
-from benchmarks.transfer import by_nine_cameras
 from tables import classes_of, posed_logs, table_of
 
-import pcretrieve.retrieval
 from pcretrieve.descriptors import DESCRIPTORS, signature_length
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.options import RetrievalOptions, SignatureOptions
 from pcretrieve.retrieval import People, Whitening, fit_whitening, pairwise, people
-from pcretrieve.retrieval.people import SAMPLE, corrected
 from pcretrieve.retrieval.whitening import (
     calibrated_whitening,
     read_whitening,
@@ -104,19 +101,28 @@ def test_values_with_different_units_do_not_depend_on_the_units() -> None:
     logs, labels = labelled_logs()
     units = np.geomspace(0.1, 10, 8)
 
-    def gaps(points: FloatArray, metric: Metric) -> FloatArray:
-        whitening = fit_whitening("within-class", points, labels, metric=metric)
+    def gaps(points: FloatArray, *, one_unit: bool) -> FloatArray:
+        whitening = fit_whitening("within-class", points, labels, one_unit=one_unit)
         d = pairwise("log", *(whitening.apply(points),) * 2)
         relative: FloatArray = d / d.mean()
         return relative
 
     np.testing.assert_allclose(
-        gaps(logs, "values"), gaps(logs * units, "values"), rtol=1e-6
+        gaps(logs, one_unit=False), gaps(logs * units, one_unit=False), rtol=1e-6
     )
-    assert np.abs(gaps(logs, "logarithms") - gaps(logs * units, "logarithms")).max() > 0.1
+    apart = gaps(logs, one_unit=True) - gaps(logs * units, one_unit=True)
+    assert np.abs(apart).max() > 0.1
+    table = table_of(logs, labels)
+    kinds: tuple[tuple[str, Metric, bool], ...] = (
+        ("hapt", "histograms", True),
+        ("hapt+r-bihdm", "values", True),
+        ("vectors", "values", False),
+    )
+    for kind, metric, is_one in kinds:
+        assert replace(table, kind=kind, metric=metric).has_one_unit == is_one
     constant = np.column_stack([logs, np.ones(len(logs))])
     assert np.isfinite(
-        fit_whitening("within-class", constant, labels, metric="values").matrix
+        fit_whitening("within-class", constant, labels, one_unit=False).matrix
     ).all()
 
 
@@ -241,11 +247,7 @@ def test_the_metric_of_people_finds_them(method: str, size_weight: float) -> Non
         np.linalg.eigvalsh(known.metric())[0]
         > -1e-6 * np.linalg.eigvalsh(known.metric())[-1]
     )
-    # By nine cameras: damaged scans, of which the metric knows too, are not told apart by R-BiHDM alone.
-    installed = np.load(Path(pcretrieve.retrieval.__file__).with_name(SAMPLE))
-    whole = people(options, by_nine_cameras(installed))
-    assert whole is not None
-    logs, labels = some_people(whole)
+    logs, labels = some_people(known)
     assert known.unlikeness(logs) == pytest.approx(1, rel=0.3)
     whitening = fit_whitening("auto", logs, labels, people=known)
     assert whitening.kind == "people"
@@ -254,7 +256,8 @@ def test_the_metric_of_people_finds_them(method: str, size_weight: float) -> Non
     found, without = (
         evaluate_table(table, whitening=one).map for one in (whitening, plain)
     )
-    assert 1 - found < 0.65 * (1 - without)
+    # Damaged scans, of which the metric knows too, are hardly told apart by R-BiHDM alone.
+    assert 1 - found < (0.9 if method == "r-bihdm" else 0.65) * (1 - without)
     # Scans of others are compared by their own neighbours, the more so the less they are like people.
     far = known.mean + 30 * (logs - known.mean)
     assert fit_whitening("auto", far, people=known).kind == "neighbours"
@@ -288,15 +291,13 @@ def test_the_metric_of_people_is_known_for_these_signatures_alone() -> None:
         fused.within[:23, :23] * spread**2, alone.within, rtol=1e-5
     )
     default = people(SignatureOptions(size_weight=6.0))
-    assert default is not None and default.network.size and not fused.network.size
+    assert default is not None
     logs = some_people(default)[0]
     whitening = fit_whitening("people", logs, people=default)
     assert (
         Whitening.from_arrays(whitening.to_arrays()).apply(logs[5:6])
         == whitening.apply(logs)[5]
     ).all()
-    moved = corrected(logs, default.network)
-    assert (moved[:, -1] == logs[:, -1]).all() and (moved[:, :-1] != logs[:, :-1]).all()
     with pytest.raises(
         OptionError,
         match="whitening 'people' is known for hapt, r-bihdm and their fusion",
@@ -311,7 +312,7 @@ def test_limbs_that_are_not_parted_do_not_pair_strangers(method: str) -> None:
     assert known is not None
     label = np.repeat(np.arange(12), 6)
     parts = {
-        "hapt": rng.normal(0, 0.5, (12, 45))[label] + rng.normal(0, 0.1, (72, 45)),
+        "hapt": rng.normal(0, 0.25, (12, 154))[label] + rng.normal(0, 0.05, (72, 154)),
         "r-bihdm": rng.normal(0, 2, (72, 23)),
     }
     logs = np.hstack([parts[name] for name in method.split("+")])

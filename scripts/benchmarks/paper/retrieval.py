@@ -438,7 +438,7 @@ def _by_area(title: str, method: str, n_values: int = 59) -> System:
 
 SYSTEMS = (
     _by_area("ISPM", "ispm"),
-    _by_area("HAPT", "hapt", 45),
+    _by_area("HAPT", "hapt", 154),
     _by_area("unsupervised dictionary learning", "dl", 32),
     _by_area("supervised dictionary learning", "dl-supervised", 32),
     _by_area("ShapeGoogle (VQ)", "hks-bow"),
