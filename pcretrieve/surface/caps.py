@@ -66,6 +66,9 @@ ASIDE = 0.3
 FEWEST_OF_RIM = 12
 ALONG_RIM = 3.0
 
+# Number of nearest neighbours that are of one piece, if they are that close.
+OF_PIECE = 8
+
 # A rim is that of a limb if the directions beside its points have at least this mean, which is 0 beside a
 # hole in a flat surface, and if the second eigenvalue of its normals is at least this large.
 ONE_WAY = 0.5
@@ -319,10 +322,14 @@ def _stands(base: FloatArray, down: FloatArray, cloud: PointCloud) -> bool:
 
 
 class End(NamedTuple):
-    """Where a limb ends in a gap: (r, 3) the points of its rim, and its axis, a unit vector outwards."""
+    """Where a limb ends in a gap: (r, 3) the points of its rim, and its axis, a unit vector outwards.
+
+    piece: the number of the connected piece of the points that it belongs to.
+    """
 
     rim: FloatArray
     axis: FloatArray
+    piece: int
 
     @property
     def middle(self) -> FloatArray:
@@ -335,15 +342,18 @@ class End(NamedTuple):
         return float(np.linalg.norm(self.rim - self.middle, axis=1).mean())
 
     def gap(self, other: End) -> float:
-        """The distance to another end in mean radii; infinity if they do not face each other."""
+        """The distance to another end in mean radii; infinity if they are not the two ends of a gap.
+
+        A gap parts a limb from the body. Two hands that face each other are of one piece.
+        """
         across = other.middle - self.middle
         distance = float(np.linalg.norm(across))
         least = FACING * distance
         is_facing = across @ self.axis > least and across @ other.axis < -least
         alike = max(self.radius, other.radius) < ALIKE * min(self.radius, other.radius)
-        return (
-            2 * distance / (self.radius + other.radius) if is_facing and alike else np.inf
-        )
+        if not (is_facing and alike) or self.piece == other.piece:
+            return np.inf
+        return 2 * distance / (self.radius + other.radius)
 
 
 def limbs_continued(cloud: PointCloud, spacing: float) -> PointCloud:
@@ -373,6 +383,9 @@ def _ends(cloud: PointCloud, spacing: float) -> list[End]:
     places, normals = cloud.points[at_rim], normals_of(cloud)[at_rim]
     pairs = cKDTree(places).query_pairs(ALONG_RIM * spacing, output_type="ndarray")
     label = joined_by(pairs[:, 0], pairs[:, 1], len(places))
+    close = around.distance[:, :OF_PIECE] < ALONG_RIM * spacing
+    beside = around.near[:, :OF_PIECE][close]
+    piece = joined_by(np.nonzero(close)[0], beside, len(cloud.points))[at_rim]
     found = []
     for number in np.flatnonzero(np.bincount(label, minlength=1) >= FEWEST_OF_RIM):
         own = label == number
@@ -380,7 +393,8 @@ def _ends(cloud: PointCloud, spacing: float) -> list[End]:
         # Normals round a tube have the eigenvalues 1/2, 1/2 and 0, whatever their signs.
         spread = np.linalg.eigvalsh(normals[own].T @ normals[own] / own.sum())[1]
         if np.linalg.norm(axis) > ONE_WAY and spread > ALL_ROUND:
-            found.append(End(places[own], axis / np.linalg.norm(axis)))
+            usual = int(np.bincount(piece[own]).argmax())
+            found.append(End(places[own], axis / np.linalg.norm(axis), usual))
     return [end for end in found if end.radius > THINNEST * cloud.diagonal]
 
 

@@ -8,8 +8,10 @@ import shapes
 
 from pcretrieve.surface.caps import (
     DEEP,
+    FARTHEST_GAP,
     NO_CAP,
     Capped,
+    _ends,
     base_of,
     capped,
     ends_a_part,
@@ -255,6 +257,20 @@ def test_a_limb_goes_on_across_a_gap(turned: bool) -> None:
 
 def test_ends_that_face_away_from_each_other_are_not_joined() -> None:
     cloud = limb(gap=0.0)
+    assert limbs_continued(cloud, 0.008) is cloud
+
+
+def test_two_ends_of_one_piece_are_not_joined() -> None:
+    """As the hands of a person who holds them towards each other: a ring, all but .9 of its angle."""
+    straight = limb(gap=0.0)
+    x, y, z = straight.points.T
+    angle, reach = (np.pi - 0.45) * z, 0.4 + x
+    ring = np.column_stack([reach * np.cos(angle), reach * np.sin(angle), y])
+    away = ring - 0.4 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    cloud = PointCloud(ring, normals=10 * away)
+    one, other = _ends(cloud, 0.008)
+    assert one.gap(other) == np.inf
+    assert one.gap(other._replace(piece=1 + one.piece)) < FARTHEST_GAP
     assert limbs_continued(cloud, 0.008) is cloud
 
 
