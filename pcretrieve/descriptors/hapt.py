@@ -49,7 +49,7 @@ MOST_POINTS = 2**23
 
 
 def hapt(mesh: TriangleMesh) -> Signature:
-    """Histograms of the area projection transform [1]_, for five radii.
+    """Histograms of the area projection transform [1]_, for 22 radii.
 
     The settings that the article leaves open, or varies with the data (see docs/decisions.md, HAPT): radii of
     .017 to .16 √A, relative to the area A because the unit of a file may be unknown; c = 1/2; voxels of .01
@@ -88,10 +88,13 @@ def _volumes(framed: TriangleMesh, radii: FloatArray, cell: float) -> FloatArray
 def projected_areas(
     framed: TriangleMesh, radii: FloatArray, spread: float, cell: float
 ) -> FloatArray:
-    """(r, k) the transform for radii (r,) at the centres of all k voxels inside a body of unit area."""
+    """(r, k) the transform for radii (r,) at the centres of all k voxels inside a body of unit area.
+
+    A thin body may have no voxel of the wide radii inside.
+    """
     grid = _grid(framed, cell, margin=int(np.ceil(spread * radii.max() / cell)) + 1)
     inside = np.flatnonzero(interior(framed, grid))  # (k,)
-    if not len(inside):
+    if not len(inside) and cell == CELL:
         raise DegenerateMeshError(
             f"hapt needs a body with an interior, got a surface that encloses no voxel of {cell:g} √area: "
             "close its holes, or choose a descriptor of surfaces"
@@ -351,7 +354,7 @@ HAPT = Descriptor(
     has_size=False,
     length=lambda _: len(RADII) * len(LEVELS),
     metric="histograms",
-    spread=0.026,
+    spread=0.208,
 )
 
 

@@ -83,7 +83,8 @@ R_BIHDM = Descriptor(
         spectrum_of(shape, o), o.n_values, o.n_modes, scale=o.scale
     ),
     needs=("spectrum",),
-    spread=1.04,
+    # Eight times as much as the total variance: limbs that are not parted change it more than girths.
+    spread=8.32,
 )
 
 

@@ -10,6 +10,8 @@ import trimesh
 from pcretrieve.descriptors import hapt
 from pcretrieve.descriptors.hapt import (
     CELL,
+    RADII,
+    WIDE,
     _vertex_normals,
     in_principal_frame,
     interior,
@@ -106,6 +108,15 @@ def test_rotation_reflection_scale_and_orientation_change_nothing(make) -> None:
         np.testing.assert_allclose(found, expected, atol=2e-6)
     turned = TriangleMesh(body.vertices, body.faces[:, ::-1])
     np.testing.assert_allclose(make(turned).values, expected, rtol=1e-12)
+
+
+def test_a_body_without_parts_of_the_wide_radii_has_no_volumes_there() -> None:
+    """A sheet that is .015 √A thick has voxels of .01 √A inside, and none of .02 √A."""
+    side = 1 / np.sqrt(2.06)
+    sheet = trimesh.creation.box((side, side, 0.015))
+    mesh = TriangleMesh(np.array(sheet.vertices), np.array(sheet.faces, np.int32))
+    volumes = hapt(mesh).values.reshape(22, 7)
+    assert volumes[RADII < WIDE].any() and not volumes[RADII >= WIDE].any()
 
 
 def test_a_body_that_is_all_length_needs_too_large_a_grid() -> None:
