@@ -110,12 +110,15 @@ def test_rotation_reflection_scale_and_orientation_change_nothing(make) -> None:
     np.testing.assert_allclose(make(turned).values, expected, rtol=1e-12)
 
 
-def test_a_body_without_parts_of_the_wide_radii_has_no_volumes_there() -> None:
-    """A sheet that is .015 √A thick has voxels of .01 √A inside, and none of .02 √A."""
-    side = 1 / np.sqrt(2.06)
-    sheet = trimesh.creation.box((side, side, 0.015))
-    mesh = TriangleMesh(np.array(sheet.vertices), np.array(sheet.faces, np.int32))
-    volumes = hapt(mesh).values.reshape(22, 7)
+def test_thin_parts_between_the_wide_voxels_have_no_volumes_there() -> None:
+    """Two sheets of unit area, from .004 to .016 √A above and below the centre."""
+    sheets = []
+    for side in (-1, 1):
+        box = trimesh.creation.box((0.488, 0.488, 0.012))
+        box.apply_translation((0, 0, 0.01 * side))
+        faces = np.array(box.faces, np.int32)
+        sheets.append(TriangleMesh(np.array(box.vertices), faces))
+    volumes = hapt(shapes.joined(*sheets)).values.reshape(22, 7)
     assert volumes[RADII < WIDE].any() and not volumes[RADII >= WIDE].any()
 
 
