@@ -209,7 +209,10 @@ def fit_whitening(
         own = covariances.Fit(logs, None, 0.0, "none")
         if unlike > 1 and not (kind == "auto" and _are_of_one_scan_each(labels)):
             own = covariances.neighbour_covariance(logs, shrinkage, compared)
-        return replace(_of_people(own, people, unlike), options_digest=options_digest)
+        return replace(
+            _of_people(own, people, 1 - 1 / max(unlike, 1.0)),
+            options_digest=options_digest,
+        )
     fit = covariances.Fit(logs, None, 0.0, "none")
     if used == "pca":
         fit = _pca(logs, shrinkage)
@@ -267,7 +270,7 @@ def calibrated_whitening(
     own = covariances.within_class_covariance(
         logs, table.labels, options.shrinkage, one_unit=True
     )
-    found = _of_people(own, people, max(unlike, 1 / (1 - LEAST_SHARE)))
+    found = _of_people(own, people, max(LEAST_SHARE, 1 - 1 / max(unlike, 1.0)))
     return replace(found, options_digest=table.digest)
 
 
@@ -290,12 +293,12 @@ def _are_of_one_scan_each(labels: Sequence[str | None] | None) -> bool:
     return labels is not None and len(known) == len(labels) > 0
 
 
-def _of_people(own: covariances.Fit, people: People, unlike: float) -> Whitening:
+def _of_people(own: covariances.Fit, people: People, share: float) -> Whitening:
     """The symmetric root of the metric of people, by which the total variance of people does not change.
 
-    own: what the shapes themselves teach. The less they are like the simulated people, the more it counts.
+    own: what the shapes themselves teach; share: how much it counts, if they teach something.
     """
-    share = 0.0 if own.covariance is None else 1 - 1 / unlike
+    share = 0.0 if own.covariance is None else share
     weights, directions = np.linalg.eigh(people.metric(own.covariance, share))
     root = (directions * np.sqrt(np.maximum(weights, 0))) @ directions.T
     root *= np.sqrt(np.trace(people.total) / np.trace(root @ people.total @ root))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -15,6 +16,7 @@ from pcretrieve.errors import ShapeError
 from pcretrieve.options import JUDGED, PipelineOptions
 from pcretrieve.pipeline.process import shape_of, stages
 from pcretrieve.retrieval import Whitening, coordinates, fit_whitening, people
+from pcretrieve.retrieval.people import People
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 
 # The words of a grade, and of a scan that has no surface.
@@ -101,9 +103,15 @@ def point_of(values: FloatArray, options: PipelineOptions) -> FloatArray:
     return np.asarray(coordinates(values[np.newaxis], metric)[0])
 
 
-def metric_of_people() -> Whitening:
-    """The whitening of people for the default signature, as it is for a gallery that teaches nothing."""
-    known = people(PipelineOptions().signature)
+def moments_of_people(sample: Mapping[str, FloatArray] | None = None) -> People:
+    """The moments of people for the default signature; `sample` as in `people`."""
+    known = people(PipelineOptions().signature, sample)
     if known is None:
         raise TypeError("the metric of people must be known for the default signature")
+    return known
+
+
+def metric_of_people(sample: Mapping[str, FloatArray] | None = None) -> Whitening:
+    """The whitening of people for the default signature, as it is for a gallery that teaches nothing."""
+    known = moments_of_people(sample)
     return fit_whitening("people", known.mean[np.newaxis], people=known)

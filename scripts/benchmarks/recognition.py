@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 import pcretrieve.retrieval
 from benchmarks.bodies import Body, Sources, anny
-from benchmarks.judging import examined
+from benchmarks.judging import examined, metric_of_people
 from benchmarks.measuring import (
     Column,
     Table,
@@ -258,9 +258,9 @@ def learned(scans: Scans) -> dict[str, FloatArray]:
     )
     scale = np.repeat(scale, [part.shape[1] for part in scans.parts.values()])
     points = np.concatenate(list(scans.parts.values()), axis=1) / scale
-    unit = np.ones(len(scale))
-    unit[: EVEN.size] = EVEN.ravel()
-    unit[: EVEN.size] *= np.sqrt((points / unit)[:, : EVEN.size].var(axis=0).sum())
+    even = EVEN.ravel()
+    even = even * np.sqrt((points[:, : len(even)] / even).var(axis=0).sum())
+    unit = np.append(even, np.ones(len(scale) - len(even)))
     n_of = np.bincount(scans.person)
     means, within = people_means(points / unit, scans.person)
     shrunk = shrunk_within(within)
@@ -363,10 +363,7 @@ def reference(
     sensors: Sequence[SensorScans], sample: Mapping[str, FloatArray]
 ) -> Reference:
     """What distances mean, from scans of people by several sensors; `sample` as by `learned`."""
-    known = people(SignatureOptions(), sample)
-    if known is None:
-        raise TypeError("the metric of people must be known for the default signature")
-    metric = fit_whitening("people", known.mean[np.newaxis], people=known)
+    metric = metric_of_people(sample)
     same, apart, tried = list[FloatArray](), list[FloatArray](), list[Trials]()
     rng = np.random.default_rng(0)
     for scans in sensors:

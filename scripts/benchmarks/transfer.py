@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from benchmarks.bodies import Mask
+from benchmarks.judging import metric_of_people, moments_of_people
 from benchmarks.measuring import Column, Table, argument_parser, print_lines
 from benchmarks.recognition import (
     ACCEPTED,
@@ -45,8 +46,7 @@ from benchmarks.sensors import DAMAGES, KINDS, SENSORS, WHOLE
 from pcretrieve.errors import BenchmarkError
 from pcretrieve.evaluation.measures import verification
 from pcretrieve.options import SignatureOptions
-from pcretrieve.retrieval import Positions, Whitening, fit_whitening, people
-from pcretrieve.retrieval.people import People, installed
+from pcretrieve.retrieval import Positions, Whitening
 from pcretrieve.values import FloatArray
 
 # The kind of sensor of make_people without --sensors.
@@ -139,23 +139,9 @@ def without(scans: Scans, kinds: Collection[str], fold: int | None = None) -> Sc
     return Scans(parts, person, scans.ids[rows])
 
 
-def moments_of(sample: Mapping[str, FloatArray]) -> People:
-    """The moments of people for the default signature, by arrays such as `learned` returns."""
-    known = people(SignatureOptions(), sample)
-    if known is None:
-        raise TypeError("the metric of people must be known for the default signature")
-    return known
-
-
-def metric_from(scans: Scans) -> Whitening:
-    """The whitening of people for the default signature that is learned from some scans."""
-    known = moments_of(learned(scans))
-    return fit_whitening("people", known.mean[np.newaxis], people=known)
-
-
 def strangers() -> FloatArray:
     """Coordinates (n, L) of scans of people, drawn by the moments of the package."""
-    known = moments_of(installed())
+    known = moments_of_people()
     drawn = np.random.default_rng(0).standard_normal((N_DRAWN, len(known.mean)))
     return np.asarray(known.mean + drawn @ np.linalg.cholesky(known.total).T)
 
@@ -224,7 +210,7 @@ def lines_of_kinds(scans: Scans) -> Iterator[str]:
     groups = [(name, np.isin(kind, kinds), kinds) for name, kinds in FAMILIES.items()]
     groups += [(name, damage == name, ()) for name in (WHOLE, *DAMAGES)]
     metrics = {
-        (kinds, fold): (metric_from(teaching), len(teaching.person))
+        (kinds, fold): (metric_of_people(learned(teaching)), len(teaching.person))
         for kinds in ((), *FAMILIES.values())
         for fold in range(N_FOLDS)
         for teaching in [without(scans, kinds, fold)]
@@ -258,7 +244,7 @@ def lines_of_sensors(scans: Scans, unseen: Mapping[str, SensorScans]) -> Iterato
     yield TABLE.head
     for name, each in unseen.items():
         teaching = without(scans, FAMILIES[FAMILY_OF[name]])
-        metric = metric_from(teaching)
+        metric = metric_of_people(learned(teaching))
         every = np.ones(len(each.points), dtype=bool)
         found = found_by(metric, each.points, each.person, queries=every, others=drawn)
         yield TABLE.row(name, len(teaching.person), *found.rates())
