@@ -1,28 +1,23 @@
-"""Points whose density varies over the body: which of them are sparse, and points interpolated between them.
+"""Points whose density varies over the body: which of them are sparse, and disks around them.
 
 A scanner measures few points where a surface is far away, dark, or inclined. All later stages work at the
-scale of one voxel, at which sparse points are isolated. Between them, points are therefore interpolated, for
-the walls of the flood fill and for the reconstruction of the surface. The points of a scan themselves do not
-change, and nothing is interpolated in a scan of uniform density.
+scale of one voxel, at which sparse points are isolated. Disks around them are walls for the flood fill, and
+for the reconstruction points are interpolated between them (`surface.poisson`). The points of a scan
+themselves do not change, and nothing is interpolated in a scan of uniform density.
 """
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcretrieve.arrays import tangent_axes
 from pcretrieve.points.neighbors import (
-    SAME_SIDE,
     SPACING_NEIGHBORS,
     Neighborhoods,
-    nearest,
-    neighborhoods,
     voxel_numbers,
 )
-from pcretrieve.values import FloatArray, Mask, PointCloud
+from pcretrieve.values import FloatArray, Mask
 
 # Spacing from which a point is sparse, in voxels; and the smallest fraction of the surface that sparse points
 # represent for points to be interpolated.
@@ -48,13 +43,6 @@ UNCOMMON = 1.8
 LEAST_OF_ONE = 0.15
 FEWEST = 5
 
-# Number of neighbours to which a sphere is fitted, and number of times that a point is moved to its sphere.
-FITTED = 16
-ROUNDS = 2
-
-# Smallest distance of an interpolated point from a measured one, in voxels.
-APART = 0.7
-
 # The golden angle, by which successive points of a spiral are turned; radians.
 GOLDEN = np.pi * (3 - np.sqrt(5))
 
@@ -75,13 +63,14 @@ def sparse_points(neighbors: Neighborhoods, *, cell: float, diagonal: float) -> 
 
     cell: edge of the voxels, not smaller than the median of the spacings.
     """
-    sparse = _many_sparse(local_spacings(neighbors), cell, diagonal)
+    sparse = many_sparse(local_spacings(neighbors), cell, diagonal)
     if sparse.any() and not _is_surface(neighbors, least=SPARSE * cell):
         return np.zeros_like(sparse)
     return sparse
 
 
-def _many_sparse(spacings: FloatArray, cell: float, diagonal: float) -> Mask:
+def many_sparse(spacings: FloatArray, cell: float, diagonal: float) -> Mask:
+    """(n,) mask of the points that are sparse; none, if they represent a small part of the surface."""
     known = spacings < FARTHEST * diagonal
     sparse = known & (spacings > SPARSE * cell)
     share = (spacings[sparse] ** 2).sum() / max(
@@ -150,101 +139,11 @@ def disks(
     turn = GOLDEN * number
     across, up = (out * np.cos(turn))[:, None], (out * np.sin(turn))[:, None]
     placed = points[centres[which]] + across * first[which] + up * second[which]
-    kept = _one_a_voxel(placed, step)
+    kept = one_a_voxel(placed, step)
     return placed[kept], centres[which[kept]]
 
 
-def interpolated(cloud: PointCloud, some: Neighborhoods, *, cell: float) -> PointCloud:
-    """A cloud with further points between its sparse ones.
-
-    The points are on algebraic spheres that are fitted to the nearest points of the same side [1]_. Each has
-    the position of the sensor of a sparse point nearby.
-
-    cell: edge of the voxels, and distance between the further points.
-
-    References
-    ----------
-    .. [1] G. Guennebaud and M. Gross, "Algebraic point set surfaces", ACM Transactions on Graphics 26 (2007).
-    """
-    if (
-        cloud.normals is None
-        or not _many_sparse(local_spacings(some), cell, cloud.diagonal).any()
-    ):
-        return cloud
-    neighbors = neighborhoods(cloud.points, FARTHER + 1)
-    spacings = local_spacings(neighbors)
-    sparse = sparse_points(neighbors, cell=cell, diagonal=cloud.diagonal)
-    if not sparse.any():
-        return cloud
-    points, normals, centres = _on_spheres(
-        cloud.points, cloud.normals, spacings, sparse, step=cell
-    )
-    sensors = cloud.viewpoints
-    return replace(
-        cloud,
-        points=np.concatenate([cloud.points, points]),
-        normals=np.concatenate([cloud.normals, normals]),
-        viewpoints=None
-        if sensors is None
-        else np.concatenate([sensors, sensors[centres]]),
-    )
-
-
-def _on_spheres(
-    points: FloatArray,
-    normals: FloatArray,
-    spacings: FloatArray,
-    sparse: Mask,
-    *,
-    step: float,
-) -> tuple[FloatArray, FloatArray, NDArray[np.intp]]:
-    """Points on spheres around sparse points, their normals, and the indices of the sparse points."""
-    placed, centres = disks(points, normals, spacings, sparse, step=step)
-    outward = normals[centres]
-    for _ in range(ROUNDS):
-        distance, near = nearest(points, placed, min(FITTED, len(points)))
-        agreement = np.einsum("ij,ikj->ik", normals[centres], normals[near])
-        weight = np.clip(1 - (distance / distance[:, -1:]) ** 2, 0, 1) ** 2
-        weight *= np.clip((agreement - SAME_SIDE) / (1 - SAME_SIDE), 0, 1)
-        height, outward = _sphere(points[near] - placed[:, None], normals[near], weight)
-        limit = RADIUS * spacings[centres]
-        placed = placed - np.clip(height, -limit, limit)[:, None] * outward
-    distance, near = nearest(points, placed, 1)  # (k, 1)
-    usable = (distance > APART * step) & (distance < RADIUS * spacings[near])
-    usable &= np.einsum("ij,ikj->ik", outward, normals[near]) > 0
-    usable = usable[:, 0]
-    placed, outward, centres = placed[usable], outward[usable], centres[usable]
-    kept = _one_a_voxel(placed, step)
-    return placed[kept], outward[kept], centres[kept]
-
-
-def _sphere(
-    apart: FloatArray, normals: FloatArray, weight: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Heights of the origin above spheres u₀ + u·p + q p·p = 0 fitted to (n, k, 3) points, and normals."""
-    total = weight.sum(axis=1) + np.finfo(float).tiny
-    middle = np.einsum("nk,nkd->nd", weight, apart)
-    summed = np.einsum("nk,nkd->nd", weight, normals)
-    squares = np.einsum("nk,nkd,nkd->n", weight, apart, apart)
-    turn = (
-        np.einsum("nk,nkd,nkd->n", weight, apart, normals)
-        - (middle * summed).sum(axis=1) / total
-    )
-    extent = squares - (middle**2).sum(axis=1) / total
-    q = np.divide(
-        turn, 2 * extent, out=np.zeros_like(turn), where=extent > 1e-9 * squares
-    )
-    u = (summed - 2 * q[:, None] * middle) / total[:, None]
-    u_0 = -((u * middle).sum(axis=1) + q * squares) / total
-    steepness = np.linalg.norm(u, axis=1)
-    root = np.sqrt(np.maximum(steepness**2 - 4 * u_0 * q, 0))
-    height = np.divide(
-        2 * u_0, steepness + root, out=np.zeros_like(u_0), where=steepness > 0
-    )
-    return height, u / np.maximum(steepness, np.finfo(float).tiny)[:, None]
-
-
-def _one_a_voxel(points: FloatArray, edge: float) -> NDArray[np.intp]:
+def one_a_voxel(points: FloatArray, edge: float) -> NDArray[np.intp]:
     """Indices of the first point in each voxel."""
     if not len(points):
         return np.zeros(0, dtype=np.intp)

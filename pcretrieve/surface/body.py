@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from pcretrieve.arrays import joined_by
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
-from pcretrieve.points.density import interpolated
 from pcretrieve.points.neighbors import (
     PLANE_NEIGHBORS,
     Neighborhoods,
@@ -40,6 +39,7 @@ from pcretrieve.surface.field import distance_field, folded, hidden_below, norma
 from pcretrieve.surface.growth import with_topology
 from pcretrieve.surface.marching import LEAST_SHARE, Crossings, crossed, marched, smoothed
 from pcretrieve.surface.parts import CONTINUED, contact_layer, joined, rims, walls
+from pcretrieve.surface.poisson import interpolated
 from pcretrieve.values import FloatArray, Grid, Mask, PointCloud, Step, TriangleMesh
 from pcretrieve.values.simplify import simplified
 from pcretrieve.values.topology import SurfaceMarks, edges_of

@@ -97,6 +97,10 @@ AWAY = 0.7
 MOST_AWAY = 0.2
 
 
+# Area, relative to the squared diagonal, below which a hole is none: its whole rim is nearest to one point.
+NO_AREA = 1e-12
+
+
 class Capped(NamedTuple):
     """A surface that is closed in the holes of the points.
 
@@ -149,6 +153,8 @@ def _raised(
     """
     axis = flat.area_vectors[here].sum(axis=0)
     area = float(np.linalg.norm(axis))
+    if area < NO_AREA * cloud.diagonal**2:
+        return vertices, False
     axis /= area
     if faces_ground(axis, cloud):
         return vertices, True
@@ -248,7 +254,10 @@ def outwards_at_rims(found: Capped, cloud: PointCloud) -> PointCloud:
     for number in np.unique(found.cap[found.cap != NO_CAP]):
         here = found.cap == number
         axis = surface.area_vectors[here].sum(axis=0)
-        axis /= np.linalg.norm(axis)
+        area = np.linalg.norm(axis)
+        if area < NO_AREA * cloud.diagonal**2:
+            continue
+        axis /= area
         rim = np.intersect1d(surface.faces[here], surface.faces[~here])
         if slope_of(surface.vertices[rim], axis, cloud.points, normals)[0] >= DEEP:
             continue

@@ -1,8 +1,9 @@
-"""Oriented points → closed surface, by screened Poisson reconstruction."""
+"""Oriented points → closed surface, by screened Poisson reconstruction; and points between sparse ones."""
 
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,6 +11,15 @@ from pcretrieve.arrays import Frame
 from pcretrieve.arrays.open3d import library, open3d_cloud
 from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import SurfaceOptions
+from pcretrieve.points.density import (
+    FARTHER,
+    local_spacings,
+    many_sparse,
+    one_a_voxel,
+    sparse_points,
+)
+from pcretrieve.points.neighbors import Neighborhoods, nearest, neighborhoods
+from pcretrieve.surface.caps import points_on
 from pcretrieve.surface.field import normals_of
 from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
 from pcretrieve.values.repair import largest_component, repaired
@@ -116,4 +126,60 @@ def _check_resolved(framed: FloatArray) -> None:
         f"at least {FEWEST_POINTS} points must be distinct in single precision, relative to the diagonal "
         f"of all points; of {len(framed)} points {n_distinct} are: look for points far from the body "
         "and drop them"
+    )
+
+
+# --- between sparse points --------------------------------------------------------------------------------
+
+# Depth of the octree, and side of its cube relative to the longest side of the bounding box.
+DEPTH, SCALE = 7, 1.5
+
+# Smallest distance of an interpolated point from a measured one, in voxels.
+APART = 0.7
+
+# Number of faces of whose normals the mean is taken, by area: some are slivers.
+AVERAGED = 6
+
+
+def interpolated(cloud: PointCloud, some: Neighborhoods, *, cell: float) -> PointCloud:
+    """A cloud with further points between its sparse ones, on the screened Poisson surface of all.
+
+    The octree of that surface has large cells where there are few points. Spheres that are fitted to the
+    nearest points fly off where limbs are as thin as these are apart: see docs/decisions.md, points between
+    sparse ones. Each further point has the position of the sensor of the point nearest to it.
+
+    some: neighbourhoods of some of the points.
+    cell: edge of the voxels, and distance between the further points.
+    """
+    if (
+        cloud.normals is None
+        or not many_sparse(local_spacings(some), cell, cloud.diagonal).any()
+    ):
+        return cloud
+    neighbors = neighborhoods(cloud.points, FARTHER + 1)
+    sparse = sparse_points(neighbors, cell=cell, diagonal=cloud.diagonal)
+    if not sparse.any():
+        return cloud
+    surface = poisson(cloud.points, cloud.normals, depth=DEPTH, scale=SCALE)
+    middles = surface.vertices[surface.faces].mean(axis=1)
+    distance, near = (found[:, 0] for found in nearest(cloud.points, middles, 1))
+    chosen = sparse[near] & (distance < local_spacings(neighbors)[near])
+    along = np.einsum("ij,ij->i", surface.area_vectors, cloud.normals[near])
+    chosen &= along > 0
+    if not chosen.any():
+        return cloud
+    points = points_on(surface, chosen, cell)
+    points = points[one_a_voxel(points, cell)]
+    distance, near = (found[:, 0] for found in nearest(cloud.points, points, 1))
+    is_apart = distance > APART * cell
+    points, near = points[is_apart], near[is_apart]
+    _, faces = nearest(middles[chosen], points, min(AVERAGED, chosen.sum()))
+    normals = surface.area_vectors[chosen][faces].sum(axis=1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    sensors = cloud.viewpoints
+    return replace(
+        cloud,
+        points=np.concatenate([cloud.points, points]),
+        normals=np.concatenate([cloud.normals, normals]),
+        viewpoints=None if sensors is None else np.concatenate([sensors, sensors[near]]),
     )

@@ -13,7 +13,7 @@ from pcretrieve.errors import ReconstructionError
 from pcretrieve.options import ScanOptions
 from pcretrieve.pipeline.registration.groups import feature_histograms
 from pcretrieve.points import oriented_normals
-from pcretrieve.points.density import interpolated, local_spacings, sparse_points
+from pcretrieve.points.density import local_spacings, sparse_points
 from pcretrieve.points.neighbors import (
     Neighborhoods,
     guided_planes,
@@ -131,35 +131,6 @@ def test_noise_is_what_was_added_however_many_points_there_are() -> None:
             noisy = points + np.random.default_rng(0).normal(0, deviation, points.shape)
             found = noise(noisy, neighborhoods(noisy, 9, of_some=True))
             assert found == pytest.approx(0.8 * deviation, rel=0.25)
-
-
-@pytest.mark.parametrize(
-    ("n", "ratio", "error"),
-    [(20_000, 10, 0.003), (20_000, 30, 0.006), (80_000, 100, 0.006)],
-)
-def test_interpolated_points_are_on_the_surface_and_leave_no_gap(
-    n: int, ratio: float, error: float
-) -> None:
-    """On a sphere of whose upper half one point in `ratio` is left; 20,000 points are .025 apart."""
-    points, cell = on_sphere(n), 0.02
-    points = points[(points[:, 2] < 0) | (np.random.default_rng(2).random(n) < 1 / ratio)]
-    some = neighborhoods(points, 9, of_some=True)
-    dense = interpolated(
-        PointCloud(points, points, viewpoints=2 * points),
-        some,
-        cell=max(cell, spacing(some)),
-    )
-    np.testing.assert_array_equal(dense.points[: len(points)], points)
-    added, normals = dense.points[len(points) :], dense.normals
-    assert normals is not None and dense.viewpoints is not None
-    np.testing.assert_allclose(np.linalg.norm(added, axis=1), 1, atol=error)
-    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
-    assert np.einsum("ij,ij->i", normals[len(points) :], added).min() > 0.9
-    # The sensor of each is that of a sparse point nearby.
-    assert np.einsum("ij,ij->i", dense.viewpoints, dense.points).min() > 0
-    # Every place of the sphere has a point as near as at the density of the dense half.
-    gaps, _ = cKDTree(dense.points).query(on_sphere(3000, seed=9))
-    assert np.quantile(gaps, 0.9) < 1.5 * cell
 
 
 def test_sparse_points_are_many_on_a_surface_and_not_isolated() -> None:

@@ -277,3 +277,11 @@ def test_two_ends_of_one_piece_are_not_joined() -> None:
 def test_a_gap_that_is_longer_than_eight_radii_stays() -> None:
     cloud = limb(gap=0.9)
     assert limbs_continued(cloud, 0.008) is cloud
+
+
+def test_a_balloon_whose_rim_is_nearest_to_one_point_is_no_hole() -> None:
+    """All but the pole of a ball is far from the points; numpy would warn of its axis."""
+    cloud = PointCloud(np.array([[0.0, 0, 1], [0, 0, 20]]), np.array([[0.0, 0, 1]] * 2))
+    found = capped(shapes.icosphere(3), cloud, spacing=0.01)
+    assert (found.cap != NO_CAP).any() and not found.base.any()
+    np.testing.assert_array_equal(outwards_at_rims(found, cloud).normals, cloud.normals)
