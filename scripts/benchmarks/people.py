@@ -10,7 +10,8 @@ within the limits of its joint. Nine cameras scan each body. They see no soles, 
 With ``--sensors``, the sensor of each scan is drawn instead: some cameras, uniform points, a turntable, or
 depth steps, with points, noise, holes and unseen places of its own. The angles of the joints are from wider
 ranges, poses come more than once, and a quarter of the scans have a damage: the end of a limb, the head or a
-patch is missing, or one side is thin. The names of the files and columns of the labels say which.
+patch is missing, or one side is thin. The names of the files and columns of the labels say which. With
+``--usual``, poses are as without ``--sensors``, and nothing is damaged.
 
 The model is that of R. Brégier et al., "Human mesh modeling for Anny body", arXiv 2511.03589 (2025); the
 package is under the licence Apache 2.0, its shapes under CC0. It is for developers only:
@@ -179,13 +180,19 @@ class People:
         return places
 
     def scanned(
-        self, person: int, number: int, kinds: Sequence[str]
+        self, person: int, number: int, kinds: Sequence[str], *, is_usual: bool
     ) -> tuple[str, str, str, FloatArray]:
-        """A scan of a person by a sensor of one of some kinds: its pose, kind, damage and points (n, 3)."""
+        """A scan of a person by a sensor of one of some kinds: its pose, kind, damage and points (n, 3).
+
+        is_usual: whether angles are in the usual ranges, no pose comes twice and nothing is damaged.
+        """
         rng = np.random.default_rng((self._seed, person, 100 + number))
         pose, kind = str(rng.choice(POSES)), str(rng.choice(kinds))
         damage = str(rng.choice(DAMAGES)) if rng.random() < DAMAGED else WHOLE
-        surface = self.body(person, pose, posing=rng, width=WIDER)
+        if is_usual:
+            pose, damage = self.poses(person, number + 1)[-1], WHOLE
+        width = 1.0 if is_usual else WIDER
+        surface = self.body(person, pose, posing=rng, width=width)
         body = Body(
             f"{person}-{number}", str(person), sealed(surface, self._skin), self._places
         )
@@ -309,7 +316,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         choices=KINDS,
         help="draw the sensor of each scan from these, a wider pose and some damages",
     )
+    add(
+        "--usual",
+        action="store_true",
+        help="with --sensors: usual poses, each once, and no damages",
+    )
     given = parser.parse_args(arguments)
+    if given.usual and given.poses > len(POSES):
+        parser.error(f"--usual has {len(POSES)} poses, got --poses {given.poses}")
     try:
         people = People(given.seed)
     except ImportError as error:
@@ -345,7 +359,9 @@ def _write_drawn(people: People, given: argparse.Namespace) -> None:
             if there:
                 pose, kind, damage = there[0].stem.split("_")[2:]
             else:
-                pose, kind, damage, points = people.scanned(person, number, given.sensors)
+                pose, kind, damage, points = people.scanned(
+                    person, number, given.sensors, is_usual=given.usual
+                )
             path = given.out / f"{name}_{number}_{pose}_{kind}_{damage}.ply"
             if not there:
                 write_ply(path, points)
