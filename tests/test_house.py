@@ -51,7 +51,7 @@ ROOMS = (
 # decisions about scans, measures of people and an export of pages cost 6,000; tables of methods, measures of
 # two people and decisions on pages 800; queries without a limb, and faster simplification, 400; copies of
 # scans that are not stored 700. The rest would be features.
-MOST_TOKENS = 238_700
+MOST_TOKENS = 238_400
 MOST_MODULES = 170
 MOST_ARROWS = 100
 MOST_OPTIONS = 45

@@ -10,7 +10,9 @@ import trimesh
 from pcretrieve.descriptors import hapt
 from pcretrieve.descriptors.hapt import (
     CELL,
+    PSEUDOCOUNT,
     RADII,
+    WEIGHTS,
     WIDE,
     _vertex_normals,
     in_principal_frame,
@@ -118,8 +120,9 @@ def test_thin_parts_between_the_wide_voxels_have_no_volumes_there() -> None:
         box.apply_translation((0, 0, 0.01 * side))
         faces = np.array(box.faces, np.int32)
         sheets.append(TriangleMesh(np.array(box.vertices), faces))
-    volumes = hapt(shapes.joined(*sheets)).values.reshape(22, 7)
-    assert volumes[RADII < WIDE].any() and not volumes[RADII >= WIDE].any()
+    volumes = hapt(shapes.joined(*sheets)).values.reshape(22, 7) / WEIGHTS
+    is_filled = volumes > (1 + 1e-9) * PSEUDOCOUNT
+    assert is_filled[RADII < WIDE].any() and not is_filled[RADII >= WIDE].any()
 
 
 def test_a_body_that_is_all_length_needs_too_large_a_grid() -> None:
