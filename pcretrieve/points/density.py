@@ -1,9 +1,9 @@
-"""Points whose density varies over the body: which of them are sparse, and disks around them.
+"""Points whose density varies over the body: which of them are sparse, and places between them.
 
 A scanner measures few points where a surface is far away, dark, or inclined. All later stages work at the
-scale of one voxel, at which sparse points are isolated. Disks around them are walls for the flood fill, and
-for the reconstruction points are interpolated between them (`surface.poisson`). The points of a scan
-themselves do not change, and nothing is interpolated in a scan of uniform density.
+scale of one voxel, at which sparse points are isolated. Between them, points are therefore interpolated, for
+the walls of the flood fill and for the reconstruction of the surface (`surface.poisson.interpolated`). The
+points of a scan themselves do not change, and nothing is interpolated in a scan of uniform density.
 """
 
 from __future__ import annotations
@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from pcretrieve.arrays import tangent_axes
 from pcretrieve.points.neighbors import (
+    SAME_SIDE,
     SPACING_NEIGHBORS,
     Neighborhoods,
+    nearest,
     voxel_numbers,
 )
 from pcretrieve.values import FloatArray, Mask
@@ -42,6 +44,13 @@ UNCOMMON = 1.8
 # Smallest exponent of a single point, if the median is that of a surface, and fewest points for a median.
 LEAST_OF_ONE = 0.15
 FEWEST = 5
+
+# Number of neighbours to which a sphere is fitted, and number of times that a point is moved to its sphere.
+FITTED = 16
+ROUNDS = 2
+
+# Smallest distance of an interpolated point from a measured one, in voxels.
+APART = 0.7
 
 # The golden angle, by which successive points of a spiral are turned; radians.
 GOLDEN = np.pi * (3 - np.sqrt(5))
@@ -139,11 +148,74 @@ def disks(
     turn = GOLDEN * number
     across, up = (out * np.cos(turn))[:, None], (out * np.sin(turn))[:, None]
     placed = points[centres[which]] + across * first[which] + up * second[which]
-    kept = one_a_voxel(placed, step)
+    kept = _one_a_voxel(placed, step)
     return placed[kept], centres[which[kept]]
 
 
-def one_a_voxel(points: FloatArray, edge: float) -> NDArray[np.intp]:
+def on_spheres(
+    points: FloatArray,
+    normals: FloatArray,
+    spacings: FloatArray,
+    sparse: Mask,
+    *,
+    step: float,
+) -> tuple[FloatArray, FloatArray, NDArray[np.intp]]:
+    """Points on spheres around sparse points, their normals, and the indices of the sparse points.
+
+    The algebraic spheres are fitted to the nearest points of the same side [1]_.
+
+    step: distance between the further points.
+
+    References
+    ----------
+    .. [1] G. Guennebaud and M. Gross, "Algebraic point set surfaces", ACM Transactions on Graphics 26 (2007).
+    """
+    placed, centres = disks(points, normals, spacings, sparse, step=step)
+    outward = normals[centres]
+    for _ in range(ROUNDS):
+        distance, near = nearest(points, placed, min(FITTED, len(points)))
+        agreement = np.einsum("ij,ikj->ik", normals[centres], normals[near])
+        weight = np.clip(1 - (distance / distance[:, -1:]) ** 2, 0, 1) ** 2
+        weight *= np.clip((agreement - SAME_SIDE) / (1 - SAME_SIDE), 0, 1)
+        height, outward = _sphere(points[near] - placed[:, None], normals[near], weight)
+        limit = RADIUS * spacings[centres]
+        placed = placed - np.clip(height, -limit, limit)[:, None] * outward
+    distance, near = nearest(points, placed, 1)  # (k, 1)
+    usable = (distance > APART * step) & (distance < RADIUS * spacings[near])
+    usable &= np.einsum("ij,ikj->ik", outward, normals[near]) > 0
+    usable = usable[:, 0]
+    placed, outward, centres = placed[usable], outward[usable], centres[usable]
+    kept = _one_a_voxel(placed, step)
+    return placed[kept], outward[kept], centres[kept]
+
+
+def _sphere(
+    apart: FloatArray, normals: FloatArray, weight: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Heights of the origin above spheres u₀ + u·p + q p·p = 0 fitted to (n, k, 3) points, and normals."""
+    total = weight.sum(axis=1) + np.finfo(float).tiny
+    middle = np.einsum("nk,nkd->nd", weight, apart)
+    summed = np.einsum("nk,nkd->nd", weight, normals)
+    squares = np.einsum("nk,nkd,nkd->n", weight, apart, apart)
+    turn = (
+        np.einsum("nk,nkd,nkd->n", weight, apart, normals)
+        - (middle * summed).sum(axis=1) / total
+    )
+    extent = squares - (middle**2).sum(axis=1) / total
+    q = np.divide(
+        turn, 2 * extent, out=np.zeros_like(turn), where=extent > 1e-9 * squares
+    )
+    u = (summed - 2 * q[:, None] * middle) / total[:, None]
+    u_0 = -((u * middle).sum(axis=1) + q * squares) / total
+    steepness = np.linalg.norm(u, axis=1)
+    root = np.sqrt(np.maximum(steepness**2 - 4 * u_0 * q, 0))
+    height = np.divide(
+        2 * u_0, steepness + root, out=np.zeros_like(u_0), where=steepness > 0
+    )
+    return height, u / np.maximum(steepness, np.finfo(float).tiny)[:, None]
+
+
+def _one_a_voxel(points: FloatArray, edge: float) -> NDArray[np.intp]:
     """Indices of the first point in each voxel."""
     if not len(points):
         return np.zeros(0, dtype=np.intp)

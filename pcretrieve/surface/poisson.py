@@ -15,11 +15,10 @@ from pcretrieve.points.density import (
     FARTHER,
     local_spacings,
     many_sparse,
-    one_a_voxel,
+    on_spheres,
     sparse_points,
 )
 from pcretrieve.points.neighbors import Neighborhoods, nearest, neighborhoods
-from pcretrieve.surface.caps import points_on
 from pcretrieve.surface.field import normals_of
 from pcretrieve.values import FloatArray, PointCloud, Step, TriangleMesh
 from pcretrieve.values.repair import largest_component, repaired
@@ -134,19 +133,19 @@ def _check_resolved(framed: FloatArray) -> None:
 # Depth of the octree, and side of its cube relative to the longest side of the bounding box.
 DEPTH, SCALE = 7, 1.5
 
-# Smallest distance of an interpolated point from a measured one, in voxels.
-APART = 0.7
-
-# Number of faces of whose normals the mean is taken, by area: some are slivers.
-AVERAGED = 6
+# Share of the surface that sparse points represent from which they are those of a whole side; and the largest
+# distance of points between these from the Poisson surface, in their spacings.
+SIDE = 0.25
+BELIEVED = 0.3
 
 
 def interpolated(cloud: PointCloud, some: Neighborhoods, *, cell: float) -> PointCloud:
-    """A cloud with further points between its sparse ones, on the screened Poisson surface of all.
+    """A cloud with further points between its sparse ones.
 
-    The octree of that surface has large cells where there are few points. Spheres that are fitted to the
-    nearest points fly off where limbs are as thin as these are apart: see docs/decisions.md, points between
-    sparse ones. Each further point has the position of the sensor of the point nearest to it.
+    The points are on spheres that are fitted to the nearest ones. If a whole side is sparse, its limbs are as
+    thin as its points are apart, and the spheres fly off: then only those near a screened Poisson surface are
+    used, whose octree has large cells where there are few points. See docs/decisions.md, points between
+    sparse ones. Each further point has the position of the sensor of a sparse point nearby.
 
     some: neighbourhoods of some of the points.
     cell: edge of the voxels, and distance between the further points.
@@ -157,29 +156,25 @@ def interpolated(cloud: PointCloud, some: Neighborhoods, *, cell: float) -> Poin
     ):
         return cloud
     neighbors = neighborhoods(cloud.points, FARTHER + 1)
+    spacings = local_spacings(neighbors)
     sparse = sparse_points(neighbors, cell=cell, diagonal=cloud.diagonal)
     if not sparse.any():
         return cloud
-    surface = poisson(cloud.points, cloud.normals, depth=DEPTH, scale=SCALE)
-    middles = surface.vertices[surface.faces].mean(axis=1)
-    distance, near = (found[:, 0] for found in nearest(cloud.points, middles, 1))
-    chosen = sparse[near] & (distance < local_spacings(neighbors)[near])
-    along = np.einsum("ij,ij->i", surface.area_vectors, cloud.normals[near])
-    chosen &= along > 0
-    if not chosen.any():
-        return cloud
-    points = points_on(surface, chosen, cell)
-    points = points[one_a_voxel(points, cell)]
-    distance, near = (found[:, 0] for found in nearest(cloud.points, points, 1))
-    is_apart = distance > APART * cell
-    points, near = points[is_apart], near[is_apart]
-    _, faces = nearest(middles[chosen], points, min(AVERAGED, chosen.sum()))
-    normals = surface.area_vectors[chosen][faces].sum(axis=1)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    points, normals, centres = on_spheres(
+        cloud.points, cloud.normals, spacings, sparse, step=cell
+    )
+    areas = spacings**2
+    if areas[sparse].sum() > SIDE * areas.sum():
+        surface = poisson(cloud.points, cloud.normals, depth=DEPTH, scale=SCALE)
+        distance, _ = nearest(surface.vertices, points, 1)
+        is_near = distance[:, 0] < BELIEVED * spacings[centres]
+        points, normals, centres = points[is_near], normals[is_near], centres[is_near]
     sensors = cloud.viewpoints
     return replace(
         cloud,
         points=np.concatenate([cloud.points, points]),
         normals=np.concatenate([cloud.normals, normals]),
-        viewpoints=None if sensors is None else np.concatenate([sensors, sensors[near]]),
+        viewpoints=None
+        if sensors is None
+        else np.concatenate([sensors, sensors[centres]]),
     )

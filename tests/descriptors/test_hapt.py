@@ -10,10 +10,13 @@ import trimesh
 from pcretrieve.descriptors import hapt
 from pcretrieve.descriptors.hapt import (
     CELL,
+    LEVELS,
     PSEUDOCOUNT,
     RADII,
+    STEP,
     WEIGHTS,
     WIDE,
+    _counted,
     _vertex_normals,
     in_principal_frame,
     interior,
@@ -89,6 +92,15 @@ def test_half_of_a_sphere_arrives_on_the_axis_of_a_tube() -> None:
     assert np.median(own[on_axis]) == pytest.approx(0.5, rel=0.1)
     assert np.median(half[on_axis]) < 0.1
     assert np.median(double[on_axis]) < 0.1
+
+
+def test_voxels_near_a_level_count_in_part() -> None:
+    """The sum over all voxels of how far each is above half a step below a level, in steps of at most one."""
+    areas = np.random.default_rng(0).lognormal(-2, 2, (3, 500)).astype(np.float32)
+    areas[:, :9] = 0
+    steps = np.log(np.maximum(areas, 1e-9)[..., np.newaxis] / LEVELS) / np.log(STEP)
+    expected = (steps + 0.5).clip(0, 1).sum(axis=1)
+    np.testing.assert_allclose(_counted(areas), expected, rtol=1e-6)
 
 
 def test_bending_changes_less_than_girth() -> None:

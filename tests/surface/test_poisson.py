@@ -26,7 +26,7 @@ def on_sphere(n: int, seed: int = 1) -> FloatArray:
 
 @pytest.mark.parametrize(
     ("n", "ratio", "error"),
-    [(20_000, 10, 0.008), (20_000, 30, 0.013), (80_000, 100, 0.013)],
+    [(20_000, 10, 0.003), (20_000, 30, 0.006), (80_000, 100, 0.006)],
 )
 def test_interpolated_points_are_on_the_surface_and_leave_no_gap(
     n: int, ratio: float, error: float
@@ -46,7 +46,7 @@ def test_interpolated_points_are_on_the_surface_and_leave_no_gap(
     np.testing.assert_allclose(np.linalg.norm(added, axis=1), 1, atol=error)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
     assert np.einsum("ij,ij->i", normals[len(points) :], added).min() > 0.9
-    # The sensor of each is that of a point nearby.
+    # The sensor of each is that of a sparse point nearby.
     assert np.einsum("ij,ij->i", dense.viewpoints, dense.points).min() > 0
     # Every place of the sphere has a point as near as at the density of the dense half.
     gaps, _ = cKDTree(dense.points).query(on_sphere(3000, seed=9))
