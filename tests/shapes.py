@@ -108,6 +108,12 @@ def body(subdivisions: int = 4) -> TriangleMesh:
     return TriangleMesh(distance[:, None] * sphere.vertices, sphere.faces)
 
 
+def on_sphere(n: int, seed: int = 1) -> FloatArray:
+    """Random points on the unit sphere."""
+    points = np.random.default_rng(seed).normal(size=(n, 3))
+    return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
+
+
 def torus(
     n_around: int = 48, n_tube: int = 24, *, major: float = 1.0, minor: float = 0.4
 ) -> TriangleMesh:

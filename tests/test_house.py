@@ -50,7 +50,7 @@ ROOMS = (
 # functions of one thought, typed options and creases cost 3,000 more than was found to delete; curves,
 # decisions about scans, measures of people and an export of pages cost 6,000; tables of methods, measures of
 # two people and decisions on pages 800; queries without a limb, and faster simplification, 400; copies of
-# scans that are not stored 700. The rest would be features.
+# scans that are not stored 700; sides that are sparse 400. The rest would be features.
 MOST_TOKENS = 239_000
 MOST_MODULES = 170
 MOST_ARROWS = 100

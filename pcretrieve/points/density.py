@@ -78,14 +78,16 @@ def sparse_points(neighbors: Neighborhoods, *, cell: float, diagonal: float) -> 
     return sparse
 
 
-def many_sparse(spacings: FloatArray, cell: float, diagonal: float) -> Mask:
-    """(n,) mask of the points that are sparse; none, if they represent a small part of the surface."""
+def many_sparse(
+    spacings: FloatArray, cell: float, diagonal: float, *, least: float = LEAST_SPARSE
+) -> Mask:
+    """(n,) mask of the points that are sparse; none, if they represent at most so much of the surface."""
     known = spacings < FARTHEST * diagonal
     sparse = known & (spacings > SPARSE * cell)
     share = (spacings[sparse] ** 2).sum() / max(
         (spacings[known] ** 2).sum(), np.finfo(float).tiny
     )
-    return sparse if share > LEAST_SPARSE else np.zeros_like(sparse)
+    return sparse if share > least else np.zeros_like(sparse)
 
 
 def _growth(neighbors: Neighborhoods) -> FloatArray:

@@ -163,8 +163,7 @@ def interpolated(cloud: PointCloud, some: Neighborhoods, *, cell: float) -> Poin
     points, normals, centres = on_spheres(
         cloud.points, cloud.normals, spacings, sparse, step=cell
     )
-    areas = spacings**2
-    if areas[sparse].sum() > SIDE * areas.sum():
+    if many_sparse(spacings, cell, cloud.diagonal, least=SIDE).any():
         surface = poisson(cloud.points, cloud.normals, depth=DEPTH, scale=SCALE)
         distance, _ = nearest(surface.vertices, points, 1)
         is_near = distance[:, 0] < BELIEVED * spacings[centres]

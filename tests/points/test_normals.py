@@ -29,13 +29,7 @@ from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
 RNG = np.random.default_rng(0)
 
 
-def on_sphere(n: int, seed: int = 1) -> FloatArray:
-    """Random points on the unit sphere."""
-    points = np.random.default_rng(seed).normal(size=(n, 3))
-    return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
-
-
-ON_SPHERE = on_sphere(4000)
+ON_SPHERE = shapes.on_sphere(4000)
 CLOUDS = {
     "sphere": ON_SPHERE,
     "far from the origin": ON_SPHERE + 1e6,

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapes
 from scipy.spatial import cKDTree
 
 from pcretrieve.formats import read_scan
@@ -13,15 +14,9 @@ from pcretrieve.options import PipelineOptions
 from pcretrieve.pipeline.process import process
 from pcretrieve.points.neighbors import neighborhoods, spacing
 from pcretrieve.surface.poisson import interpolated
-from pcretrieve.values import FloatArray, PointCloud
+from pcretrieve.values import PointCloud
 
 SCANS = Path(__file__).parents[2] / "scans"
-
-
-def on_sphere(n: int, seed: int = 1) -> FloatArray:
-    """Random points on the unit sphere."""
-    points = np.random.default_rng(seed).normal(size=(n, 3))
-    return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
 
 
 @pytest.mark.parametrize(
@@ -32,7 +27,7 @@ def test_interpolated_points_are_on_the_surface_and_leave_no_gap(
     n: int, ratio: float, error: float
 ) -> None:
     """On a sphere of whose upper half one point in `ratio` is left; 20,000 points are .025 apart."""
-    points, cell = on_sphere(n), 0.02
+    points, cell = shapes.on_sphere(n), 0.02
     points = points[(points[:, 2] < 0) | (np.random.default_rng(2).random(n) < 1 / ratio)]
     some = neighborhoods(points, 9, of_some=True)
     dense = interpolated(
@@ -49,7 +44,7 @@ def test_interpolated_points_are_on_the_surface_and_leave_no_gap(
     # The sensor of each is that of a sparse point nearby.
     assert np.einsum("ij,ij->i", dense.viewpoints, dense.points).min() > 0
     # Every place of the sphere has a point as near as at the density of the dense half.
-    gaps, _ = cKDTree(dense.points).query(on_sphere(3000, seed=9))
+    gaps, _ = cKDTree(dense.points).query(shapes.on_sphere(3000, seed=9))
     assert np.quantile(gaps, 0.9) < 1.5 * cell
 
 
