@@ -102,17 +102,27 @@ class People(NamedTuple):
         variances = (apart * np.linalg.solve(self.total, apart.T).T).mean(axis=1)
         return float(np.quantile(variances, LESS_UNLIKE))
 
-    def metric(self, own: FloatArray | None = None, share: float = 0.0) -> FloatArray:
-        """M (L, L), positive semidefinite.
+    def adapted(self, own: FloatArray, share: float) -> People:
+        """With the covariance (L, L) of differences within a catalogue, in any unit, as a share of S_w."""
+        scale = np.trace(self.within) / np.trace(own)
+        within = (1 - share) * self.within + share * scale * own
+        return self._replace(within=within, total=self.total - self.within + within)
 
-        own: (L, L), the covariance of the differences of scans of one person in a catalogue, in any unit.
-        share: the share of it in S_w.
+    @property
+    def metric(self) -> FloatArray:
+        """M (L, L), positive semidefinite."""
+        return np.linalg.inv(self.within) - np.linalg.inv(self.total)
+
+    def unusual(self, root: FloatArray) -> FloatArray:
+        """Q (L, L), by which yᵀ Q y tells how unusual a person is; root: R, the symmetric root of M.
+
+        It is the mean square of the expected part of the person, S_b S_t⁻¹ (x − μ) with S_b = S_t − S_w, in
+        units of the variance S_b, divided by its mean over people; with y = R (x − μ)
+
+            Q = (I − R S_w R) / tr(R S_w R)
         """
-        within = self.within
-        if own is not None:
-            within = (1 - share) * within + share * np.trace(within) / np.trace(own) * own
-        total = self.total - self.within + within
-        return np.linalg.inv(within) - np.linalg.inv(total)
+        within = root @ self.within @ root
+        return np.asarray((np.eye(len(within)) - within) / np.trace(within))
 
 
 def unpacked(arrays: Mapping[str, FloatArray]) -> dict[str, FloatArray]:

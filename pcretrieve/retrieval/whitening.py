@@ -12,13 +12,17 @@ pairs that are probably of one class (``neighbours``), or, as a first approximat
 (``pca``). Whitening by the differences of nearest neighbours is unsupervised, in the manner of relevant
 component analysis [2]_ with the pairs in place of its equivalence constraints.
 
-``people`` is the metric of `pcretrieve.retrieval.people`, which hardly depends on a gallery of people.
+``people`` is the metric of `pcretrieve.retrieval.people`, which hardly depends on a gallery of people. It is
+followed by a normalisation of length [3]_, because scans of unusual people differ more from one another: see
+`People.unusual`.
 
 References
 ----------
 .. [1] Kessy, Lewin and Strimmer, "Optimal whitening and decorrelation", The American Statistician 2018.
 .. [2] Bar-Hillel, Hertz, Shental and Weinshall, "Learning a Mahalanobis metric from equivalence
    constraints", Journal of Machine Learning Research 2005.
+.. [3] Garcia-Romero and Espy-Wilson, "Analysis of i-vector length normalization in speaker recognition
+   systems", Interspeech 2011.
 """
 
 from __future__ import annotations
@@ -26,7 +30,7 @@ from __future__ import annotations
 import io
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -57,6 +61,10 @@ CALIBRATED = "calibrated"
 # Least number of classes from which labels are used by "auto".
 LEAST_CLASSES = 5
 
+# How unusual a person is, by `Whitening.unusual`: added to it, since scans of the most usual people differ
+# too, and the largest one, of scans of others than people. See docs/decisions.md, length.
+USUAL, MOST_UNUSUAL = 0.35, 3.0
+
 
 class Arrays(Value):
     """A value that is stored as arrays by name, none of which needs pickle."""
@@ -82,7 +90,7 @@ class Arrays(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Whitening(Arrays):
-    """The map x → W (c(x) − mean) of log-signatures, in which c corrects the pose of people.
+    """The map x → y / √l(y), y = W (x − mean), of log-signatures; l = 1 but for people.
 
     Attributes
     ----------
@@ -100,6 +108,9 @@ class Whitening(Arrays):
         Digest of the signatures of the fit, to which alone the whitening may be applied.
     reason : str
         What was used and why, in one line.
+    unusual : (L, L) float64 or empty
+        Of people, Q: yᵀ Q y is how unusual a person is, 1 on average, and l the ratio of what scans of such a
+        person differ by to what it is on average, (min(yᵀ Q y, `MOST_UNUSUAL`) + `USUAL`) / (1 + `USUAL`).
     """
 
     kind: str
@@ -109,6 +120,7 @@ class Whitening(Arrays):
     shrinkage: float = 0.0
     options_digest: str = ""
     reason: str = ""
+    unusual: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         if self.kind not in (*WHITENINGS, CALIBRATED):
@@ -117,6 +129,7 @@ class Whitening(Arrays):
             )
         length = len(self._lock("mean", (None,)))
         self._lock("matrix", (length, length))
+        self._lock("unusual", (length, length) if np.size(self.unusual) else (0, 0))
 
     def check_made_for(self, digest: str) -> None:
         """InputError if the whitening was fitted on signatures of another digest."""
@@ -127,7 +140,7 @@ class Whitening(Arrays):
             )
 
     def apply(self, logs: FloatArray) -> FloatArray:
-        """W (c(x) − mean) for each row x of log-signatures (N, L); for ``none`` the input array itself."""
+        """The whitened coordinates of rows of log-signatures (N, L); for ``none`` the input array itself."""
         if logs.ndim != 2 or logs.shape[1] != len(self.mean):
             raise InputError(
                 f"log-signatures must have shape (N, {len(self.mean)}), as this whitening was fitted, "
@@ -136,8 +149,12 @@ class Whitening(Arrays):
         if self.kind == "none":
             return logs
         # Row by row: the rounding of a row must not depend on the other rows.
-        whitened = (logs - self.mean)[:, np.newaxis] @ self.matrix.T
-        return np.asarray(whitened[:, 0])
+        whitened = ((logs - self.mean)[:, np.newaxis] @ self.matrix.T)[:, 0]
+        if not self.unusual.size:
+            return np.asarray(whitened)
+        unusual = ((whitened[:, np.newaxis] @ self.unusual)[:, 0] * whitened).sum(axis=1)
+        lengths = (np.minimum(unusual, MOST_UNUSUAL) + USUAL) / (1 + USUAL)
+        return np.asarray(whitened / np.sqrt(lengths)[:, np.newaxis])
 
 
 def write_whitening(whitening: Whitening, path: Path) -> None:
@@ -299,13 +316,18 @@ def _of_people(own: covariances.Fit, people: People, share: float) -> Whitening:
     own: what the shapes themselves teach; share: how much it counts, if they teach something.
     """
     share = 0.0 if own.covariance is None else share
-    weights, directions = np.linalg.eigh(people.metric(own.covariance, share))
+    if own.covariance is not None:
+        people = people.adapted(own.covariance, share)
+    weights, directions = np.linalg.eigh(people.metric)
     root = (directions * np.sqrt(np.maximum(weights, 0))) @ directions.T
-    root *= np.sqrt(np.trace(people.total) / np.trace(root @ people.total @ root))
+    scale = np.sqrt(np.trace(people.total) / np.trace(root @ people.total @ root))
+    unusual = people.unusual(root) / scale**2
     reason = f"people: {1 - share:.0%} learned from simulated people"
     reason += f", {share:.0%} from {own.reason}" if share else ""
     n_own = len(own.shapes) if share else 0
-    return Whitening("people", people.mean, root, n_own, own.shrinkage, "", reason)
+    return Whitening(
+        "people", people.mean, scale * root, n_own, own.shrinkage, "", reason, unusual
+    )
 
 
 def _pca(logs: FloatArray, shrinkage: Shrinkage) -> covariances.Fit:

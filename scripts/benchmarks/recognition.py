@@ -43,7 +43,7 @@ from benchmarks.measuring import (
     draw_curves,
     print_lines,
 )
-from benchmarks.sensors import SENSORS
+from benchmarks.sensors import DAMAGES, SENSORS, WHOLE
 from benchmarks.sets import to_faces
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
@@ -226,6 +226,10 @@ def scans_of(catalogues: Sequence[Path]) -> Scans:
 # relative to the mean: some bins of hapt are empty for nearly all people.
 SHRINKAGE, LEAST = 0.03, 3e-3
 
+# How often a damaged scan counts within people: a twelfth of the scans are damaged. See docs/decisions.md,
+# drawn sensors.
+DAMAGED = 2.0
+
 # What the coordinates of hapt are divided by before that, (r, l): without the weights, they are roots of
 # volumes relative to R², of about the same variance within people.
 EVEN = np.sqrt(WEIGHTS) * RADII[:, np.newaxis]
@@ -237,11 +241,10 @@ def person_means(points: FloatArray, person: Positions) -> FloatArray:
     return np.asarray(sums / np.bincount(person)[:, np.newaxis])
 
 
-def people_means(points: FloatArray, person: Positions) -> tuple[FloatArray, FloatArray]:
-    """(p, L) means of the coordinates (n, L) of each person, and (L, L) the covariance within people."""
-    means = person_means(points, person)
-    apart = points - means[person]
-    return means, apart.T @ apart / (len(points) - len(means))
+def damages_of(ids: NDArray[np.str_]) -> NDArray[np.str_]:
+    """(n,) the damages in names of files of `make_people`: with --sensors, they may have one."""
+    found = [name.rpartition("_")[2] for name in ids.tolist()]
+    return np.array([damage if damage in DAMAGES else WHOLE for damage in found])
 
 
 def shrunk_within(within: FloatArray) -> FloatArray:
@@ -262,7 +265,11 @@ def learned(scans: Scans) -> dict[str, FloatArray]:
     even = even * np.sqrt((points[:, : len(even)] / even).var(axis=0).sum())
     unit = np.append(even, np.ones(len(scale) - len(even)))
     n_of = np.bincount(scans.person)
-    means, within = people_means(points / unit, scans.person)
+    means = person_means(points / unit, scans.person)
+    counted = np.where(damages_of(scans.ids) == WHOLE, 1.0, DAMAGED)
+    apart = points / unit - means[scans.person]
+    n_free = counted.mean() * (len(points) - len(means))
+    within = (counted * apart.T) @ apart / n_free
     shrunk = shrunk_within(within)
     # The covariance between people without that of the means of a few scans.
     between = np.cov(means.T) - within * (1 / n_of).mean()
@@ -331,7 +338,7 @@ N_QUERIES = 600
 
 # Weight of a query whose person is not in the gallery: a collection that has hardly any statistics of its own
 # should name no stranger. See docs/decisions.md, one scan each.
-STRANGERS = 8.0
+STRANGERS = 100.0
 
 # Number of quantiles of the distances of scans of one person.
 N_SAME = 201

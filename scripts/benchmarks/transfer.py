@@ -37,6 +37,7 @@ from benchmarks.recognition import (
     ACCEPTED,
     Scans,
     SensorScans,
+    damages_of,
     fused_points,
     learned,
     scans_by,
@@ -117,12 +118,6 @@ def kinds_of(scans: Scans) -> NDArray[np.str_]:
             for name in scans.ids.tolist()
         ]
     )
-
-
-def damages_of(scans: Scans) -> NDArray[np.str_]:
-    """(n,) the damages in names of files of `make_people`: with --sensors, they may have one."""
-    found = [name.rpartition("_")[2] for name in scans.ids.tolist()]
-    return np.array([damage if damage in DAMAGES else WHOLE for damage in found])
 
 
 def without(scans: Scans, kinds: Collection[str], fold: int | None = None) -> Scans:
@@ -206,7 +201,7 @@ def found_by(
 def lines_of_kinds(scans: Scans) -> Iterator[str]:
     """The table by kinds of sensors that were left out, and by damages, of people who taught nothing."""
     points, drawn = fused_points(scans.parts, SignatureOptions()), strangers()
-    kind, damage = kinds_of(scans), damages_of(scans)
+    kind, damage = kinds_of(scans), damages_of(scans.ids)
     groups = [(name, np.isin(kind, kinds), kinds) for name, kinds in FAMILIES.items()]
     groups += [(name, damage == name, ()) for name in (WHOLE, *DAMAGES)]
     metrics = {

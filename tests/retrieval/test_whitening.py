@@ -12,9 +12,12 @@ from tables import classes_of, posed_logs, table_of
 
 from pcretrieve.descriptors import DESCRIPTORS, signature_length
 from pcretrieve.errors import InputError, OptionError
+from pcretrieve.evaluation.measures import verification
 from pcretrieve.options import RetrievalOptions, SignatureOptions
 from pcretrieve.retrieval import People, Whitening, fit_whitening, pairwise, people
 from pcretrieve.retrieval.whitening import (
+    MOST_UNUSUAL,
+    USUAL,
     calibrated_whitening,
     read_whitening,
     write_whitening,
@@ -244,8 +247,7 @@ def test_the_metric_of_people_finds_them(method: str, size_weight: float) -> Non
     assert known is not None
     assert len(known.mean) == signature_length(options)
     assert (
-        np.linalg.eigvalsh(known.metric())[0]
-        > -1e-6 * np.linalg.eigvalsh(known.metric())[-1]
+        np.linalg.eigvalsh(known.metric)[0] > -1e-6 * np.linalg.eigvalsh(known.metric)[-1]
     )
     logs, labels = some_people(known)
     assert known.unlikeness(logs) == pytest.approx(1, rel=0.3)
@@ -272,6 +274,42 @@ def test_the_metric_of_people_finds_them(method: str, size_weight: float) -> Non
     assert learned.kind == "people" and " from within-class: " in learned.reason
     alone = calibrated_whitening(replace(table, values=far), RetrievalOptions(), known)
     assert alone.kind == "within-class"
+
+
+def test_scans_of_unusual_people_may_differ_more() -> None:
+    known = people(SignatureOptions())
+    assert known is not None
+    logs, labels = some_people(known, 200)
+    whitening = fit_whitening("people", known.mean[np.newaxis], people=known)
+    plain = replace(whitening, unusual=np.zeros((0, 0)))
+    # The mean square of the expected part of the person, S_b S_t⁻¹ (x − μ), in units of S_b.
+    parts = np.linalg.solve(known.total, (logs - known.mean).T)
+    between = known.total - known.within
+    squares = (parts * (between @ parts)).sum(axis=0)
+    unusual = squares / np.trace(np.linalg.solve(known.total, between))
+    assert unusual.mean() == pytest.approx(1, rel=0.1)
+    lengths = (np.minimum(unusual, MOST_UNUSUAL) + USUAL) / (1 + USUAL)
+    np.testing.assert_allclose(
+        whitening.apply(logs), plain.apply(logs) / np.sqrt(lengths)[:, None], rtol=1e-4
+    )
+    # Where unusual people do differ more from themselves, fewer of them are refused.
+    person = np.repeat(logs[::3], 3, axis=0)
+    drawn = person + 1.5 * np.sqrt(lengths)[::3].repeat(3)[:, None] * (logs - person)
+    errors, first = [], np.arange(len(drawn))
+    same = np.equal.outer(labels, labels)[first[:, None] < first]
+    for one in (plain, whitening):
+        points = one.apply(drawn)
+        apart = pairwise("log", points, points)[first[:, None] < first]
+        found = verification(np.sort(apart[same]), np.sort(apart[~same]))
+        assert found is not None
+        errors.append(found.missed(1e-3))
+    assert errors[1] < 0.8 * errors[0], errors
+    # Beyond all people, every scan is as unusual.
+    far = known.mean + 30 * (logs - known.mean)
+    ratio = np.linalg.norm(plain.apply(far), axis=1) / np.linalg.norm(
+        whitening.apply(far), axis=1
+    )
+    np.testing.assert_allclose(ratio, ratio[0])
 
 
 def test_the_metric_of_people_is_known_for_these_signatures_alone() -> None:
