@@ -61,7 +61,7 @@ class _Whitener(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):  # type:
         return self
 
     def transform(self, X: ArrayLike) -> NDArray[np.float64]:
-        """Whitened signatures (n, L) float64: W (x − mean) for each row x of X."""
+        """Whitened signatures (n, L) float64: `Whitening.apply` of the rows of X."""
         check_is_fitted(self)
         return self.whitening_.apply(
             validate_data(self, X, dtype=np.float64, reset=False)
