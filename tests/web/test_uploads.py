@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 import re
 import shutil
 import socket
@@ -126,10 +127,12 @@ def target(started: Server, temporary: Path) -> Iterator[Server]:
 
 
 def scans_in(place: Path) -> list[Path]:
+    # By `walk`, which passes over folders that the server removes meanwhile.
     return [
-        path
-        for path in place.rglob("*")
-        if path.suffix.lower() in (".off", ".ply", ".obj")
+        Path(folder, name)
+        for folder, _, names in os.walk(place)
+        for name in names
+        if name.lower().endswith((".off", ".ply", ".obj"))
     ]
 
 
