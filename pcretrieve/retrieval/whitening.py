@@ -148,13 +148,17 @@ class Whitening(Arrays):
             )
         if self.kind == "none":
             return logs
-        # Row by row: the rounding of a row must not depend on the other rows.
-        whitened = ((logs - self.mean)[:, np.newaxis] @ self.matrix.T)[:, 0]
+        whitened = _row_by_row(logs - self.mean, self.matrix.T)
         if not self.unusual.size:
-            return np.asarray(whitened)
-        unusual = ((whitened[:, np.newaxis] @ self.unusual)[:, 0] * whitened).sum(axis=1)
+            return whitened
+        unusual = (_row_by_row(whitened, self.unusual) * whitened).sum(axis=1)
         lengths = (np.minimum(unusual, MOST_UNUSUAL) + USUAL) / (1 + USUAL)
         return np.asarray(whitened / np.sqrt(lengths)[:, np.newaxis])
+
+
+def _row_by_row(rows: FloatArray, matrix: FloatArray) -> FloatArray:
+    """The product (N, L) of rows and a matrix, in which the rounding of a row does not depend on others."""
+    return np.asarray((rows[:, np.newaxis] @ matrix)[:, 0])
 
 
 def write_whitening(whitening: Whitening, path: Path) -> None:
@@ -315,8 +319,9 @@ def _of_people(own: covariances.Fit, people: People, share: float) -> Whitening:
 
     own: what the shapes themselves teach; share: how much it counts, if they teach something.
     """
-    share = 0.0 if own.covariance is None else share
-    if own.covariance is not None:
+    if own.covariance is None:
+        share = 0.0
+    else:
         people = people.adapted(own.covariance, share)
     weights, directions = np.linalg.eigh(people.metric)
     root = (directions * np.sqrt(np.maximum(weights, 0))) @ directions.T

@@ -241,9 +241,9 @@ def person_means(points: FloatArray, person: Positions) -> FloatArray:
     return np.asarray(sums / np.bincount(person)[:, np.newaxis])
 
 
-def damages_of(ids: NDArray[np.str_]) -> NDArray[np.str_]:
+def damages_of(scans: Scans) -> NDArray[np.str_]:
     """(n,) the damages in names of files of `make_people`: with --sensors, they may have one."""
-    found = [name.rpartition("_")[2] for name in ids.tolist()]
+    found = [name.rpartition("_")[2] for name in scans.ids.tolist()]
     return np.array([damage if damage in DAMAGES else WHOLE for damage in found])
 
 
@@ -266,7 +266,7 @@ def learned(scans: Scans) -> dict[str, FloatArray]:
     unit = np.append(even, np.ones(len(scale) - len(even)))
     n_of = np.bincount(scans.person)
     means = person_means(points / unit, scans.person)
-    counted = np.where(damages_of(scans.ids) == WHOLE, 1.0, DAMAGED)
+    counted = np.where(damages_of(scans) == WHOLE, 1.0, DAMAGED)
     apart = points / unit - means[scans.person]
     n_free = counted.mean() * (len(points) - len(means))
     within = (counted * apart.T) @ apart / n_free

@@ -201,7 +201,7 @@ def found_by(
 def lines_of_kinds(scans: Scans) -> Iterator[str]:
     """The table by kinds of sensors that were left out, and by damages, of people who taught nothing."""
     points, drawn = fused_points(scans.parts, SignatureOptions()), strangers()
-    kind, damage = kinds_of(scans), damages_of(scans.ids)
+    kind, damage = kinds_of(scans), damages_of(scans)
     groups = [(name, np.isin(kind, kinds), kinds) for name, kinds in FAMILIES.items()]
     groups += [(name, damage == name, ()) for name in (WHOLE, *DAMAGES)]
     metrics = {
