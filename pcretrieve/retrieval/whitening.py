@@ -61,8 +61,9 @@ CALIBRATED = "calibrated"
 # Least number of classes from which labels are used by "auto".
 LEAST_CLASSES = 5
 
-# How unusual a person is, by `Whitening.unusual`: added to it, since scans of the most usual people differ
-# too, and the largest one, of scans of others than people. See docs/decisions.md, length.
+# What is added to how unusual a person is (`Whitening.unusual`), since scans of the most usual people differ
+# too; and the largest value that counts, which shapes exceed that are no people. See docs/decisions.md,
+# length.
 USUAL, MOST_UNUSUAL = 0.35, 3.0
 
 
