@@ -15,6 +15,7 @@ but change with the pose. So they find copies of one body in one pose: see docs/
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TypeAlias
 
 import numpy as np
@@ -36,6 +37,7 @@ SPREAD = 0.5
 # Values of the transform, each 1.6 times the one before. Higher ones are found in balls alone.
 STEP = 1.6
 LEVELS = np.array([0.052 * STEP**step for step in range(7)])
+LEAST = LEVELS[0] / np.sqrt(STEP)
 
 # What the volumes are multiplied by, (r, l). Thin parts, and the middle of parts, where levels are high,
 # change less with the pose than the larger volumes at low levels. A learned metric has weights of its own.
@@ -97,6 +99,8 @@ def _counted(areas: Areas) -> FloatArray:
     counts = np.zeros((len(areas), len(LEVELS)))
     for row in range(len(areas)):
         for area in areas[row]:
+            if area <= LEAST:
+                continue
             # In steps, from half a step below the first level.
             above, level = np.log(area / LEVELS[0]) / np.log(STEP) + 0.5, 0
             while level < len(LEVELS) and above > level:
@@ -281,6 +285,7 @@ def _weighted_normal(
     )
 
 
+@cache
 def _ball(radius: float) -> tuple[NDArray[np.intp], Areas]:
     """Offsets (b, 3) of the voxels in a ball, and their shares (b,) in it: less than 1 at its rim.
 

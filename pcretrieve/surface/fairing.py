@@ -7,10 +7,12 @@ round the body is. The mean curvature of the rim does: if it is that of a sphere
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array, csc_array, csr_array, diags_array, eye_array
+from numpy.typing import NDArray
+from scipy.sparse import csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
 from pcretrieve.arrays import Mask, area_vectors, vertex_normals
@@ -58,18 +60,25 @@ def faired(vertices: FloatArray, faces: IntArray, free: Mask) -> FloatArray:
     .. [2] R. Schneider and L. Kobbelt, "Geometric fairing of irregular meshes for free-form surface design",
        Computer Aided Geometric Design 18 (2001).
     """
-    bent = with_ring(free, faces)
-    around = bent
-    for _ in range(RIM_RINGS):
-        around = with_ring(around, faces)
-    patch = faces[with_ring(around, faces)[faces].all(axis=1)]
-    numbers, places = np.unique(patch, return_inverse=True)
-    patch = places.reshape(-1, 3).astype(np.int32)
+    # How deep vertices are in the patch: 1 in the ring behind the rim.
+    depth = free.astype(np.intp)
+    for _ in range(RIM_RINGS + 2):
+        depth += with_ring(depth > 0, faces)
+    faces = faces[(depth > 0)[faces].all(axis=1)]
+    # The deepest come first: slices of matrices are taken faster than rows and columns in a mask.
+    numbers = np.unique(faces)
+    numbers = numbers[np.argsort(-depth[numbers], kind="stable")]
+    n_free, n_bent, n_around = (
+        int((depth > least).sum()) for least in (RIM_RINGS + 2, RIM_RINGS + 1, 1)
+    )
+    places = np.empty(len(vertices), dtype=np.int32)
+    places[numbers] = np.arange(len(numbers))
+    patch = places[faces]
     at = vertices[numbers]
     operators = _operators(at, patch)
-    curvature = _curvature(at, operators, (around & ~bent)[numbers])
+    curvature = _curvature(at, operators, slice(n_bent, n_around))
     for n_left in reversed(range(ROUNDS)):
-        next_at = _least_bent(at, operators, curvature, free[numbers], bent[numbers])
+        next_at = _least_bent(at, operators, curvature, n_free, n_bent)
         if _has_collapsed(next_at, patch):
             break
         at = next_at
@@ -83,41 +92,47 @@ def faired(vertices: FloatArray, faces: IntArray, free: Mask) -> FloatArray:
 class Operators(NamedTuple):
     """Of a patch with k vertices.
 
-    stiffness: the cotangent matrix S (k, k). S x is −Δx, integrated over the area of each vertex.
+    stiffness: the cotangent matrix S (k, k), symmetric. S x is −Δx, integrated over the area of each vertex.
     areas, normals: (k,), and (k, 3) unit vectors, of the vertices.
     """
 
-    stiffness: csc_array
+    stiffness: csr_array
     areas: FloatArray
     normals: FloatArray
 
 
-def _curvature(at: FloatArray, operators: Operators, is_rim: Mask) -> float:
+def _curvature(at: FloatArray, operators: Operators, rim: slice) -> float:
     """Twice the mean curvature of the rim, as a mean over its area; 0 if it is concave, or there is none."""
-    if not is_rim.any():
-        return 0.0
+    area = operators.areas[rim].sum()
     # Integrated over the rim, S x = −∫ Δx = ∫ 2 H n.
-    along_normals = np.einsum("ij,ij->i", operators.stiffness @ at, operators.normals)
-    return max(0.0, float(along_normals[is_rim].sum() / operators.areas[is_rim].sum()))
+    bending = ((operators.stiffness[rim] @ at) * operators.normals[rim]).sum()
+    return max(0.0, float(bending / area)) if area else 0.0
 
 
 def _least_bent(
-    at: FloatArray, operators: Operators, curvature: float, moving: Mask, is_bent: Mask
+    at: FloatArray, operators: Operators, curvature: float, n_free: int, n_bent: int
 ) -> FloatArray:
-    """(k, 3) vertices, of which the moving ones minimise Σ |Δx + 2 h n|² A over the bent ones.
+    """(k, 3) vertices, of which the free ones, the first, minimise Σ |Δx + 2 h n|² A over the bent ones.
 
     curvature: 2 h.
     """
-    root = np.sqrt(operators.areas[is_bent])
-    rows = diags_array(1 / root) @ operators.stiffness.tocsr()[is_bent]  # (b, k)
-    own, others = csc_array(rows[:, moving]), rows[:, ~moving]
-    bending = curvature * root[:, np.newaxis] * operators.normals[is_bent]
-    wanted = bending - others @ at[~moving]
+    root = np.sqrt(operators.areas[:n_bent])
+    rows = diags_array(1 / root) @ operators.stiffness[:n_bent]  # (b, k)
+    own = csc_array(rows[:, :n_free])
+    bending = curvature * root[:, np.newaxis] * operators.normals[:n_bent]
+    wanted = bending - rows[:, n_free:] @ at[n_free:]
     squares = csc_array(own.T @ own)
     anchor = ANCHOR * squares.diagonal().max()
-    held = squares + anchor * eye_array(squares.shape[0], format="csc")
+    squares.setdiag(squares.diagonal() + anchor)
+    # Symmetric and positive definite: an ordering for such matrices, and no pivoting.
+    factor = splu(
+        squares,
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
     moved: FloatArray = at.copy()
-    moved[moving] = splu(held).solve(own.T @ wanted + anchor * at[moving])
+    moved[:n_free] = factor.solve(own.T @ wanted + anchor * at[:n_free])
     return moved
 
 
@@ -151,10 +166,9 @@ def domed(
 
 def membrane(vertices: FloatArray, faces: IntArray, free: Mask) -> FloatArray:
     """(n, 3) vertices, of which those in a mask are at the mean of their neighbours."""
-    n, ends = len(vertices), edges_of(faces_at(free, faces)).ends
-    joined = csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n))
-    joined = joined + joined.T
-    laplacian = (diags_array(joined.sum(axis=1)) - joined).tocsr()[free]  # (k, n)
+    ends = edges_of(faces_at(free, faces)).ends
+    edges = [(np.ones(len(ends)), ends[:, 0], ends[:, 1])]
+    laplacian = _laplacian(edges, len(vertices))[free]  # (k, n)
     moved: FloatArray = vertices.copy()
     moved[free] = splu(laplacian[:, free].tocsc()).solve(
         -(laplacian[:, ~free] @ vertices[~free])
@@ -183,8 +197,7 @@ def faces_at(chosen: Mask, faces: IntArray) -> IntArray:
 
 def _operators(at: FloatArray, faces: IntArray) -> Operators:
     n = len(at)
-    rows, columns, weights = [], [], []
-    areas = np.zeros(n)
+    edges, areas = [], np.zeros(n)
     for corner in range(3):
         here, a, b = (faces[:, (corner + k) % 3] for k in range(3))
         to_a, to_b = at[a] - at[here], at[b] - at[here]
@@ -193,13 +206,21 @@ def _operators(at: FloatArray, faces: IntArray) -> Operators:
         cotangents = product / np.maximum(
             twice_area, np.abs(product) / LARGEST_COTANGENT + TINY
         )
-        rows.append(a)
-        columns.append(b)
-        weights.append(np.maximum(cotangents, LEAST_COTANGENT) / 2)
+        edges.append((np.maximum(cotangents, LEAST_COTANGENT) / 2, a, b))
         areas += np.bincount(here, twice_area / 6, minlength=n)
-    entries = (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns)))
-    half = coo_array(entries, (n, n))
-    links = csc_array(half + half.T)
-    stiffness = csc_array(diags_array(links.sum(axis=1)) - links)
+    stiffness = _laplacian(edges, n)
     areas = np.maximum(areas, LEAST_AREA * areas.mean())
     return Operators(stiffness, areas, vertex_normals(at, faces))
+
+
+def _laplacian(
+    edges: Sequence[tuple[FloatArray, NDArray[np.integer], NDArray[np.integer]]], n: int
+) -> csr_array:
+    """The graph Laplacian (n, n) of blocks of edges: weights (e,), and the vertices at both ends.
+
+    The weights of an edge that comes twice are added.
+    """
+    weights, tails, heads = (np.concatenate(part) for part in zip(*edges, strict=True))
+    ends = np.concatenate([tails, heads]), np.concatenate([heads, tails])
+    links = csr_array((np.concatenate([weights, weights]), ends), (n, n))
+    return csr_array(diags_array(links.sum(axis=1)) - links)
