@@ -14,6 +14,7 @@ import pytest
 import shapes
 from benchmarks.__main__ import BENCHMARKS
 from benchmarks.bodies import Body
+from benchmarks.judging import metric_of_people, moments_of_people
 from benchmarks.paper.shapes import drifts, noisy, perturbed, planar_mesh
 from benchmarks.paper.spectra import (
     FIGURE_6,
@@ -26,11 +27,19 @@ from benchmarks.paper.spectra import (
     unit_area_spectrum,
 )
 from benchmarks.people import POSES, joints
-from benchmarks.recognition import EVEN, Scans, learned, packed
+from benchmarks.recognition import (
+    EVEN,
+    Scans,
+    fused_points,
+    learned,
+    packed,
+    reference,
+)
 from benchmarks.sensors import KINDS, MORE_POINTS, SENSORS, USUAL_POINTS, drawn, left_by
-from benchmarks.transfer import found_by, without
+from benchmarks.transfer import SensorScans, answers_of, found_by, without
 
 from pcretrieve import ModalSpectrum, write_mesh
+from pcretrieve.options import SignatureOptions
 from pcretrieve.points.neighbors import nearest
 from pcretrieve.retrieval import fit_whitening
 from pcretrieve.retrieval.people import installed, unpacked
@@ -287,6 +296,38 @@ def test_a_metric_learns_how_scans_scatter_and_what_people_differ_by() -> None:
     assert between == pytest.approx(400**2 / 12, rel=0.05)
 
 
+def test_what_distances_mean_is_learned_from_people_who_did_not_teach_the_metric() -> (
+    None
+):
+    """Forty people teach 177 coordinates so little that their own scans seem too near to each other."""
+    scans = scans_of_people(40, 1.0)
+    known = reference(scans)
+    points = metric_of_people(learned(scans)).apply(
+        fused_points(scans.parts, SignatureOptions())
+    )
+    gaps = np.linalg.norm(points[:, np.newaxis] - points, axis=2)
+    own = np.triu(scans.person[:, np.newaxis] == scans.person, k=1)
+    assert np.median(known.same) > 1.3 * np.median(gaps[own])
+    assert (np.diff(known.same) >= 0).all()
+    assert (np.diff(known.apart) >= 0).all()
+
+
+def test_collections_of_one_scan_each_name_their_people_and_no_strangers() -> None:
+    scans, rng = scans_of_people(60, 1.0), np.random.default_rng(2)
+    for part in scans.parts.values():
+        part += 10 * rng.normal(size=(60, part.shape[1]))[scans.person]
+    points = fused_points(scans.parts, SignatureOptions())
+    judged = SensorScans(points, np.zeros(len(points)), scans.person)
+    moments = moments_of_people(learned(scans))
+    nearest, given, wrong, named = answers_of(judged, 10, 1, moments, reference(scans))
+    assert (nearest, given, wrong, named) == (1.0, 1.0, "0 of 120", "0 of 600")
+    # If two people are in truth one, the one in the collection is named for the other.
+    first = scans.person // 2 * 2 * len(KINDS)
+    twins = judged._replace(points=points[first + np.arange(len(points)) % len(KINDS)])
+    named = answers_of(twins, 10, 1, moments, reference(scans))[3]
+    assert int(named.split()[0]) > 40
+
+
 def test_symmetric_matrices_are_stored_as_triangles() -> None:
     sample = installed()
     for name in ("within", "total"):
@@ -311,13 +352,9 @@ def test_queries_are_compared_with_all_other_scans_or_those_by_other_sensors() -
     person, sensor = np.array([0, 0, 1, 1]), np.array(["a", "b", "b", "a"])
     metric = fit_whitening("none", points)
     every = np.ones(4, dtype=bool)
-    # One of ten strangers is nearer to 0 than 2 is, none nearer to 2 than 0 is.
-    others = np.array([[1.5], *([[50.0]] * 9)])
-    among_all = found_by(metric, points, person, queries=every, others=others)
+    among_all = found_by(metric, points, person, queries=every)
     assert among_all.right.tolist() == [False, False, False, False]
     assert sorted(among_all.same) == [2, 2, 8, 8]
-    crossed = found_by(
-        metric, points, person, queries=every, others=others, sensor=sensor
-    )
+    crossed = found_by(metric, points, person, queries=every, sensor=sensor)
     assert crossed.apart.tolist() == [1, 7, 1, 7]
     assert crossed.right.tolist() == [False, True, False, False]

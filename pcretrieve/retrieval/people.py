@@ -14,8 +14,8 @@ Both covariances are those of raw scans of simulated people in several poses by 
 coarser meshes of scans (people.txt): the distance of two scans of people hardly changes when others are added
 to a catalogue.
 
-Some of the scans that teach are damaged: directions in which a missing limb, a hole or a thin side moves
-coordinates count less.
+Some of the scans that teach are damaged, and what a missing limb changes in people of another body model is
+added: directions in which a missing limb, a hole or a thin side moves coordinates count less.
 
 References
 ----------
@@ -36,8 +36,8 @@ from pcretrieve.retrieval.distances import Positions
 from pcretrieve.values import FloatArray
 
 # mean (214,), within and total (214, 214), scale (214,): the moments of the coordinates of hapt, of 59 values
-# of r-bihdm and of log area, divided by the scale of each; of symmetric matrices the upper triangles. Written
-# by scripts/benchmark people --learn. And the fields of `Reference`, by scripts/benchmark people --refer.
+# of r-bihdm and of log area, divided by the scale of each; of symmetric matrices the upper triangles. And the
+# fields of `Reference`. Written by scripts/benchmark people --learn.
 SAMPLE = "people.npz"
 SYMMETRIC = ("within", "total")
 N_VALUES = 23
@@ -66,7 +66,7 @@ COMPARED = 10_000
 
 
 class Reference(NamedTuple):
-    """What distances of scans of people mean who are in no collection, in the metric of people.
+    """What distances of scans of people mean who did not teach the metric.
 
     same: (s,) float64, quantiles of the distances of two scans of one person, at equal steps.
     apart: (r,) float64, those of two people, at `RATES`.

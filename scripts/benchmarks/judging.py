@@ -103,15 +103,22 @@ def point_of(values: FloatArray, options: PipelineOptions) -> FloatArray:
     return np.asarray(coordinates(values[np.newaxis], metric)[0])
 
 
-def moments_of_people(sample: Mapping[str, FloatArray] | None = None) -> People:
+def moments_of_people(
+    sample: Mapping[str, FloatArray] | None = None, size_weight: float = 0.0
+) -> People:
     """The moments of people for the default signature; `sample` as in `people`."""
-    known = people(PipelineOptions().signature, sample)
+    signature = PipelineOptions().signature.model_copy(
+        update={"size_weight": size_weight}
+    )
+    known = people(signature, sample)
     if known is None:
         raise TypeError("the metric of people must be known for the default signature")
     return known
 
 
-def metric_of_people(sample: Mapping[str, FloatArray] | None = None) -> Whitening:
+def metric_of_people(
+    sample: Mapping[str, FloatArray] | None = None, size_weight: float = 0.0
+) -> Whitening:
     """The whitening of people for the default signature, as it is for a gallery that teaches nothing."""
-    known = moments_of_people(sample)
+    known = moments_of_people(sample, size_weight)
     return fit_whitening("people", known.mean[np.newaxis], people=known)
