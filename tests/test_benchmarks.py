@@ -36,7 +36,13 @@ from benchmarks.recognition import (
     reference,
 )
 from benchmarks.sensors import KINDS, MORE_POINTS, SENSORS, USUAL_POINTS, drawn, left_by
-from benchmarks.transfer import SensorScans, answers_of, found_by, without
+from benchmarks.transfer import (
+    SensorScans,
+    answers_of,
+    found_by,
+    lines_of_kinds,
+    without,
+)
 
 from pcretrieve import ModalSpectrum, write_mesh
 from pcretrieve.options import SignatureOptions
@@ -344,6 +350,12 @@ def test_a_sensor_that_is_left_out_teaches_nothing() -> None:
         assert len(rest.person) == 8 * n_kinds == len(rest.ids)
         assert (np.bincount(rest.person) == n_kinds).all()
     assert not any("uniform" in name for name in without(scans, ["uniform"]).ids)
+
+
+def test_kinds_and_damages_of_which_there_are_no_scans_have_no_row() -> None:
+    lines = [*lines_of_kinds(scans_of_people(50, 0.1))]
+    rows = [line.split()[0] for line in lines[2:]]
+    assert rows == ["cameras", "uniform", "depth", "whole"]
 
 
 def test_queries_are_compared_with_all_other_scans_or_those_by_other_sensors() -> None:

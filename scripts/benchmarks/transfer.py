@@ -272,6 +272,8 @@ def lines_of_kinds(scans: Scans) -> Iterator[str]:
     kind, damage = kinds_of(scans), damages_of(scans)
     groups = [(name, np.isin(kind, kinds), kinds) for name, kinds in FAMILIES.items()]
     groups += [(name, damage == name, ()) for name in (WHOLE, *DAMAGES)]
+    asked = kind != RING
+    groups = [group for group in groups if (group[1] & asked).any()]
     metrics = {
         (kinds, fold): (metric_of_people(learned(teaching)), len(teaching.person))
         for kinds in ((), *FAMILIES.values())
@@ -291,7 +293,7 @@ def lines_of_kinds(scans: Scans) -> Iterator[str]:
                     metric,
                     points[rows],
                     scans.person[rows],
-                    queries=(queries & (kind != RING))[rows],
+                    queries=(queries & asked)[rows],
                 )
             )
         yield TABLE.row(name, n_taught // N_FOLDS, *joined(found).rates())
