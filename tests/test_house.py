@@ -46,7 +46,7 @@ ROOMS = (
 )
 
 # Names, operators and numbers of the package, as `tokenize` counts them.
-# Docstrings, comments and air are free. That of tokens is to be 205,000, and was raised often:
+# Docstrings, comments and air are free. That of tokens is to be 205,000, and was raised eight times:
 # functions of one thought, typed options and creases cost 3,000 more than was found to delete; curves,
 # decisions about scans, measures of people and an export of pages cost 6,000; tables of methods, measures of
 # two people and decisions on pages 800; queries without a limb, and faster simplification, 400; copies of

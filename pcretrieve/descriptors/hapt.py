@@ -37,6 +37,8 @@ SPREAD = 0.5
 # Values of the transform, each 1.6 times the one before. Higher ones are found in balls alone.
 STEP = 1.6
 LEVELS = np.array([0.052 * STEP**step for step in range(7)])
+
+# Half a step below the first level, from which on a voxel counts.
 LEAST = LEVELS[0] / np.sqrt(STEP)
 
 # What the volumes are multiplied by, (r, l). Thin parts, and the middle of parts, where levels are high,

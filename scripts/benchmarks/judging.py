@@ -107,10 +107,8 @@ def moments_of_people(
     sample: Mapping[str, FloatArray] | None = None, size_weight: float = 0.0
 ) -> People:
     """The moments of people for the default signature; `sample` as in `people`."""
-    signature = PipelineOptions().signature.model_copy(
-        update={"size_weight": size_weight}
-    )
-    known = people(signature, sample)
+    options = PipelineOptions().changed(signature={"size_weight": size_weight})
+    known = people(options.signature, sample)
     if known is None:
         raise TypeError("the metric of people must be known for the default signature")
     return known

@@ -202,12 +202,21 @@ class SensorScans(NamedTuple):
 def scans_by(sensor: str, bodies: Path, n_people: int, n_poses: int) -> SensorScans:
     """Scan people of Anny in some poses each by one sensor, and describe them."""
     people_of = anny(Sources(Path(), bodies, 0), n_people, n_poses)
-    tasks = [(body, sensor, WHOLE) for poses in people_of for body in poses]
-    found = all_in_workers(_described, tasks, sensor)
-    done = [task for task, each in zip(tasks, found, strict=True) if each is not None]
-    points = np.array([each for each in found if each is not None])
-    person = np.unique([body.label for body, *_ in done], return_inverse=True)[1]
-    return SensorScans(points[:, :-1], points[:, -1], person)
+    bodies_of = [body for poses in people_of for body in poses]
+    done, points = _scanned(bodies_of, sensor, WHOLE)
+    # Of all bodies: a person has one number, also where another sensor fails.
+    person = np.unique([body.label for body in bodies_of], return_inverse=True)[1]
+    return SensorScans(points[:, :-1], points[:, -1], person[done])
+
+
+def _scanned(
+    bodies: Sequence[Body], sensor: str, damage: str
+) -> tuple[list[int], FloatArray]:
+    """Which of some bodies have a surface when they are scanned, and what `_described` finds of these."""
+    tasks = [(body, sensor, damage) for body in bodies]
+    found = all_in_workers(_described, tasks, f"{sensor}, {damage}")
+    done = [number for number, each in enumerate(found) if each is not None]
+    return done, np.array([each for each in found if each is not None])
 
 
 def _described(task: tuple[Body, str, str]) -> FloatArray | None:
@@ -270,13 +279,15 @@ def lines_of_kinds(scans: Scans) -> Iterator[str]:
     """The table by kinds of sensors that were left out, and by damages, of people who taught nothing."""
     points = fused_points(scans.parts, SignatureOptions())
     kind, damage = kinds_of(scans), damages_of(scans)
-    groups = [(name, np.isin(kind, kinds), kinds) for name, kinds in FAMILIES.items()]
-    groups += [(name, damage == name, ()) for name in (WHOLE, *DAMAGES)]
     asked = kind != RING
-    groups = [group for group in groups if (group[1] & asked).any()]
+    groups = [
+        (name, asked & np.isin(kind, kinds), kinds) for name, kinds in FAMILIES.items()
+    ]
+    groups += [(name, asked & (damage == name), ()) for name in (WHOLE, *DAMAGES)]
+    groups = [group for group in groups if group[1].any()]
     metrics = {
         (kinds, fold): (metric_of_people(learned(teaching)), len(teaching.person))
-        for kinds in ((), *FAMILIES.values())
+        for kinds in {kinds for *_, kinds in groups}
         for fold in range(N_FOLDS)
         for teaching in [without(scans, kinds, fold)]
     }
@@ -293,7 +304,7 @@ def lines_of_kinds(scans: Scans) -> Iterator[str]:
                     metric,
                     points[rows],
                     scans.person[rows],
-                    queries=(queries & asked)[rows],
+                    queries=queries[rows],
                 )
             )
         yield TABLE.row(name, n_taught // N_FOLDS, *joined(found).rates())
@@ -342,23 +353,20 @@ def lines_of_damages() -> Iterator[str]:
     items = SETS["humans"](Path(), None)
     bodies = [Body(item.name, item.label, item.mesh) for item in items]
     labels = np.array([body.label for body in bodies])
-    moments = moments_of_people()
-    collection, whole = np.zeros((0, len(moments.mean))), list[int]()
+    scanned = {
+        damage: _scanned(bodies, "uniform", damage) for damage in (WHOLE, *DAMAGES)
+    }
+    whole, points = scanned[WHOLE]
+    metric = fit_whitening(
+        RetrievalOptions().whitening,
+        points[:, :-1],
+        labels[whole].tolist(),
+        people=moments_of_people(),
+    )
+    collection = metric.apply(points[:, :-1])
     yield DAMAGED.head
-    for damage in (WHOLE, *DAMAGES):
-        tasks = [(body, "uniform", damage) for body in bodies]
-        found = all_in_workers(_described, tasks, damage)
-        done = [number for number, each in enumerate(found) if each is not None]
-        points = np.array([each[:-1] for each in found if each is not None])
-        if damage == WHOLE:
-            collection, whole = points, done
-        metric = fit_whitening(
-            RetrievalOptions().whitening,
-            collection,
-            labels[whole].tolist(),
-            people=moments,
-        )
-        gaps = cdist(metric.apply(points), metric.apply(collection))
+    for damage, (done, points) in scanned.items():
+        gaps = cdist(metric.apply(points[:, :-1]), collection)
         gaps[np.equal.outer(done, whole)] = np.inf
         right = labels[whole][gaps.argmin(axis=1)] == labels[done]
         yield DAMAGED.row(damage, len(bodies), right.sum() / len(bodies))
