@@ -52,7 +52,7 @@ ROOMS = (
 # two people and decisions on pages 800; queries without a limb, and faster simplification, 400; copies of
 # scans that are not stored 700; sides that are sparse 400; unusual people 200; faster patches 100. The rest
 # would be features.
-MOST_TOKENS = 239_300
+MOST_TOKENS = 239_500
 MOST_MODULES = 170
 MOST_ARROWS = 100
 MOST_OPTIONS = 45

@@ -206,7 +206,7 @@ def slope_of(
     In a hole of a face or a chest the normals at the rim are tilted towards the axis of the hole. Round the
     hole of a crown they are perpendicular to it, but tilt more and more towards the rim, as on a sphere.
     Round a tube they do neither. Round a crotch, and beyond it, most of them face the axis, because both legs
-    do: that counts as a tilt of 1.
+    do: that counts as a tilt of 1. So does a gap between two parts, such as a hand beside a thigh.
 
     rim: (r, 3) float64, the vertices of the rim.
     axis: (3,) float64, the unit normal of the flat patch that closes the hole.
@@ -217,9 +217,9 @@ def slope_of(
     beyond = near & (along > ABOVE_RIM)
     is_between = outwards[near].sum() < 0 and outwards[beyond].sum() < 0
     near &= ~beyond
-    along, normals = along[near], normals[near]
-    if near.sum() < 3 or is_between:
+    if near.sum() < 3 or is_between or _touches_two(rim, points[near]):
         return 1.0, 0.0
+    along, normals = along[near], normals[near]
     # The flood fill may have come in by the hole, and have turned normals at its rim inwards.
     away = across[near] + np.outer(along + 1, axis)
     tilt = np.sign(np.einsum("ij,ij->i", normals, away)) * (normals @ axis)
@@ -227,6 +227,14 @@ def slope_of(
     centred = along - along.mean()
     steepness = centred @ tilt / max(centred @ centred, np.finfo(np.float64).tiny)
     return float(tilt[along > -ABOVE_RIM].mean()), float(steepness)
+
+
+def _touches_two(rim: FloatArray, points: FloatArray) -> bool:
+    """Whether the points (r, 3) of a rim are of several connected pieces of the points (n, 3) about it."""
+    beside = neighborhoods(points, OF_PIECE).near
+    here = np.indices(beside.shape)[0]
+    piece = joined_by(here.ravel(), beside.ravel(), len(points))
+    return len(np.unique(piece[nearest(points, rim, 1)[1]])) > 1
 
 
 def _about(

@@ -198,20 +198,39 @@ def test_normals_round_a_deep_hole_point_away_from_its_axis(
     assert np.array_equal(normals, outwards if is_mended else turned)
 
 
-def test_a_hole_between_two_legs_ends_no_part() -> None:
-    # Their normals face the axis of the hole, as if the flood fill had turned them.
+def two_legs() -> tuple[FloatArray, FloatArray]:
+    """Points and normals of two tubes along z, 1 to the left and to the right of it."""
     angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, 60), np.linspace(-1, 2, 61))
     normals = np.stack(
         [np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1
     ).reshape(-1, 3)
     leg = 0.5 * normals + np.outer(height.ravel(), [0, 0, 1])
     aside = np.array([1, 0, 0])
-    points = np.concatenate([leg - aside, leg + aside])
-    rim = np.array([[0.5, 0, 0], [-0.5, 0, 0], [0, 0.5, 0], [0, -0.5, 0]])
-    both = np.tile(normals, (2, 1))
-    found = slope_of(rim, np.array([0, 0, 1.0]), points, both)
+    return np.concatenate([leg - aside, leg + aside]), np.tile(normals, (2, 1))
+
+
+RIM_BETWEEN_LEGS = np.array([[0.5, 0, 0], [-0.5, 0, 0], [0, 0.5, 0], [0, -0.5, 0]])
+
+
+def test_a_hole_between_two_legs_ends_no_part() -> None:
+    # Their normals face the axis of the hole, as if the flood fill had turned them.
+    points, normals = two_legs()
+    x, z = np.meshgrid(np.linspace(-1, 1, 61), np.linspace(0, 0.3, 11))
+    skin = np.stack([x, np.full_like(x, 0.5), z], axis=-1).reshape(-1, 3)
+    points = np.concatenate([points, skin, skin * [1, -1, 1]])
+    facing = np.tile([[0.0, 1, 0], [0, -1, 0]], (1, skin.shape[0])).reshape(-1, 3)
+    found = slope_of(
+        RIM_BETWEEN_LEGS, np.array([0, 0, 1.0]), points, np.concatenate([normals, facing])
+    )
     assert not ends_a_part(*found)
     assert found[0] > DEEP, "it becomes no dome"
+
+
+def test_nor_does_a_gap_between_two_parts_where_the_flood_fill_turned_normals() -> None:
+    points, normals = two_legs()
+    turned = normals * np.sign(points[:, :1] * normals[:, :1] + 1e-9)  # away from the gap
+    found = slope_of(RIM_BETWEEN_LEGS, np.array([0, 0, 1.0]), points, turned)
+    assert not ends_a_part(*found)
 
 
 def test_a_tube_ends_in_its_hole_and_a_ball_does_not() -> None:
