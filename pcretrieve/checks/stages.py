@@ -54,14 +54,16 @@ ERROR_OF_WELDS = 0.75
 
 # Largest length of a level line where two bodies touch, relative to the root of the area on its smaller side:
 # of a line that is nowhere in a crease, and of one that is so all round. It is .4 along the shaft of a femur,
-# nowhere in a crease; .82 round the waist of somebody who sits, partly in one; and 1.1 round a flange.
+# nowhere in a crease; .82 round the waist of somebody who sits, partly in one.
 NECK = 0.4
-CREASED_NECK = 1.0
+CREASED_NECK = 1.3
 
-# Least share of the line that lies in a crease. With a smaller one, level lines nearby, on both sides, must
-# be longer by the factor: along a rod they are not.
+# Where two bodies touch, level lines nearby, on both sides, are longer by the first factor: along a rod, and
+# on the one side of a flange or of a thick end, they are not. If less than this share of the line lies in a
+# crease, they are longer by the second one. See docs/decisions.md, neck.
+LEAST_SHARPNESS = 1.15
 LEAST_CREASED = 0.2
-LEAST_SHARPNESS = 1.5
+SHARP = 1.5
 NECK_ERROR = 0.45
 
 # Least share of the area on the smaller side of a level line that may part two bodies, and of those nearby.
@@ -365,20 +367,21 @@ class Neck(NamedTuple):
     length: relative to the root of the area on its smaller side.
     creased: share of it that lies in a crease.
     sharpness: length of the level lines nearby, on the side where they are shorter, relative to it.
+    is_sharp: whether that is enough where two bodies touch.
     middle: (3,) float64.
     """
 
     length: float
     creased: float
     sharpness: float
+    is_sharp: bool
     middle: FloatArray
 
 
 def body_check(waist: Neck) -> Check:
     """Check whether two bodies touch: a short crease runs all round, or much longer lines on both sides."""
     is_short = waist.length < NECK + (CREASED_NECK - NECK) * waist.creased
-    is_contact = waist.creased > LEAST_CREASED or waist.sharpness > LEAST_SHARPNESS
-    are_two = is_short and is_contact
+    are_two = is_short and waist.is_sharp
     shown = (
         f"the line between its halves is {waist.length:.2g} of the root of the smaller one's area, "
         f"{percent(waist.creased)} in a crease, and {waist.sharpness:.2g} times as long beside it"
@@ -417,14 +420,16 @@ def neck(mesh: TriangleMesh, eigenvectors: FloatArray) -> Neck:
     creased = np.bincount(line, pieces * in_crease[face], len(levels)) / lengths
     smaller = np.minimum(shares, 1 - shares)
     relative = lengths / np.sqrt(smaller * mesh.area)
+    sharpness = _sharpness(lengths, shares)
+    is_sharp = sharpness > LEAST_SHARPNESS
+    is_sharp &= (creased > LEAST_CREASED) | (sharpness > SHARP)
     likeness = (CREASED_NECK - NECK) * creased - relative
-    at = int(np.where(smaller > LEAST_HALF, likeness, -np.inf).argmax())
-    nearby = np.where(np.abs(shares - shares[at]) < NEARBY, lengths, 0)
-    beside = min(nearby[: at + 1].max(), nearby[at:].max())
+    at = int(np.lexsort((likeness, is_sharp, smaller > LEAST_HALF))[-1])
     return Neck(
         length=float(relative[at]),
         creased=float(creased[at]),
-        sharpness=float(beside / lengths[at]),
+        sharpness=float(sharpness[at]),
+        is_sharp=bool(is_sharp[at]),
         middle=pieces[line == at] @ (start + end)[line == at] / (2 * lengths[at]),
     )
 
@@ -484,6 +489,13 @@ def _levels(values: FloatArray, areas: FloatArray) -> tuple[FloatArray, FloatArr
     by_value = np.linspace(by_area[0], by_area[-1], N_LEVELS)
     levels = np.sort(np.concatenate([by_area, by_value]))
     return levels, shares[np.searchsorted(values[order], levels)]
+
+
+def _sharpness(lengths: FloatArray, shares: FloatArray) -> FloatArray:
+    """(l,) that of each level line of a `Neck`, by its length and the share of the area below it."""
+    is_near = np.abs(np.subtract.outer(shares, shares)) < NEARBY
+    below, above = (half(is_near * lengths).max(axis=1) for half in (np.tril, np.triu))
+    return np.asarray(np.minimum(below, above) / lengths)
 
 
 def _level_lines(
