@@ -93,9 +93,12 @@ BESIDE = 0.88
 # How far the ends of the body along this axis reach, where hair is and soles are; relative to the length.
 AT_END = 0.1
 
-# Largest size of ends that sensors do not see, in hair or under feet, where no limb is missing; and how far
-# the body reaches beyond them, relative to the length: .09 and more beyond a leg that is cut.
+# Largest size of ends that sensors do not see, in hair or under feet, where no limb is missing; the largest
+# area of what closes them, relative to the surface; and how far the body reaches beyond them, relative to the
+# length, unless it is on a turntable: .09 and more beyond a leg that is cut. See docs/decisions.md, what
+# sensors cannot see.
 IN_HAIR = 0.0175
+SOLE = 0.02
 LAST = 0.05
 
 # An end is no cut limb if the cosine between its axis and the normals round it has this mean: it is 0 round a
@@ -509,8 +512,8 @@ class Fit:
         area = float(np.linalg.norm(self.areas[closing] @ self.normals[closing]))
         flatness = area / float(self.areas[far[is_near]].sum())
         size = likeness * flatness * np.sqrt(area / float(self.areas.sum()))
-        is_expected = size < IN_HAIR and self._is_hidden(faces, middle)
-        return None if is_expected else End(middle, size)
+        is_small = size < IN_HAIR and self.areas[cap].sum() < SOLE * self.areas.sum()
+        return None if is_small and self._is_hidden(faces, middle) else End(middle, size)
 
     def _is_hidden(self, faces: Faces, middle: FloatArray) -> bool:
         """Whether faces end the body where sensors see badly: in hair beside a turntable, or under feet."""

@@ -27,8 +27,9 @@ from pcretrieve.checks.stages import body_check, hole_check, neck
 from pcretrieve.draw.axes import person_of
 from pcretrieve.points.neighbors import neighborhoods
 from pcretrieve.spectral import unit_eigenpairs
+from pcretrieve.surface.marching import level_set
 from pcretrieve.surface.reconstruct import uniform_points
-from pcretrieve.values import FloatArray
+from pcretrieve.values import FloatArray, unit_vectors
 
 BALL = icosphere(4)
 
@@ -257,6 +258,18 @@ def test_soles_are_no_ends_but_a_leg_that_ends_above_the_other_is(
             assert end.middle == pytest.approx([-0.3, 0, -left], abs=0.02)
 
 
+def test_a_wide_cut_that_a_turntable_hides_is_no_sole() -> None:
+    # Half of a body that becomes wider towards its cut, on which it stands.
+    low = np.maximum(BALL.vertices * [0.35, 0.35, 1], [-9, -9, -0.75])
+    wider = 1 + 0.8 * (np.clip(-low[:, 2:] - 0.3, 0, 1) / 0.45) ** 2
+    mesh = TriangleMesh(low * np.hstack([wider, wider, np.ones_like(wider)]), BALL.faces)
+    points, face = uniform_points(mesh, 60_000, np.random.default_rng(0))
+    normals = unit_vectors(mesh.area_vectors[face])
+    kept = by_turntable(points, normals) & (normals[:, 2] > -0.9)
+    ends = fit_of(cloud_of(points[kept], normals[kept]), mesh).ends
+    assert max((end.size for end in ends), default=0.0) > ENDS_OF_NOISE
+
+
 def test_two_layers_of_points_are_double_walls() -> None:
     rng = np.random.default_rng(2)
     points = on_ball(30_000)
@@ -312,6 +325,21 @@ def test_a_rod_is_one_body_and_so_is_one_with_thick_ends(knobs: int) -> None:
     from_end = np.abs(rod[:, :1]).max() - np.abs(rod[:, :1])
     thick = 1 + knobs * np.exp(-((from_end / 0.4) ** 2)) * [0, 1, 1]
     assert one_body(TriangleMesh(rod * thick, BALL.faces)).outcome == "passed"
+
+
+def test_a_rod_between_two_balls_is_one_body_though_creases_run_round_its_ends() -> None:
+    def field(points: FloatArray) -> FloatArray:
+        aside = np.abs(points[..., :1]) - [[1.2]]
+        balls = np.linalg.norm(np.concatenate([aside, points[..., 1:]], axis=-1), axis=-1)
+        width = np.linalg.norm(points[..., 1:], axis=-1)
+        rod = np.maximum(width - 0.25, aside[..., 0])
+        return np.asarray(np.minimum(rod, balls - 0.7))
+
+    places = np.stack(np.meshgrid(*3 * [np.arange(-2, 2, 0.05)], indexing="ij"), axis=-1)
+    vertices, faces = level_set(-field(places).astype(np.float32), np.float32(0))
+    found = one_body(TriangleMesh(vertices * 0.05, faces))
+    assert found.value is not None and found.value < 0.75, "as short as where balls touch"
+    assert found.outcome == "passed"
 
 
 # --- names of the parts of a person -------------------------------------------------------------------
