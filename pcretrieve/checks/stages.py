@@ -379,7 +379,7 @@ class Neck(NamedTuple):
 
 
 def body_check(waist: Neck) -> Check:
-    """Check whether two bodies touch: a short crease runs all round, or much longer lines on both sides."""
+    """Check whether two bodies touch, in a short line with longer ones on both sides."""
     is_short = waist.length < NECK + (CREASED_NECK - NECK) * waist.creased
     are_two = is_short and waist.is_sharp
     shown = (
@@ -424,6 +424,7 @@ def neck(mesh: TriangleMesh, eigenvectors: FloatArray) -> Neck:
     is_sharp = sharpness > LEAST_SHARPNESS
     is_sharp &= (creased > LEAST_CREASED) | (sharpness > SHARP)
     likeness = (CREASED_NECK - NECK) * creased - relative
+    # Lines that part both halves come first, and of these the sharp ones.
     at = int(np.lexsort((likeness, is_sharp, smaller > LEAST_HALF))[-1])
     return Neck(
         length=float(relative[at]),
