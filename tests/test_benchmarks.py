@@ -32,6 +32,7 @@ from benchmarks.recognition import (
     Scans,
     fused_points,
     learned,
+    limbs_of,
     packed,
     reference,
 )
@@ -332,6 +333,14 @@ def test_collections_of_one_scan_each_name_their_people_and_no_strangers() -> No
     twins = judged._replace(points=points[first + np.arange(len(points)) % len(KINDS)])
     named = answers_of(twins, 10, 1, moments, reference(scans))[3]
     assert int(named.split()[0]) > 40
+
+
+def test_the_directions_of_what_limbs_change_make_its_second_moment() -> None:
+    changes = np.random.default_rng(0).normal(size=(10, 214))
+    moment = changes.T @ changes
+    limbs = limbs_of(moment)
+    assert limbs.shape == (214, 12)
+    np.testing.assert_allclose(limbs @ limbs.T, moment, atol=1e-9)
 
 
 def test_symmetric_matrices_are_stored_as_triangles() -> None:

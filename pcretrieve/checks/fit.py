@@ -510,8 +510,8 @@ class Fit:
         likeness *= float(np.clip(1 - (normals @ axis).mean() / TILTED, 0, 1))
         closing = far[is_near & is_closing]
         area = float(np.linalg.norm(self.areas[closing] @ self.normals[closing]))
-        flatness = area / float(self.areas[far[is_near]].sum())
-        size = likeness * flatness * np.sqrt(area / float(self.areas.sum()))
+        flatness = area / self.areas[far[is_near]].sum()
+        size = likeness * flatness * np.sqrt(area / self.areas.sum())
         is_small = size < IN_HAIR and self.areas[cap].sum() < SOLE * self.areas.sum()
         return None if is_small and self._is_hidden(faces, middle) else End(middle, size)
 

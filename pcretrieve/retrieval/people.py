@@ -35,9 +35,9 @@ from pcretrieve.options import SignatureOptions, fused_names
 from pcretrieve.retrieval.distances import Positions
 from pcretrieve.values import FloatArray
 
-# mean (214,), within and total (214, 214), scale (214,): the moments of the coordinates of hapt, of 59 values
-# of r-bihdm and of log area, divided by the scale of each; of symmetric matrices the upper triangles. And the
-# fields of `Reference`. Written by scripts/benchmark people --learn.
+# mean (214,), within and total (214, 214), limbs (214, 12), scale (214,): the moments of the coordinates of
+# hapt, of 59 values of r-bihdm and of log area, divided by the scale of each; of symmetric matrices the upper
+# triangles. And the fields of `Reference`. Written by scripts/benchmark people --learn.
 SAMPLE = "people.npz"
 SYMMETRIC = ("within", "total")
 N_VALUES = 23
@@ -57,6 +57,9 @@ LESS_UNLIKE = 0.75
 
 # Least share of labelled scans by which the metric is calibrated: they show what their sensor changes.
 LEAST_SHARE = 0.05
+
+# How often what a missing limb changes is added to what a catalogue shows: see docs/decisions.md, limbless.
+LIMBLESS = 0.6
 
 # False-match rates at which distances are known.
 RATES = np.concatenate([[0.0], np.geomspace(1e-4, 1, 41)])
@@ -83,6 +86,8 @@ class Reference(NamedTuple):
 class People(NamedTuple):
     """The mean (L,) of the coordinates of people, their covariance within people and in total, (L, L).
 
+    limbs: (L, l) float64, whose product with its transpose is the second moment of what a missing limb
+        changes.
     compared: the coordinates by which neighbours in a catalogue are found: those of hapt, if there are any.
     reference: what distances mean in the metric; for the default descriptor, by the form alone.
     """
@@ -90,6 +95,7 @@ class People(NamedTuple):
     mean: FloatArray
     within: FloatArray
     total: FloatArray
+    limbs: FloatArray
     compared: Positions
     reference: Reference | None = None
 
@@ -103,9 +109,13 @@ class People(NamedTuple):
         return float(np.quantile(variances, LESS_UNLIKE))
 
     def adapted(self, own: FloatArray, share: float) -> People:
-        """With the covariance (L, L) of differences within a catalogue, in any unit, as a share of S_w."""
+        """With the covariance (L, L) of differences within a catalogue, in any unit, as a share of S_w.
+
+        A catalogue of whole scans does not show what a missing limb changes, which is added.
+        """
         scale = np.trace(self.within) / np.trace(own)
-        within = (1 - share) * self.within + share * scale * own
+        shown = scale * own + LIMBLESS * self.limbs @ self.limbs.T
+        within = (1 - share) * self.within + share * shown
         return self._replace(within=within, total=self.total - self.within + within)
 
     @property
@@ -166,8 +176,8 @@ def people(
     known = None
     if is_default and not options.size_weight and "same" in sample:
         known = Reference(*(sample[name] for name in Reference._fields))
-    mean = sample["mean"][chosen] * scale
+    mean, limbs = (sample[name][chosen].T * scale for name in ("mean", "limbs"))
     # Limbs that are not parted change the distances along a surface, and so R-BiHDM, more than a class does.
     # The size, at −1, is compared with hapt.
     compared = np.flatnonzero((chosen < BEGINS["r-bihdm"]) | ("hapt" not in names))
-    return People(mean, within, total, compared, known)
+    return People(mean, within, total, limbs.T, compared, known)

@@ -150,12 +150,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.error("--coarser and --limbless add to what --learn learns: give it, too")
     scans = scans_of(given.catalogues)
     if given.learn:
-        changed = np.zeros((N_COORDINATES, N_COORDINATES))
-        if given.coarser:
-            changed += coarser(given.coarser)
+        changed = lost = np.zeros((N_COORDINATES, N_COORDINATES))
         if given.limbless:
-            changed += limbless(given.limbless)
+            lost = limbless(given.limbless)
+            changed = LIMBLESS * lost
+        if given.coarser:
+            changed = changed + coarser(given.coarser)
         sample = learned(scans, changed) | reference(scans, changed)._asdict()
+        sample["limbs"] = limbs_of(lost / np.outer(sample["scale"], sample["scale"]))
         written = io.BytesIO()
         np.savez_compressed(written, allow_pickle=False, **packed(sample))
         target = Path(pcretrieve.retrieval.__file__).with_name(SAMPLE)
@@ -233,7 +235,7 @@ def shrunk_within(within: FloatArray) -> FloatArray:
 def learned(scans: Scans, changed: FloatArray | float = 0.0) -> dict[str, FloatArray]:
     """The moments of `SAMPLE`.
 
-    changed: (214, 214) what is added to the covariance within people, as by `coarser` and `limbless`.
+    changed: (214, 214) what is added to the covariance within people: shares of `coarser` and `limbless`.
     """
     scale = np.array(
         [DESCRIPTORS[name].spread if name in BEGINS else 1.0 for name in scans.parts]
@@ -261,6 +263,7 @@ def learned(scans: Scans, changed: FloatArray | float = 0.0) -> dict[str, FloatA
         "mean": points.mean(axis=0),
         "within": within,
         "total": within + units * between,
+        "limbs": np.zeros((len(scale), N_LIMBS)),
         "scale": scale,
     }
 
@@ -270,8 +273,8 @@ def learned(scans: Scans, changed: FloatArray | float = 0.0) -> dict[str, FloatA
 N_FACES, COARSER = (1000, 2000, 3000), 0.25
 
 # The share of what a missing limb changes, and the number of the first person without one: no other benchmark
-# has these. See docs/decisions.md, limbless.
-LIMBLESS, FIRST_LIMBLESS = 0.05, 2000
+# has these; and the number of directions that are stored. See docs/decisions.md, limbless.
+LIMBLESS, FIRST_LIMBLESS, N_LIMBS = 0.05, 2000, 12
 
 
 def coarser(catalogues: Sequence[Path]) -> FloatArray:
@@ -288,13 +291,20 @@ def coarser(catalogues: Sequence[Path]) -> FloatArray:
 
 
 def limbless(n_people: int) -> FloatArray:
-    """(214, 214) the share of the second moment of what a missing limb, or head, changes in a scan.
+    """(214, 214) the second moment of what a missing limb, or head, changes in a scan.
 
     The people are those of `benchmarks.simulation`: limbs that are missing from bodies of one model, those of
     make_people, teach too little of others.
     """
     people_of = range(FIRST_LIMBLESS, FIRST_LIMBLESS + n_people)
-    return LIMBLESS * _second_moment(all_in_workers(_limbless, people_of, "limbs"))
+    return _second_moment(all_in_workers(_limbless, people_of, "limbs"))
+
+
+def limbs_of(moment: FloatArray) -> FloatArray:
+    """(214, 12) the directions of a second moment, each as long as its root there, the largest last."""
+    squares, directions = np.linalg.eigh(moment)
+    largest = np.sqrt(squares[-N_LIMBS:].clip(0))
+    return np.asarray(directions[:, -N_LIMBS:] * largest)
 
 
 def _second_moment(changes: Sequence[FloatArray | None]) -> FloatArray:

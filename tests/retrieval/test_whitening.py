@@ -276,6 +276,17 @@ def test_the_metric_of_people_finds_them(method: str, size_weight: float) -> Non
     assert alone.kind == "within-class"
 
 
+def test_missing_limbs_count_less_though_a_catalogue_shows_none() -> None:
+    known = people(SignatureOptions())
+    assert known is not None
+    lost = known.limbs[:, -1]  # in the direction of the largest change
+    unaware = known._replace(limbs=0 * known.limbs)
+    counted, before = (
+        lost @ one.adapted(known.within, 0.5).metric @ lost for one in (known, unaware)
+    )
+    assert 0 < counted < 0.8 * before
+
+
 def test_scans_of_unusual_people_may_differ_more() -> None:
     known = people(SignatureOptions())
     assert known is not None
