@@ -261,7 +261,7 @@ class Fit:
         found[found] = to_base < self.to_points[0][found]
         return np.asarray(found)
 
-    def share(self, faces: Mask) -> float:
+    def share(self, faces: Mask | Faces) -> float:
         """The area of some faces relative to the whole."""
         return float(self.areas[faces].sum() / self.areas.sum())
 
@@ -512,7 +512,7 @@ class Fit:
         area = float(np.linalg.norm(self.areas[closing] @ self.normals[closing]))
         flatness = area / self.areas[far[is_near]].sum()
         size = likeness * flatness * np.sqrt(area / self.areas.sum())
-        is_small = size < IN_HAIR and self.areas[cap].sum() < SOLE * self.areas.sum()
+        is_small = size < IN_HAIR and self.share(cap) < SOLE
         return None if is_small and self._is_hidden(faces, middle) else End(middle, size)
 
     def _is_hidden(self, faces: Faces, middle: FloatArray) -> bool:

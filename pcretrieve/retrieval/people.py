@@ -58,8 +58,8 @@ LESS_UNLIKE = 0.75
 # Least share of labelled scans by which the metric is calibrated: they show what their sensor changes.
 LEAST_SHARE = 0.05
 
-# How often what a missing limb changes is added to what a catalogue shows: see docs/decisions.md, limbless.
-LIMBLESS = 0.6
+# How much of what a missing limb changes is added to what a catalogue shows: see docs/decisions.md, limbless.
+LIMBS_ADDED = 0.6
 
 # False-match rates at which distances are known.
 RATES = np.concatenate([[0.0], np.geomspace(1e-4, 1, 41)])
@@ -114,7 +114,7 @@ class People(NamedTuple):
         A catalogue of whole scans does not show what a missing limb changes, which is added.
         """
         scale = np.trace(self.within) / np.trace(own)
-        shown = scale * own + LIMBLESS * self.limbs @ self.limbs.T
+        shown = scale * own + LIMBS_ADDED * self.limbs @ self.limbs.T
         within = (1 - share) * self.within + share * shown
         return self._replace(within=within, total=self.total - self.within + within)
 
@@ -176,8 +176,9 @@ def people(
     known = None
     if is_default and not options.size_weight and "same" in sample:
         known = Reference(*(sample[name] for name in Reference._fields))
-    mean, limbs = (sample[name][chosen].T * scale for name in ("mean", "limbs"))
+    mean = sample["mean"][chosen] * scale
+    limbs = sample["limbs"][chosen] * scale[:, np.newaxis]
     # Limbs that are not parted change the distances along a surface, and so R-BiHDM, more than a class does.
     # The size, at −1, is compared with hapt.
     compared = np.flatnonzero((chosen < BEGINS["r-bihdm"]) | ("hapt" not in names))
-    return People(mean, within, total, limbs.T, compared, known)
+    return People(mean, within, total, limbs, compared, known)

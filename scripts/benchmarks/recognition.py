@@ -150,12 +150,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.error("--coarser and --limbless add to what --learn learns: give it, too")
     scans = scans_of(given.catalogues)
     if given.learn:
-        changed = lost = np.zeros((N_COORDINATES, N_COORDINATES))
+        lost = np.zeros((N_COORDINATES, N_COORDINATES))
         if given.limbless:
             lost = limbless(given.limbless)
-            changed = LIMBLESS * lost
+        changed = LIMBLESS * lost
         if given.coarser:
-            changed = changed + coarser(given.coarser)
+            changed += coarser(given.coarser)
         sample = learned(scans, changed) | reference(scans, changed)._asdict()
         sample["limbs"] = limbs_of(lost / np.outer(sample["scale"], sample["scale"]))
         written = io.BytesIO()

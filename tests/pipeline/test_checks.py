@@ -329,7 +329,7 @@ def test_a_rod_is_one_body_and_so_is_one_with_thick_ends(knobs: int) -> None:
 
 def test_a_rod_between_two_balls_is_one_body_though_creases_run_round_its_ends() -> None:
     def field(points: FloatArray) -> FloatArray:
-        aside = np.abs(points[..., :1]) - [[1.2]]
+        aside = np.abs(points[..., :1]) - 1.2
         balls = np.linalg.norm(np.concatenate([aside, points[..., 1:]], axis=-1), axis=-1)
         width = np.linalg.norm(points[..., 1:], axis=-1)
         rod = np.maximum(width - 0.25, aside[..., 0])
