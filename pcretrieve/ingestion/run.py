@@ -416,9 +416,11 @@ class _Run:
 
 
 def _is_new(catalogue: CatalogueLike) -> bool:
-    """Whether there is no file of a catalogue yet."""
-    is_path = isinstance(catalogue, (str, Path)) and "://" not in str(catalogue)
-    return is_path and not Path(str(catalogue)).exists()
+    """Whether there is no file of a catalogue yet, or the empty one that each begins as."""
+    if isinstance(catalogue, Catalogue) or "://" in str(catalogue):
+        return False
+    path = Path(catalogue)
+    return not path.exists() or not path.stat().st_size
 
 
 def _planner(

@@ -63,6 +63,12 @@ def files(folder: Path) -> dict[Path, bytes]:
 
 def test_a_dry_run_says_what_would_be_done_and_writes_nothing(folder: Path) -> None:
     before = files(folder)
+    # Of another ingest, which has only begun.
+    empty = folder.parent / "empty.sqlite"
+    empty.touch()
+    options = ("--dry-run", "--json", "-c", empty)
+    assert json.loads(ingest(folder, *options, code=0).stdout)["result"]["planned"]
+    assert not empty.stat().st_size
     done = ingest(folder, "--dry-run", "--json", code=0)
     assert files(folder) == before
     answer = json.loads(done.stdout)["result"]
