@@ -66,6 +66,12 @@ LEAST_CREASED = 0.2
 SHARP = 1.5
 NECK_ERROR = 0.45
 
+# A rod between two thick ends has a crease at each: beside a level line in one of them, within this share of
+# the area, are lines outside of creases that are hardly longer. Where two bodies touch, there is one crease.
+ALONG_ROD = 0.03
+OUTSIDE = 0.1
+HARDLY_LONGER = 1.1
+
 # Least share of the area on the smaller side of a level line that may part two bodies, and of those nearby.
 LEAST_HALF = 0.2
 LEAST_SIDE = 0.15
@@ -423,6 +429,7 @@ def neck(mesh: TriangleMesh, eigenvectors: FloatArray) -> Neck:
     sharpness = _sharpness(lengths, shares)
     is_sharp = sharpness > LEAST_SHARPNESS
     is_sharp &= (creased > LEAST_CREASED) | (sharpness > SHARP)
+    is_sharp &= ~_is_of_rod(lengths, creased, shares)
     likeness = (CREASED_NECK - NECK) * creased - relative
     # Lines that part both halves come first, and of these the sharp ones.
     at = int(np.lexsort((likeness, is_sharp, smaller > LEAST_HALF))[-1])
@@ -497,6 +504,14 @@ def _sharpness(lengths: FloatArray, shares: FloatArray) -> FloatArray:
     is_near = np.abs(np.subtract.outer(shares, shares)) < NEARBY
     below, above = (half(is_near * lengths).max(axis=1) for half in (np.tril, np.triu))
     return np.asarray(np.minimum(below, above) / lengths)
+
+
+def _is_of_rod(lengths: FloatArray, creased: FloatArray, shares: FloatArray) -> Mask:
+    """(l,) whether each level line is in a crease at the end of a rod."""
+    is_outside = creased < OUTSIDE
+    is_near = np.abs(np.subtract.outer(shares, shares)) < ALONG_ROD
+    shortest = np.where(is_near & is_outside, lengths, np.inf).min(axis=1)
+    return np.asarray(~is_outside & (shortest < HARDLY_LONGER * lengths))
 
 
 def _level_lines(

@@ -327,9 +327,12 @@ def test_a_rod_is_one_body_and_so_is_one_with_thick_ends(knobs: int) -> None:
     assert one_body(TriangleMesh(rod * thick, BALL.faces)).outcome == "passed"
 
 
-def test_a_rod_between_two_balls_is_one_body_though_creases_run_round_its_ends() -> None:
+@pytest.mark.parametrize("middle", [1.2, 0.85])
+def test_a_rod_between_two_balls_is_one_body_though_creases_run_round_its_ends(
+    middle: float,
+) -> None:
     def field(points: FloatArray) -> FloatArray:
-        aside = np.abs(points[..., :1]) - 1.2
+        aside = np.abs(points[..., :1]) - middle
         balls = np.linalg.norm(np.concatenate([aside, points[..., 1:]], axis=-1), axis=-1)
         width = np.linalg.norm(points[..., 1:], axis=-1)
         rod = np.maximum(width - 0.25, aside[..., 0])
