@@ -32,6 +32,7 @@ from benchmarks.recognition import (
     Scans,
     fused_points,
     learned,
+    limbless_moments,
     limbs_of,
     packed,
     reference,
@@ -49,7 +50,7 @@ from pcretrieve import ModalSpectrum, write_mesh
 from pcretrieve.options import SignatureOptions
 from pcretrieve.points.neighbors import nearest
 from pcretrieve.retrieval import fit_whitening
-from pcretrieve.retrieval.people import installed, unpacked
+from pcretrieve.retrieval.people import SYMMETRIC, installed, unpacked
 from pcretrieve.values.topology import defects
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
@@ -343,9 +344,20 @@ def test_the_directions_of_what_limbs_change_make_its_second_moment() -> None:
     np.testing.assert_allclose(limbs @ limbs.T, moment, atol=1e-9)
 
 
+def test_scans_without_a_limb_have_moments_of_their_own() -> None:
+    scans = scans_of_people(200, 1.0)
+    damages = np.where(scans.person % 2, "limb", "whole")
+    ids = np.char.replace(scans.ids, "whole", "") + damages
+    found = limbless_moments(scans._replace(ids=ids), np.full(214, 2.0))
+    assert found["limbless_mean"].shape == (23,)
+    assert found["limbless_mean"] == pytest.approx(100 / 2, rel=0.01)
+    # They scatter by 1 round the odd numbers up to 200.
+    assert np.diag(found["limbless"]) == pytest.approx(200**2 / 12 / 4, rel=0.02)
+
+
 def test_symmetric_matrices_are_stored_as_triangles() -> None:
     sample = installed()
-    for name in ("within", "total"):
+    for name in SYMMETRIC:
         assert (sample[name] == sample[name].T).all()
     for name, array in unpacked(packed(sample)).items():
         np.testing.assert_array_equal(array, sample[name], err_msg=name)

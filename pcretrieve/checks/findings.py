@@ -14,7 +14,7 @@ from pcretrieve.checks.grading import Check
 from pcretrieve.checks.layers import double_layers
 from pcretrieve.draw.axes import Person, person_of
 from pcretrieve.points.neighbors import Neighborhoods, nearest, neighborhoods
-from pcretrieve.values import FloatArray, PointCloud, Shape, TriangleMesh
+from pcretrieve.values import FloatArray, PointCloud, Shape, Signature, TriangleMesh
 from pcretrieve.values.topology import SurfaceMarks
 
 # Number of neighbours with whose normals the normal of a point is compared.
@@ -59,11 +59,13 @@ def findings_of(
     marks: SurfaceMarks | None,
     shape: Shape | None,
     *,
+    judged: Signature | None = None,
     scan: PointCloud | None = None,
     around: Neighborhoods | None = None,
 ) -> Findings:
     """Check the results of the stages of a scan, up to some stage.
 
+    judged: the signature by `JUDGED`, if there is one.
     scan: the points before they were thinned; without them, densities are those of the thinned points.
     around: neighbours of some points of the cloud, if they are known.
     Returns Findings: lengths are in the unit of the file.
@@ -98,6 +100,8 @@ def findings_of(
         checks += [*stages.surface_checks(mesh), *stages.mesh_check(mesh.provenance)]
     if shape is not None:
         checks += stages.spectrum_checks(shape)
+    if mesh is not None and judged is not None:
+        checks += stages.limbs_check(judged)
     if mesh is not None:
         checks = _with_parts(checks, mesh)
     return Findings(tuple(checks), spacing, filled, cuts, bridges)

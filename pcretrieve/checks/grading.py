@@ -38,6 +38,10 @@ LARGE_HOLE = 0.034
 # Ratio of spacings, over the surface, of which a part was scanned that has hardly any points elsewhere.
 UNEVEN = 2.3
 
+# Logarithm of a ratio of likelihoods, from which the form of a person is that of one without a limb. See
+# docs/decisions.md, limbless.
+LIMBLESS = 3.0
+
 # Smallest part in the squared error of a check that is named as a reason.
 REASON = 0.2
 
@@ -219,6 +223,14 @@ MEASURES = {
         "file of its own.",
         "two bodies touch",
         "poor",
+    ),
+    "Limbs": Measure(
+        (LIMBLESS, LIMBLESS),
+        "The form is that of a person with all limbs.",
+        "The form is more like that of people of whom the end of a limb, or the head, was not scanned: scan "
+        "what is missing, or pose limbs apart, if one is grown together with another part.",
+        "by the form, the end of a limb, or the head, is missing",
+        "incomplete",
     ),
     "Surfaces": Measure(
         (0.08, 0.4),

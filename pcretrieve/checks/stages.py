@@ -20,11 +20,13 @@ from pcretrieve.checks.grading import (
     percent,
 )
 from pcretrieve.checks.layers import Layers
+from pcretrieve.retrieval import limbless_ratio
 from pcretrieve.values import (
     FloatArray,
     Mask,
     PointCloud,
     Shape,
+    Signature,
     Step,
     TriangleMesh,
     unit_vectors,
@@ -365,6 +367,15 @@ def spectrum_checks(shape: Shape) -> list[Check]:
             graded("Surfaces", apart, shown, error=ERROR_OF_DISAGREEMENT * apart)
         )
     return checks
+
+
+def limbs_check(judged: Signature) -> list[Check]:
+    """Check whether the form of a person is that of one without a limb; none of other bodies."""
+    ratio = limbless_ratio(judged.values)
+    if ratio is None:
+        return []
+    shown = f"exp({ratio:.1f}) times as likely without a limb, or the head, as whole"
+    return [graded("Limbs", ratio, shown)]
 
 
 class Neck(NamedTuple):

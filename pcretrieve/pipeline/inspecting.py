@@ -15,6 +15,7 @@ from pcretrieve.formats.identity import printable
 from pcretrieve.options import JUDGED, OptionsLike, PipelineOptions
 from pcretrieve.pipeline.process import (
     Seen,
+    judged_signature,
     placed,
     shape_of,
     signature,
@@ -77,7 +78,14 @@ def inspect_scan(
         failure = Failure(
             name, error.stage or "worker", type(error).__name__, error.message
         )
-    found = findings_of(seen.cloud, seen.mesh, seen.marks, shape, scan=seen.cropped)
+    found = findings_of(
+        seen.cloud,
+        seen.mesh,
+        seen.marks,
+        shape,
+        judged=None if shape is None else judged_signature(shape),
+        scan=seen.cropped,
+    )
     checks = [*found.checks]
     if rescan_error is not None:
         checks.append(

@@ -41,7 +41,14 @@ from pcretrieve.errors import (
 )
 from pcretrieve.formats import ScanLike, ScanPath, as_scan, located
 from pcretrieve.formats.identity import content_hash
-from pcretrieve.options import OptionsLike, PipelineOptions, ScanOptions, SurfaceOptions
+from pcretrieve.options import (
+    JUDGED,
+    OptionsLike,
+    PipelineOptions,
+    ScanOptions,
+    SignatureOptions,
+    SurfaceOptions,
+)
 from pcretrieve.pipeline import log_steps
 from pcretrieve.points.neighbors import Neighborhoods, plane_neighborhoods
 from pcretrieve.spectral import eigenpairs, laplace_beltrami, star_mesh, unit_eigenpairs
@@ -278,6 +285,7 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
             last.mesh,
             last.marks,
             shape,
+            judged=judged_signature(shape),
             scan=last.cropped,
             around=last.around,
         )
@@ -324,6 +332,14 @@ def signature_of(
         return replace(
             describe(shape, options.signature, method), digest=options.signature_digest
         )
+
+
+def judged_signature(shape: Shape) -> Signature | None:
+    """The signature by which scans are judged; None if the spectrum is too short."""
+    options = SignatureOptions(**JUDGED)
+    if len(shape.spectrum.eigenvalues) <= options.n_modes:
+        return None
+    return describe(shape, options)
 
 
 def signature_of_surfaces(

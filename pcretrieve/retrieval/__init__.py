@@ -15,7 +15,7 @@ from pcretrieve.retrieval.distances import (
     write_matrix,
 )
 from pcretrieve.retrieval.index import SignatureIndex
-from pcretrieve.retrieval.people import People, people
+from pcretrieve.retrieval.people import People, limbless_ratio, people
 from pcretrieve.retrieval.whitening import Whitening, fit_whitening, table_whitening
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "coordinates",
     "fit_whitening",
     "ids_path",
+    "limbless_ratio",
     "pairwise",
     "people",
     "read_matrix",

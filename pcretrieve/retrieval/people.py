@@ -26,6 +26,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from importlib import resources
 from typing import NamedTuple
 
@@ -36,10 +37,11 @@ from pcretrieve.retrieval.distances import Positions
 from pcretrieve.values import FloatArray
 
 # mean (214,), within and total (214, 214), limbs (214, 12), scale (214,): the moments of the coordinates of
-# hapt, of 59 values of r-bihdm and of log area, divided by the scale of each; of symmetric matrices the upper
-# triangles. And the fields of `Reference`. Written by scripts/benchmark people --learn.
+# hapt, of 59 values of r-bihdm and of log area, divided by the scale of each. limbless_mean (23,), limbless
+# (23, 23): those of 23 values of r-bihdm of scans without a limb. Of symmetric matrices the upper triangles.
+# And the fields of `Reference`. Written by scripts/benchmark people --learn.
 SAMPLE = "people.npz"
-SYMMETRIC = ("within", "total")
+SYMMETRIC = ("within", "total", "limbless")
 N_VALUES = 23
 
 # Where the coordinates of a descriptor begin, how many of r-bihdm there are, and of how many modes they are.
@@ -60,6 +62,10 @@ LEAST_SHARE = 0.05
 
 # How much of what a missing limb changes is added to what a catalogue shows: see docs/decisions.md, limbless.
 LIMBS_ADDED = 0.6
+
+# A scan that is more unlike people, whole and without a limb, tells nothing of limbs: hands and animals that
+# seem to lack one are 2 and 3 unlike. See docs/decisions.md, limbless.
+ALIKE_LIMBLESS = 1.9
 
 # False-match rates at which distances are known.
 RATES = np.concatenate([[0.0], np.geomspace(1e-4, 1, 41)])
@@ -135,16 +141,44 @@ class People(NamedTuple):
         return np.asarray((np.eye(len(within)) - within) / np.trace(within))
 
 
+def limbless_ratio(values: FloatArray) -> float | None:
+    """How much more a form is like those of people without a limb, or the head, than like whole ones.
+
+    It is the logarithm of the ratio p₁(x) / p₀(x) of two normal densities of x, the coordinates of R-BiHDM:
+    of scans of people without the end of a limb, or the head, and of all scans of people.
+
+    values: (23,) of R-BiHDM, in units of the squared area.
+    Returns None if the form is unlike both: then it need not be a person's.
+    """
+    sample = installed()
+    some = slice(BEGINS["r-bihdm"], BEGINS["r-bihdm"] + N_VALUES)
+    place = np.log(values) / sample["scale"][some]
+    squares, densities = [], []
+    for mean, covariance in (
+        (sample["mean"][some], sample["total"][some, some]),
+        (sample["limbless_mean"], sample["limbless"]),
+    ):
+        apart = place - mean
+        squares.append(apart @ np.linalg.solve(covariance, apart))
+        densities.append(-(squares[-1] + np.linalg.slogdet(covariance)[1]) / 2)
+    if min(squares) > ALIKE_LIMBLESS * N_VALUES:
+        return None
+    return float(densities[1] - densities[0])
+
+
 def unpacked(arrays: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """The arrays of `SAMPLE` as float64, with whole matrices."""
     sample = {name: arrays[name].astype(np.float64) for name in arrays}
-    upper = np.triu_indices(len(sample["mean"]))
     for name in SYMMETRIC:
-        triangle, sample[name] = sample[name], np.empty(2 * sample["mean"].shape)
+        triangle = sample[name]
+        n = int(np.sqrt(2 * len(triangle)))
+        upper = np.triu_indices(n)
+        sample[name] = np.empty((n, n))
         sample[name][upper] = sample[name].T[upper] = triangle
     return sample
 
 
+@cache
 def installed() -> dict[str, FloatArray]:
     """The arrays of `SAMPLE`."""
     return unpacked(np.load(str(resources.files(__package__).joinpath(SAMPLE))))

@@ -14,7 +14,7 @@ from pcretrieve.checks import findings_of, grade_of
 from pcretrieve.descriptors import DESCRIPTORS, describe
 from pcretrieve.errors import ShapeError
 from pcretrieve.options import JUDGED, PipelineOptions
-from pcretrieve.pipeline.process import shape_of, stages
+from pcretrieve.pipeline.process import judged_signature, shape_of, stages
 from pcretrieve.retrieval import Whitening, coordinates, fit_whitening, people
 from pcretrieve.retrieval.people import People
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
@@ -66,7 +66,12 @@ def examined(
             shape = shape_of(last, options)
             own = point_of(describe(shape, options.signature).values, options)
             found = findings_of(
-                last.cloud, last.mesh, last.marks, shape, scan=last.cropped
+                last.cloud,
+                last.mesh,
+                last.marks,
+                shape,
+                judged=judged_signature(shape),
+                scan=last.cropped,
             )
             checks = found.checks
             grade = grade_of(checks)

@@ -71,6 +71,7 @@ from pcretrieve.retrieval import (
 from pcretrieve.retrieval.people import (
     BEGINS,
     MOST_VALUES,
+    N_VALUES,
     RATES,
     SAMPLE,
     SYMMETRIC,
@@ -158,6 +159,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             changed += coarser(given.coarser)
         sample = learned(scans, changed) | reference(scans, changed)._asdict()
         sample["limbs"] = limbs_of(lost / np.outer(sample["scale"], sample["scale"]))
+        sample |= limbless_moments(scans, sample["scale"])
         written = io.BytesIO()
         np.savez_compressed(written, allow_pickle=False, **packed(sample))
         target = Path(pcretrieve.retrieval.__file__).with_name(SAMPLE)
@@ -168,8 +170,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def packed(sample: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """The arrays of `SAMPLE` as they are stored: float32, and the upper triangles of symmetric matrices."""
-    upper = np.triu_indices(len(sample["mean"]))
-    triangles = {name: sample[name][upper] for name in SYMMETRIC}
+    triangles = {
+        name: sample[name][np.triu_indices(len(sample[name]))] for name in SYMMETRIC
+    }
     stored = {**sample} | triangles
     return {name: np.asarray(array, np.float32) for name, array in stored.items()}
 
@@ -305,6 +308,17 @@ def limbs_of(moment: FloatArray) -> FloatArray:
     squares, directions = np.linalg.eigh(moment)
     largest = np.sqrt(squares[-N_LIMBS:].clip(0))
     return np.asarray(directions[:, -N_LIMBS:] * largest)
+
+
+def limbless_moments(scans: Scans, scale: FloatArray) -> dict[str, FloatArray]:
+    """The moments of scans without the end of a limb, or the head, by the first values of R-BiHDM.
+
+    scale: (214,) of the coordinates.
+    """
+    begin = BEGINS["r-bihdm"]
+    points = scans.parts["r-bihdm"] / scale[begin : begin + MOST_VALUES]
+    found = points[damages_of(scans) == "limb", :N_VALUES]
+    return {"limbless_mean": found.mean(axis=0), "limbless": np.cov(found.T)}
 
 
 def _second_moment(changes: Sequence[FloatArray | None]) -> FloatArray:

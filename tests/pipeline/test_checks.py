@@ -1,7 +1,7 @@
 """Each check of points and surface has a drawn case that trips it, and one that does not.
 
-A ball, a ball with a hole, a ball whose one side is thin, a tube that was cut off, two layers of points, and
-two balls that touch.
+A ball, a ball with a hole, a ball whose one side is thin, a tube that was cut off, two layers of points, two
+balls that touch, and a person without a limb.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import trimesh
-from benchmarks.bodies import Mask, standing_places
+from benchmarks.bodies import Body, Mask, standing_places
+from benchmarks.sensors import SENSORS, left_by
 from benchmarks.simulation.bodies import POSES, body, make_subject
 from benchmarks.uniform import BODIES, points_of
 from shapes import icosphere
@@ -23,8 +24,9 @@ from pcretrieve.checks.findings import N_NEIGHBORS, parts_at
 from pcretrieve.checks.fit import Fit, parts
 from pcretrieve.checks.grading import ENDS_OF_NOISE
 from pcretrieve.checks.layers import double_layers
-from pcretrieve.checks.stages import body_check, hole_check, neck
+from pcretrieve.checks.stages import body_check, hole_check, limbs_check, neck
 from pcretrieve.draw.axes import person_of
+from pcretrieve.pipeline.process import judged_signature, process
 from pcretrieve.points.neighbors import neighborhoods
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.surface.marching import level_set
@@ -343,6 +345,28 @@ def test_a_rod_between_two_balls_is_one_body_though_creases_run_round_its_ends(
     found = one_body(TriangleMesh(vertices * 0.05, faces))
     assert found.value is not None and found.value < 0.75, "as short as where balls touch"
     assert found.outcome == "passed"
+
+
+# --- limbs --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_the_form_of_a_person_tells_that_a_limb_is_missing(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mesh = body(make_subject("person", rng), POSES["person"]["stand"], rng)
+    person = Body("somebody", "somebody", mesh)
+    points = SENSORS["uniform"](person, rng)
+    cut = points[left_by("limb", points, person, rng)]
+    for of, outcome in ((points, "passed"), (cut, "failed")):
+        judged = judged_signature(process(PointCloud(of)))
+        assert judged is not None
+        (found,) = limbs_check(judged)
+        assert found.outcome == outcome
+
+
+def test_a_ball_has_no_limbs_that_could_be_missing() -> None:
+    judged = judged_signature(process(BALL))
+    assert judged is not None and limbs_check(judged) == []
 
 
 # --- names of the parts of a person -------------------------------------------------------------------

@@ -8,13 +8,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks.measuring import evaluate_table
+from scipy.stats import multivariate_normal
 from tables import classes_of, posed_logs, table_of
 
 from pcretrieve.descriptors import DESCRIPTORS, signature_length
 from pcretrieve.errors import InputError, OptionError
 from pcretrieve.evaluation.measures import verification
 from pcretrieve.options import RetrievalOptions, SignatureOptions
-from pcretrieve.retrieval import People, Whitening, fit_whitening, pairwise, people
+from pcretrieve.retrieval import (
+    People,
+    Whitening,
+    fit_whitening,
+    limbless_ratio,
+    pairwise,
+    people,
+)
+from pcretrieve.retrieval.people import installed
 from pcretrieve.retrieval.whitening import (
     MOST_UNUSUAL,
     USUAL,
@@ -380,3 +389,23 @@ def test_labels_are_used_by_auto_alone() -> None:
     without = fit_whitening("unsupervised", logs)
     assert fit_whitening("unsupervised", logs, labels) == without
     assert without.kind != "within-class"
+
+
+def test_a_form_is_compared_with_those_of_people_whole_and_without_a_limb() -> None:
+    sample = installed()
+    means = {"whole": sample["mean"][154:177], "limbless": sample["limbless_mean"]}
+    covariances = {
+        "whole": sample["total"][154:177, 154:177],
+        "limbless": sample["limbless"],
+    }
+    place = 0.6 * means["limbless"] + 0.4 * means["whole"]
+    scale = sample["scale"][154:177]
+    densities = {
+        name: multivariate_normal(means[name], covariances[name]).logpdf(place)
+        for name in means
+    }
+    assert limbless_ratio(np.exp(scale * place)) == pytest.approx(
+        densities["limbless"] - densities["whole"]
+    )
+    # Bones are 25 times as unlike people.
+    assert limbless_ratio(np.exp(scale * (place + 5))) is None
