@@ -97,7 +97,7 @@ AT_END = 0.1
 # area of what closes them, relative to the surface; and how far the body reaches beyond them, relative to the
 # length, unless it is on a turntable: .09 and more beyond a leg that is cut. See docs/decisions.md, what
 # sensors cannot see.
-IN_HAIR = 0.0175
+IN_HAIR = 0.02
 SOLE = 0.02
 LAST = 0.05
 
