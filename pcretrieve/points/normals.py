@@ -46,6 +46,9 @@ MOST_CONTRADICTED = 0.3
 # at most .12 % in sound scans.
 LARGEST_PATCH = 0.005
 
+# The same, if it stays larger whatever holes are closed: of few points, hands are such patches.
+MOST_PATCHED = 0.02
+
 # Patches that all around contradicts are turned if the flood fill leaked at first, and one of them has at
 # least so many points; otherwise they lie in mouths and ears. See docs/decisions.md, LEAST_TURNED.
 LEAST_TURNED = 12
@@ -216,14 +219,15 @@ def _tight_flood(
 ) -> tuple[Outside | None, FloatArray | None, tuple[str, ...]]:
     """Repeat the flood fill with larger closed holes until it does not leak into the body.
 
-    A leak is detected by the normals towards the outside, which are then inconsistent between neighbours. The
-    outside and the normals are None if every flood fill leaked.
+    A leak is detected by the normals towards the outside, which are then inconsistent between neighbours. If
+    every flood fill seems to leak, that with the fewest such points is used; if these are too many, the
+    outside and the normals are None.
     """
     cell = max(
         options.flood_cell * cloud.diagonal, FLOOD_CELL * spacing(neighbors.some())
     )
-    gap = options.flood_gap
     walled = _with_disks(cloud, neighbors, options, cell / FLOOD_CELL)
+    best, fewest = None, MOST_PATCHED * len(cloud.points)
     for attempt in range(options.flood_retries + 1):
         gap = options.flood_gap * WIDER**attempt
         outside = flood(walled, cell=cell, gap=gap * cloud.diagonal)
@@ -231,18 +235,23 @@ def _tight_flood(
         oriented = _guided_normals(cloud.points, towards, neighbors, options)
         shallow = outside.depth_at(cloud.points) < SHALLOW
         largest = _contradicted(oriented, neighbors.near, shallow)
-        if shallow.sum() > N_COMPARED and largest <= LARGEST_PATCH * len(oriented):
-            note = f"the flood fill leaked; holes with radii up to {gap:.3f} of the diagonal were closed"
-            notes = [note] if attempt else []
-            if attempt and largest >= LEAST_TURNED:
-                oriented, n_turned = _agreed(oriented, neighbors.near)
-                notes += [f"turned {n_turned} normals in patches"] if n_turned else []
-            return outside, oriented, tuple(notes)
-    return (
-        None,
-        None,
-        (f"the flood fill leaked with holes up to {gap:.3f} of the diagonal closed",),
-    )
+        if shallow.sum() > N_COMPARED and largest < fewest:
+            best, fewest = (attempt, gap, outside, oriented), largest
+            if largest <= LARGEST_PATCH * len(oriented):
+                break
+    if best is None:
+        note = f"the flood fill leaked with holes up to {gap:.3f} of the diagonal closed"
+        return None, None, (note,)
+    attempt, gap, outside, oriented = best
+    if not attempt:
+        return outside, oriented, ()
+    notes = [
+        f"the flood fill leaked; holes with radii up to {gap:.3f} of the diagonal were closed"
+    ]
+    if fewest >= LEAST_TURNED:
+        oriented, n_turned = _agreed(oriented, neighbors.near)
+        notes += [f"turned {n_turned} normals in patches"] if n_turned else []
+    return outside, oriented, tuple(notes)
 
 
 def _with_disks(
