@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from pcretrieve.arrays import joined_by
 from pcretrieve.checks import stages
 from pcretrieve.checks.fit import Fit, between
-from pcretrieve.checks.grading import Check
+from pcretrieve.checks.grading import ENDS_OF_WHOLE, LIMBLESS, Check
 from pcretrieve.checks.layers import double_layers
 from pcretrieve.draw.axes import Person, person_of
 from pcretrieve.points.neighbors import Neighborhoods, nearest, neighborhoods
+from pcretrieve.retrieval import limbless_ratio
 from pcretrieve.values import FloatArray, PointCloud, Shape, Signature, TriangleMesh
 from pcretrieve.values.topology import SurfaceMarks
 
@@ -71,6 +72,7 @@ def findings_of(
     Returns Findings: lengths are in the unit of the file.
     """
     checks: list[Check] = []
+    ratio = None if judged is None else limbless_ratio(judged.values)
     spacing = 0.0
     filled = np.zeros(0 if mesh is None else len(mesh.faces), dtype=np.bool_)
     cuts = bridges = np.zeros((0, 3))
@@ -88,7 +90,8 @@ def findings_of(
             base = np.zeros((0, 3)) if marks is None else marks.base
             fit = Fit(cloud, around, mesh, cloud if scan is None else scan, base)
             filled = fit.filled
-            checks += stages.fit_checks(fit)
+            is_whole = ratio is not None and ratio < -LIMBLESS
+            checks += stages.fit_checks(fit, ENDS_OF_WHOLE if is_whole else 0.0)
             if len(base):
                 area = fit.share(fit.on_base)
                 checks.append(stages.base_check(area, on_ground=cloud.up is not None))
@@ -100,8 +103,8 @@ def findings_of(
         checks += [*stages.surface_checks(mesh), *stages.mesh_check(mesh.provenance)]
     if shape is not None:
         checks += stages.spectrum_checks(shape)
-    if mesh is not None and judged is not None:
-        checks += stages.limbs_check(judged)
+    if mesh is not None and ratio is not None:
+        checks.append(stages.limbs_check(ratio))
     if mesh is not None:
         checks = _with_parts(checks, mesh)
     return Findings(tuple(checks), spacing, filled, cuts, bridges)

@@ -26,8 +26,10 @@ Limits = tuple[float, float]
 # Largest expected error of a scan that is not poor. See docs/decisions.md, grades.
 LARGEST_ERROR = 1.0
 
-# Largest size of closed ends where noise and small holes are, and no limb is missing.
+# Largest size of closed ends where noise and small holes are, and no limb is missing; and the same of a
+# person whose form is that of one with all limbs.
 ENDS_OF_NOISE = 0.0032
+ENDS_OF_WHOLE = 0.006
 
 # Largest share of the surface where noise looks like layers.
 LAYERS_OF_NOISE = 0.03
@@ -38,8 +40,8 @@ LARGE_HOLE = 0.034
 # Ratio of spacings, over the surface, of which a part was scanned that has hardly any points elsewhere.
 UNEVEN = 2.3
 
-# Logarithm of a ratio of likelihoods, from which the form of a person is that of one without a limb. See
-# docs/decisions.md, limbless.
+# Logarithm of a ratio of likelihoods, from which the form of a person is that of one without a limb, and
+# below the opposite of which it is that of one with all limbs. See docs/decisions.md, limbs by the form.
 LIMBLESS = 3.0
 
 # Smallest part in the squared error of a check that is named as a reason.

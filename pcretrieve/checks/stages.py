@@ -20,13 +20,11 @@ from pcretrieve.checks.grading import (
     percent,
 )
 from pcretrieve.checks.layers import Layers
-from pcretrieve.retrieval import limbless_ratio
 from pcretrieve.values import (
     FloatArray,
     Mask,
     PointCloud,
     Shape,
-    Signature,
     Step,
     TriangleMesh,
     unit_vectors,
@@ -246,12 +244,12 @@ def mesh_check(provenance: Sequence[Step]) -> list[Check]:
     ]
 
 
-def fit_checks(fit: Fit) -> list[Check]:
-    """Check how well points and surface fit each other."""
+def fit_checks(fit: Fit, least_end: float) -> list[Check]:
+    """Check how well points and surface fit each other; smaller ends are none."""
     return [
         filled_check(fit),
         evenness_check(fit),
-        ends_check(fit),
+        ends_check(fit, least_end),
         gaps_check(fit),
         hole_check(fit),
         lost_check(fit),
@@ -272,10 +270,10 @@ def evenness_check(fit: Fit) -> Check:
     return graded("Evenness", fit.unevenness, shown)
 
 
-def ends_check(fit: Fit) -> Check:
-    """Check whether the surface was closed across a limb."""
-    size = max((end.size for end in fit.ends), default=0.0)
-    missing = [end.middle for end in fit.ends if end.size > ENDS_OF_NOISE]
+def ends_check(fit: Fit, least: float) -> Check:
+    """Check whether the surface was closed across a limb; smaller ends are none."""
+    size = max((end.size for end in fit.ends if end.size > least), default=0.0)
+    missing = [end.middle for end in fit.ends if end.size > max(least, ENDS_OF_NOISE)]
     error = ERROR_OF_ENDS * max(0.0, size - ENDS_OF_NOISE)
     shown = f"{percent(size)} of the root of the area of the surface"
     return graded("Closed ends", size, shown, error=error, places=missing)
@@ -369,13 +367,10 @@ def spectrum_checks(shape: Shape) -> list[Check]:
     return checks
 
 
-def limbs_check(judged: Signature) -> list[Check]:
-    """Check whether the form of a person is that of one without a limb; none of other bodies."""
-    ratio = limbless_ratio(judged.values)
-    if ratio is None:
-        return []
+def limbs_check(ratio: float) -> Check:
+    """Check whether the form of a person is that of one without a limb, by `limbless_ratio`."""
     shown = f"exp({ratio:.1f}) times as likely without a limb, or the head, as whole"
-    return [graded("Limbs", ratio, shown)]
+    return graded("Limbs", ratio, shown)
 
 
 class Neck(NamedTuple):

@@ -24,10 +24,17 @@ from pcretrieve.checks.findings import N_NEIGHBORS, parts_at
 from pcretrieve.checks.fit import Fit, parts
 from pcretrieve.checks.grading import ENDS_OF_NOISE
 from pcretrieve.checks.layers import double_layers
-from pcretrieve.checks.stages import body_check, hole_check, limbs_check, neck
+from pcretrieve.checks.stages import (
+    body_check,
+    ends_check,
+    hole_check,
+    limbs_check,
+    neck,
+)
 from pcretrieve.draw.axes import person_of
 from pcretrieve.pipeline.process import judged_signature, process
 from pcretrieve.points.neighbors import neighborhoods
+from pcretrieve.retrieval import limbless_ratio
 from pcretrieve.spectral import unit_eigenpairs
 from pcretrieve.surface.marching import level_set
 from pcretrieve.surface.reconstruct import uniform_points
@@ -350,6 +357,13 @@ def test_a_rod_between_two_balls_is_one_body_though_creases_run_round_its_ends(
 # --- limbs --------------------------------------------------------------------------------------------
 
 
+def ratio_of(scan: PointCloud | TriangleMesh) -> float | None:
+    """How much more the form is like those of people without a limb."""
+    judged = judged_signature(process(scan))
+    assert judged is not None
+    return limbless_ratio(judged.values)
+
+
 @pytest.mark.parametrize("seed", [1, 3])
 def test_the_form_of_a_person_tells_that_a_limb_is_missing(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -358,15 +372,23 @@ def test_the_form_of_a_person_tells_that_a_limb_is_missing(seed: int) -> None:
     points = SENSORS["uniform"](person, rng)
     cut = points[left_by("limb", points, person, rng)]
     for of, outcome in ((points, "passed"), (cut, "failed")):
-        judged = judged_signature(process(PointCloud(of)))
-        assert judged is not None
-        (found,) = limbs_check(judged)
-        assert found.outcome == outcome
+        ratio = ratio_of(PointCloud(of))
+        assert ratio is not None
+        assert limbs_check(ratio).outcome == outcome
 
 
 def test_a_ball_has_no_limbs_that_could_be_missing() -> None:
-    judged = judged_signature(process(BALL))
-    assert judged is not None and limbs_check(judged) == []
+    assert ratio_of(BALL) is None
+
+
+def test_ends_that_are_smaller_than_those_of_whole_people_are_none() -> None:
+    points, normals = capsule()
+    kept = points[:, 0] < 0.5
+    fit = fit_of(cloud_of(points[kept], normals[kept]), tube(0.5))
+    size = fit.ends[0].size
+    assert ends_check(fit, 0.9 * size).outcome == "failed"
+    found = ends_check(fit, 1.1 * size)
+    assert (found.outcome, found.value, found.places) == ("passed", 0, ())
 
 
 # --- names of the parts of a person -------------------------------------------------------------------
