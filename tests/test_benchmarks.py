@@ -14,6 +14,7 @@ import pytest
 import shapes
 from benchmarks.__main__ import BENCHMARKS
 from benchmarks.bodies import Body
+from benchmarks.grades import add_ranks
 from benchmarks.judging import metric_of_people, moments_of_people
 from benchmarks.paper.shapes import drifts, noisy, perturbed, planar_mesh
 from benchmarks.paper.spectra import (
@@ -391,3 +392,27 @@ def test_queries_are_compared_with_all_other_scans_or_those_by_other_sensors() -
     crossed = found_by(metric, points, person, queries=every, sensor=sensor)
     assert crossed.apart.tolist() == [1, 7, 1, 7]
     assert crossed.right.tolist() == [False, True, False, False]
+
+
+def test_people_are_ranked_by_their_own_metric_whatever_else_there_is() -> None:
+    rng = np.random.default_rng(0)
+    mean = moments_of_people().mean
+    rows = [
+        {
+            "kind": kind,
+            "sensor": "nine",
+            "damage": "whole",
+            "label": label,
+            "name": f"{label}{pose}",
+            "pose": pose,
+            "word": "good",
+            "point": (mean + rng.normal(0, 0.1, len(mean))).tolist(),
+        }
+        for kind in ("people", "animals")
+        for label in "abcd"
+        for pose in (0, 1)
+    ]
+    alone = [dict(row) for row in rows if row["kind"] == "people"]
+    add_ranks(alone)
+    add_ranks(rows)
+    assert [row["own"] for row in rows[:8]] == [row["own"] for row in alone]

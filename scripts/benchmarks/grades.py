@@ -279,7 +279,7 @@ def add_ranks(rows: Sequence[Row]) -> None:
     The rank is missing if the scan failed, or all whole scans of the individual in the other pose.
     """
     clean = {(row["kind"], row["name"]): row for row in rows if row["sensor"] == MESH}
-    metric = metric_of_people()
+    of_people = metric_of_people()
     options = PipelineOptions().signature
     for cell in sorted({(row["kind"], row["sensor"]) for row in rows}):
         here = [
@@ -292,6 +292,7 @@ def add_ranks(rows: Sequence[Row]) -> None:
         whole = [row for row in here if row["damage"] == WHOLE]
         if not whole:
             continue
+        metric = of_people
         if cell[0] not in OF_PEOPLE:
             taught = np.array([row["point"] for row in whole])
             metric = fit_whitening("unsupervised", taught, people=people(options))
