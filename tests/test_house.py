@@ -51,8 +51,8 @@ ROOMS = (
 # decisions about scans, measures of people and an export of pages cost 6,000; tables of methods, measures of
 # two people and decisions on pages 800; queries without a limb, and faster simplification, 400; copies of
 # scans that are not stored 700; sides that are sparse 400; unusual people 200; faster patches 100; two
-# bodies, and gaps beside holes, 200; forms of people, and rods, 600. The rest would be features.
-MOST_TOKENS = 240_100
+# bodies, and gaps beside holes, 200; forms of people, and rods, 550. The rest would be features.
+MOST_TOKENS = 240_050
 MOST_MODULES = 170
 MOST_ARROWS = 100
 MOST_OPTIONS = 45

@@ -5,8 +5,16 @@ advice, and the grade of the whole scan. The checks take a few hundredths of a s
 checked; an inspection adds rescans, and shows the findings.
 """
 
-from pcretrieve.checks.findings import findings_of
+from pcretrieve.checks.findings import Findings, findings_of
 from pcretrieve.checks.grading import OUTCOMES, Check, grade_of, graded
 from pcretrieve.checks.inspection import Inspection
 
-__all__ = ["OUTCOMES", "Check", "Inspection", "findings_of", "grade_of", "graded"]
+__all__ = [
+    "OUTCOMES",
+    "Check",
+    "Findings",
+    "Inspection",
+    "findings_of",
+    "grade_of",
+    "graded",
+]

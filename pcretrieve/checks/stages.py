@@ -245,7 +245,7 @@ def mesh_check(provenance: Sequence[Step]) -> list[Check]:
 
 
 def fit_checks(fit: Fit, least_end: float) -> list[Check]:
-    """Check how well points and surface fit each other; smaller ends are none."""
+    """Check how well points and surface fit each other; `least_end` as in `ends_check`."""
     return [
         filled_check(fit),
         evenness_check(fit),
@@ -271,9 +271,10 @@ def evenness_check(fit: Fit) -> Check:
 
 
 def ends_check(fit: Fit, least: float) -> Check:
-    """Check whether the surface was closed across a limb; smaller ends are none."""
-    size = max((end.size for end in fit.ends if end.size > least), default=0.0)
-    missing = [end.middle for end in fit.ends if end.size > max(least, ENDS_OF_NOISE)]
+    """Check whether the surface was closed across a limb; ends of at most the least size are none."""
+    ends = [end for end in fit.ends if end.size > least]
+    size = max((end.size for end in ends), default=0.0)
+    missing = [end.middle for end in ends if end.size > ENDS_OF_NOISE]
     error = ERROR_OF_ENDS * max(0.0, size - ENDS_OF_NOISE)
     shown = f"{percent(size)} of the root of the area of the surface"
     return graded("Closed ends", size, shown, error=error, places=missing)

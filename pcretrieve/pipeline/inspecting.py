@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from pcretrieve.checks import OUTCOMES, Check, Inspection, findings_of, graded
+from pcretrieve.checks import OUTCOMES, Check, Inspection, graded
 from pcretrieve.errors import OptionError, ShapeError
 from pcretrieve.formats import ScanLike, ScanPath, is_scan, located
 from pcretrieve.formats.identity import printable
 from pcretrieve.options import JUDGED, OptionsLike, PipelineOptions
 from pcretrieve.pipeline.process import (
     Seen,
-    judged_signature,
+    checked,
     placed,
     shape_of,
     signature,
@@ -78,14 +78,7 @@ def inspect_scan(
         failure = Failure(
             name, error.stage or "worker", type(error).__name__, error.message
         )
-    found = findings_of(
-        seen.cloud,
-        seen.mesh,
-        seen.marks,
-        shape,
-        judged=None if shape is None else judged_signature(shape),
-        scan=seen.cropped,
-    )
+    found = checked(seen, shape)
     checks = [*found.checks]
     if rescan_error is not None:
         checks.append(

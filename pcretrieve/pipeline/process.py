@@ -27,7 +27,7 @@ from scipy.sparse.csgraph import connected_components
 from threadpoolctl import threadpool_limits
 
 from pcretrieve import points
-from pcretrieve.checks import findings_of, grade_of
+from pcretrieve.checks import Findings, findings_of, grade_of
 from pcretrieve.descriptors import Descriptor, describe
 from pcretrieve.descriptors.describe import MeshFunction
 from pcretrieve.errors import (
@@ -280,16 +280,7 @@ def process(scan: ScanLike, options: OptionsLike = None) -> Shape:
         *_, last = stages(scan, options)
         shape = shape_of(last, options)
         started = time.perf_counter()
-        found = findings_of(
-            last.cloud,
-            last.mesh,
-            last.marks,
-            shape,
-            judged=judged_signature(shape),
-            scan=last.cropped,
-            around=last.around,
-        )
-        grade = grade_of(found.checks)
+        grade = grade_of(checked(last, shape).checks)
         notes = () if grade.is_good else (str(grade),)
         step = Step(
             "checks", time.perf_counter() - started, {"error": grade.error}, notes
@@ -340,6 +331,19 @@ def judged_signature(shape: Shape) -> Signature | None:
     if len(shape.spectrum.eigenvalues) <= options.n_modes:
         return None
     return describe(shape, options)
+
+
+def checked(seen: Seen, shape: Shape | None) -> Findings:
+    """What the checks find of the stages of a scan, and of its shape, if they came so far."""
+    return findings_of(
+        seen.cloud,
+        seen.mesh,
+        seen.marks,
+        shape,
+        judged=None if shape is None else judged_signature(shape),
+        scan=seen.cropped,
+        around=seen.around,
+    )
 
 
 def signature_of_surfaces(

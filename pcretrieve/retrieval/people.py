@@ -64,7 +64,7 @@ LEAST_SHARE = 0.05
 LIMBS_ADDED = 0.6
 
 # A scan that is more unlike people, whole and without a limb, tells nothing of limbs: hands and animals that
-# seem to lack one are 2 and 3 unlike. See docs/decisions.md, limbless.
+# seem to lack one are 2 and 3 unlike. See docs/decisions.md, limbs by the form.
 ALIKE_LIMBLESS = 1.9
 
 # False-match rates at which distances are known.

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from pcretrieve.checks import findings_of, grade_of
+from pcretrieve.checks import grade_of
 from pcretrieve.descriptors import DESCRIPTORS, describe
 from pcretrieve.errors import ShapeError
 from pcretrieve.options import JUDGED, PipelineOptions
-from pcretrieve.pipeline.process import judged_signature, shape_of, stages
+from pcretrieve.pipeline.process import checked, shape_of, stages
 from pcretrieve.retrieval import Whitening, coordinates, fit_whitening, people
 from pcretrieve.retrieval.people import People
 from pcretrieve.values import FloatArray, PointCloud, TriangleMesh
@@ -65,15 +65,7 @@ def examined(
                 surface = last.mesh
             shape = shape_of(last, options)
             own = point_of(describe(shape, options.signature).values, options)
-            found = findings_of(
-                last.cloud,
-                last.mesh,
-                last.marks,
-                shape,
-                judged=judged_signature(shape),
-                scan=last.cropped,
-            )
-            checks = found.checks
+            checks = checked(last, shape).checks
             grade = grade_of(checks)
             seconds = time.process_time() - started
             judging = options.changed(signature=JUDGED)
