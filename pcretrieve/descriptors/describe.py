@@ -241,7 +241,12 @@ def _needed(descriptor: Descriptor, part: Shape, options: SignatureOptions) -> S
     mesh = part.mesh if "mesh" in needs else None
     pairs = _lowest_pairs(part, options.n_modes + 1) if "eigenvectors" in needs else None
     cloud = part.points if "points" in needs else None
-    return Shape((Surface(part.area, spectrum, mesh, pairs),), cloud, part.provenance)
+    return Shape(
+        (Surface(part.area, spectrum, mesh, pairs),),
+        cloud,
+        part.provenance,
+        number=part.number,
+    )
 
 
 def _lowest_pairs(part: Shape, n_pairs: int) -> Eigenpairs:

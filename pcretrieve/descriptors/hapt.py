@@ -8,9 +8,13 @@ body it exceeds certain levels, for each radius R.
 
 Poses change it little: limbs remain tubes when they bend. Its errors are not those of spectra.
 
-Voxels are aligned with the principal axes of the body. The moments along these axes are a descriptor too:
-they are integrals, which change little with triangulation, noise and small holes, and not at all in a mirror,
-but change with the pose. So they find copies of one body in one pose: see docs/decisions.md, `SAME`.
+Voxels are aligned with the principal axes of the body. Of a scan with several surfaces every second one is
+described on voxels that lie half an edge beside those of the first: the errors of both grids differ, and
+cancel in part in the mean over the surfaces. See docs/decisions.md, grids of HAPT.
+
+The moments along the principal axes are a descriptor too: they are integrals, which change little with
+triangulation, noise and small holes, and not at all in a mirror, but change with the pose. So they find
+copies of one body in one pose: see docs/decisions.md, `SAME`.
 """
 
 from __future__ import annotations
@@ -60,7 +64,7 @@ MOST_VOXELS = 2**24
 MOST_POINTS = 2**23
 
 
-def hapt(mesh: TriangleMesh) -> Signature:
+def hapt(mesh: TriangleMesh, *, shift: float = 0.0) -> Signature:
     """Histograms of the area projection transform [1]_, for 22 radii.
 
     The settings that the article leaves open, or varies with the data (see docs/decisions.md, HAPT): radii of
@@ -69,6 +73,8 @@ def hapt(mesh: TriangleMesh) -> Signature:
     share of the body, to which a voxel contributes in part where the transform is near a level; a pseudocount
     of 5e-6 A^(3/2); weights of radii and levels; and the Hellinger distance in the place of the Jeffrey
     divergence, to which it is proportional for small differences, and which is no metric.
+
+    shift : by which share of an edge the voxels lie beside those round the centre of the body; 0 or .5.
 
     values : (154,), for each radius the volumes at the levels of .052 to .87 with the pseudocount, relative
     to R³, times the fourth power of the level.
@@ -80,16 +86,13 @@ def hapt(mesh: TriangleMesh) -> Signature:
     """
     framed = in_principal_frame(mesh)
     is_wide = RADII >= WIDE
-    narrow = _volumes(framed, RADII[~is_wide], CELL)
-    wide = _volumes(framed, RADII[is_wide], 2 * CELL)
-    weighted = WEIGHTS * (np.concatenate([narrow, wide]) + PSEUDOCOUNT)
+    # In how much of the body the transform for each radius exceeds each level, (r, l).
+    volumes = [
+        cell**3 * _counted(projected_areas(framed, radii, SPREAD, cell, shift))
+        for radii, cell in ((RADII[~is_wide], CELL), (RADII[is_wide], 2 * CELL))
+    ]
+    weighted = WEIGHTS * (np.concatenate(volumes) + PSEUDOCOUNT)
     return Signature(weighted.ravel(), kind="hapt", metric="histograms")
-
-
-def _volumes(framed: TriangleMesh, radii: FloatArray, cell: float) -> FloatArray:
-    """(r, l) in how much of a body the transform for each radius exceeds each level."""
-    areas = projected_areas(framed, radii, SPREAD, cell)
-    return np.asarray(cell**3 * _counted(areas))
 
 
 @compiled()
@@ -112,13 +115,18 @@ def _counted(areas: Areas) -> FloatArray:
 
 
 def projected_areas(
-    framed: TriangleMesh, radii: FloatArray, spread: float, cell: float
+    framed: TriangleMesh,
+    radii: FloatArray,
+    spread: float,
+    cell: float,
+    shift: float = 0.0,
 ) -> Areas:
     """(r, k) the transform for radii (r,) at the centres of all k voxels inside a body of unit area.
 
     A thin body may have no voxel of the wide radii inside.
     """
-    grid = _grid(framed, cell, margin=int(np.ceil(spread * radii.max() / cell)) + 1)
+    margin = int(np.ceil(spread * radii.max() / cell)) + 1
+    grid = _grid(framed, cell, margin, shift)
     inside = np.flatnonzero(interior(framed, grid))  # (k,)
     if not len(inside) and cell == CELL:
         raise DegenerateMeshError(
@@ -191,9 +199,9 @@ def _gathered(
     return gathered
 
 
-def _grid(mesh: TriangleMesh, cell: float, margin: int) -> Grid:
+def _grid(mesh: TriangleMesh, cell: float, margin: int, shift: float) -> Grid:
     """A grid that is its own mirror image, because the directions of principal axes are arbitrary."""
-    reach = np.ceil(np.abs(mesh.vertices).max(axis=0) / cell) + margin  # (3,)
+    reach = np.ceil(np.abs(mesh.vertices).max(axis=0) / cell) + margin + shift  # (3,)
     if (n_voxels := np.prod(2 * reach + 1)) > MOST_VOXELS:
         raise DegenerateMeshError(
             f"hapt needs a body of at most {MOST_VOXELS:,} voxels of {cell:g} √area, got {n_voxels:,.0f}: "
@@ -374,7 +382,7 @@ def _crossing(
 
 HAPT = Descriptor(
     name="hapt",
-    make=lambda shape, _: hapt(shape.mesh),
+    make=lambda shape, _: hapt(shape.mesh, shift=shape.number % 2 / 2),
     needs=("mesh",),
     has_size=False,
     length=lambda _: WEIGHTS.size,

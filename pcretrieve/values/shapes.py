@@ -299,12 +299,15 @@ class Shape(Value):
         All stages from the file to the spectra, and the checks, in order.
     grade : Grade or None
         Whether the signature can be relied on; None if that is not known.
+    number : int
+        Which of the surfaces of a scan the first one is, from 0: not 0 for shapes that `apart` makes.
     """
 
     surfaces: tuple[Surface, ...]
     cloud: PointCloud | None = None
     provenance: tuple[Step, ...] = field(default=(), compare=False)
     grade: Grade | None = None
+    number: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "surfaces", tuple(self.surfaces))
@@ -360,7 +363,10 @@ class Shape(Value):
 
     def apart(self) -> tuple[Shape, ...]:
         """One shape for each surface, each with the points of the scan."""
-        return tuple(replace(self, surfaces=(surface,)) for surface in self.surfaces)
+        return tuple(
+            replace(self, surfaces=(surface,), number=number)
+            for number, surface in enumerate(self.surfaces, self.number)
+        )
 
 
 def _kept(part: Need, value: _Part | None) -> _Part:
