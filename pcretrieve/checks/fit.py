@@ -97,13 +97,13 @@ AT_END = 0.1
 # area of what closes them, relative to the surface; and how far the body reaches beyond them, relative to the
 # length, unless it is on a turntable: .09 and more beyond a leg that is cut. See docs/decisions.md, what
 # sensors cannot see.
-IN_HAIR = 0.02
+IN_HAIR = 0.03
 SOLE = 0.02
 LAST = 0.05
 
-# An end is no cut limb if the cosine between its axis and the normals round it has this mean: it is 0 round a
-# cut limb, .35 and more round a crown without hair, 1 round a shallow hole.
-TILTED = 0.5
+# An end is no cut limb if the cosine between its axis and the normals round it has a larger mean: it is 0
+# round a cut limb, .35 and more round a crown without hair, 1 round a shallow hole.
+TILTED = 0.35
 
 # A face closes a cut limb only if the cosine between its normal and that of the nearest point is smaller: in
 # a smooth hole these agree.
@@ -114,14 +114,14 @@ TURNED = 0.8
 CLOSING = 1.9
 OPEN_END = 0.65
 
+# Least likeness of a rim to that of a limb: what a thin sheet has.
+SHEET = 0.07
+
 # Largest distance of faces to the middle of what closes one limb, relative to the diagonal.
 NEAR_END = 0.045
 
 # Number of places that may close a limb, the largest first.
 N_ENDS = 10
-
-# Least likeness of a rim to that of a limb: what a thin sheet has.
-SHEET = 0.1
 
 Faces = NDArray[np.intp]
 
@@ -150,8 +150,8 @@ class End:
     """Where the surface was closed across a limb.
 
     middle: (3,) float64.
-    size: root of its area relative to that of the surface, weighted by how flat the end is, and by how like
-        its rim is to that of a limb.
+    size: root of its area relative to that of the surface, weighted by the root of how flat the end is, and
+        by how like its rim is to that of a limb.
     """
 
     middle: FloatArray
@@ -468,7 +468,9 @@ class Fit:
         found = [end for cap in caps if (end := self._end(cap)) is not None]
         limbs: list[End] = []
         for end in sorted(found, key=lambda one: -one.size):
-            if all(self._are_apart(end, other) for other in limbs):
+            # One cut may be closed in several pieces.
+            apart = [np.linalg.norm(limb.middle - end.middle) for limb in limbs]
+            if min(apart, default=np.inf) > self._near_end:
                 limbs.append(end)
         return tuple(limbs)
 
@@ -476,10 +478,6 @@ class Fit:
     def _near_end(self) -> float:
         """Within which distance faces close one limb."""
         return NEAR_END * self.cloud.diagonal
-
-    def _are_apart(self, end: End, other: End) -> bool:
-        """Whether two ends are of two limbs: one cut may be closed in several pieces."""
-        return float(np.linalg.norm(other.middle - end.middle)) > self._near_end
 
     @cached_property
     def _closing(self) -> tuple[Faces, Mask, Mask]:
@@ -506,12 +504,13 @@ class Fit:
         normals = np.asarray(self.cloud.normals)[rim]
         middle = np.average(self.middles[faces], axis=0, weights=self.areas[faces])
         offsets = self.cloud.points[rim] - middle
+        if (normals @ axis).mean() > TILTED:
+            return None
         likeness = max(rim_of_limb(normals, offsets, axis), SHEET)
-        likeness *= float(np.clip(1 - (normals @ axis).mean() / TILTED, 0, 1))
         closing = far[is_near & is_closing]
         area = float(np.linalg.norm(self.areas[closing] @ self.normals[closing]))
         flatness = area / self.areas[far[is_near]].sum()
-        size = likeness * flatness * np.sqrt(area / self.areas.sum())
+        size = likeness * np.sqrt(flatness * area / self.areas.sum())
         is_small = size < IN_HAIR and self.share(cap) < SOLE
         return None if is_small and self._is_hidden(faces, middle) else End(middle, size)
 

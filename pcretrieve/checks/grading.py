@@ -28,8 +28,8 @@ LARGEST_ERROR = 1.0
 
 # Largest size of closed ends where noise and small holes are, and no limb is missing; and the same of a
 # person whose form is that of one with all limbs.
-ENDS_OF_NOISE = 0.0032
-ENDS_OF_WHOLE = 0.006
+ENDS_OF_NOISE = 0.0055
+ENDS_OF_WHOLE = 0.0115
 
 # Largest share of the surface where noise looks like layers.
 LAYERS_OF_NOISE = 0.03

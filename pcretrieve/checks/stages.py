@@ -41,7 +41,7 @@ ERROR_OF_FILLED = 0.4
 ERROR_OF_LOST = 20.0
 ERROR_OF_NOISE = 20.0
 ERROR_OF_LAYERS = 40.0
-ERROR_OF_ENDS = 29.0
+ERROR_OF_ENDS = 22.0
 ERROR_OF_GAPS = 600.0
 
 # Log-signature error of one cut or bridge; those of several are independent.
