@@ -154,7 +154,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         lost = np.zeros((N_COORDINATES, N_COORDINATES))
         if given.limbless:
             lost = limbless(given.limbless)
-        changed = LIMBLESS * lost
+        changed = SHARE_OF_LIMBS * lost
         if given.coarser:
             changed += coarser(given.coarser)
         sample = learned(scans, changed) | reference(scans, changed)._asdict()
@@ -275,9 +275,12 @@ def learned(scans: Scans, changed: FloatArray | float = 0.0) -> dict[str, FloatA
 # see docs/decisions.md, coarser.
 N_FACES, COARSER = (1000, 2000, 3000), 0.25
 
-# The share of what a missing limb changes, and the number of the first person without one: no other benchmark
-# has these; and the number of directions that are stored. See docs/decisions.md, limbless.
-LIMBLESS, FIRST_LIMBLESS, N_LIMBS = 0.05, 2000, 12
+# The share of what a missing limb changes in the covariance within people, and the number of directions that
+# are stored: see docs/decisions.md, limbless.
+SHARE_OF_LIMBS, N_LIMBS = 0.05, 12
+
+# The number of the first person without a limb: no other benchmark has these.
+FIRST_LIMBLESS = 2000
 
 
 def coarser(catalogues: Sequence[Path]) -> FloatArray:
