@@ -215,17 +215,13 @@ def neighbour_covariance(
 
 # --- pairs of neighbours --------------------------------------------------------------------------------
 
-# Largest number k of neighbours that is tried, and k where no number stands out: the neighbourhoods of an
-# isolated class of c shapes are equal for k = c − 1.
+# Largest number k of neighbours that is tried: the neighbourhoods of an isolated class of c shapes are equal
+# for k = c − 1.
 MOST_NEIGHBORS = 12
-N_NEIGHBORS = 5
 
 # k₁, k₂ and λ of the re-ranking: smaller sets than for a query, because a wrong pair does more harm than a
 # missing one. See docs/decisions.md, K_RECIPROCAL.
 PAIRING = (8, 3, 0.3)
-
-# Mean Jaccard index of neighbouring neighbourhoods from which a number of neighbours stands out.
-DISTINCT = 0.8
 
 # Of more shapes than this, pairs are searched within groups of near shapes, so that the classes in the sample
 # are complete, unlike those in a random sample.
@@ -263,8 +259,7 @@ def neighbour_pairs(
     points = np.ascontiguousarray(logs[rows])
     lists = neighbour_lists(_blocks(np.ascontiguousarray(known[rows])), len(points))
     order = rerank(lists, parameters=PAIRING)
-    most = min(MOST_NEIGHBORS, order.shape[1] - 1)
-    k = min(_distinct_number(order, most), order.shape[1] - 1)
+    k = _most_alike(order, min(MOST_NEIGHBORS, order.shape[1] - 1))
     near = nearest_matrix(order, k)
     overlap = triu(_jaccard(near).multiply(near.T), k=1).tocoo()
     lengths = np.linalg.norm(points[overlap.row] - points[overlap.col], axis=1)
@@ -282,16 +277,15 @@ def _jaccard(near: csr_array) -> csr_array:
     return common
 
 
-def _distinct_number(order: Positions, most: int) -> int:
-    """The number of neighbours at which the neighbourhoods of neighbours overlap most; else N_NEIGHBORS."""
+def _most_alike(order: Positions, most: int) -> int:
+    """The number of neighbours at which the neighbourhoods of neighbours overlap most."""
     n = len(order)
     # Without the edges from each shape to itself, whose Jaccard index is 1.
     means = [
         (_jaccard(nearest_matrix(order, k)).sum() - n) / (n * k)
         for k in range(1, most + 1)
     ]
-    best = int(np.argmax(means)) + 1 if means else 0
-    return best if means and means[best - 1] >= DISTINCT else N_NEIGHBORS
+    return int(np.argmax(means)) + 1
 
 
 def _blocks(points: FloatArray) -> Iterator[DistanceBlock]:
