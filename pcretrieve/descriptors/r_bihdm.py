@@ -84,7 +84,7 @@ R_BIHDM = Descriptor(
     ),
     needs=("spectrum",),
     # Eight times as much as the total variance: limbs that are not parted change it more than girths.
-    spread=8.32,
+    spread=12.5,
 )
 
 
