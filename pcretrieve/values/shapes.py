@@ -300,7 +300,8 @@ class Shape(Value):
     grade : Grade or None
         Whether the signature can be relied on; None if that is not known.
     number : int
-        Which of the surfaces of a scan the first one is, from 0: not 0 for shapes that `apart` makes.
+        Which of the surfaces of its scan the first one is, from 0: more than 0 if `apart` has made the shape
+        of a further surface.
     """
 
     surfaces: tuple[Surface, ...]
