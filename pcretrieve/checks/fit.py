@@ -508,7 +508,7 @@ class Fit:
             return None
         likeness = max(rim_of_limb(normals, offsets, axis), SHEET)
         closing = far[is_near & is_closing]
-        area = float(np.linalg.norm(self.areas[closing] @ self.normals[closing]))
+        area = np.linalg.norm(self.areas[closing] @ self.normals[closing])
         flatness = area / self.areas[far[is_near]].sum()
         size = likeness * np.sqrt(flatness * area / self.areas.sum())
         is_small = size < IN_HAIR and self.share(cap) < SOLE

@@ -8,9 +8,10 @@ body it exceeds certain levels, for each radius R.
 
 Poses change it little: limbs remain tubes when they bend. Its errors are not those of spectra.
 
-Voxels are aligned with the principal axes of the body. Of a scan with several surfaces every second one is
-described on voxels that lie half an edge beside those of the first: the errors of both grids differ, and
-cancel in part in the mean over the surfaces. See docs/decisions.md, grids of HAPT.
+Voxels are aligned with the principal axes of the body. A surface is described on two grids, the second half
+an edge beside the first: their errors differ, and cancel in part in the mean. Of several surfaces of a scan,
+over which the mean is taken anyway, each is described on one of the grids. See docs/decisions.md, grids of
+HAPT.
 
 The moments along the principal axes are a descriptor too: they are integrals, which change little with
 triangulation, noise and small holes, and not at all in a mirror, but change with the pose. So they find
@@ -27,7 +28,14 @@ from numpy.typing import NDArray
 
 from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.values import FloatArray, Grid, IntArray, Mask, Signature, TriangleMesh
+from pcretrieve.values import (
+    FloatArray,
+    Grid,
+    IntArray,
+    Mask,
+    Signature,
+    TriangleMesh,
+)
 from pcretrieve.values.compiled import compiled, inner
 
 # Half as long as float64: the time is that of reading them.
@@ -58,13 +66,16 @@ CELL = 0.01
 WIDE = 0.06
 SPACING = 1.25
 
+# By which share of an edge the voxels of each of two grids lie beside those round the centre.
+SHIFTS = (0.0, 0.5)
+
 # Memory is limited to about 1 GB: a body of unit area that is long, thin and bent has a large bounding box,
 # and long triangles have many sample points, most of which are nearer to each other than the spacing.
 MOST_VOXELS = 2**24
 MOST_POINTS = 2**23
 
 
-def hapt(mesh: TriangleMesh, *, shift: float = 0.0) -> Signature:
+def hapt(mesh: TriangleMesh, number: int | None = None) -> Signature:
     """Histograms of the area projection transform [1]_, for 22 radii.
 
     The settings that the article leaves open, or varies with the data (see docs/decisions.md, HAPT): radii of
@@ -74,7 +85,8 @@ def hapt(mesh: TriangleMesh, *, shift: float = 0.0) -> Signature:
     of 5e-6 A^(3/2); weights of radii and levels; and the Hellinger distance in the place of the Jeffrey
     divergence, to which it is proportional for small differences, and which is no metric.
 
-    shift : by which share of an edge the voxels lie beside those round the centre of the body; 0 or .5.
+    number : which of several surfaces of a scan it is, which are described on one of two grids in turn; by
+    default, a surface is described on both.
 
     values : (154,), for each radius the volumes at the levels of .052 to .87 with the pseudocount, relative
     to R³, times the fourth power of the level.
@@ -86,12 +98,19 @@ def hapt(mesh: TriangleMesh, *, shift: float = 0.0) -> Signature:
     """
     framed = in_principal_frame(mesh)
     is_wide = RADII >= WIDE
-    # In how much of the body the transform for each radius exceeds each level, (r, l).
+    scales = (RADII[~is_wide], CELL), (RADII[is_wide], 2 * CELL)
+    shifts = SHIFTS if number is None else (SHIFTS[number % 2],)
+    # In how much of the body the transform for each radius exceeds each level, (r, l), by each grid.
     volumes = [
-        cell**3 * _counted(projected_areas(framed, radii, SPREAD, cell, shift))
-        for radii, cell in ((RADII[~is_wide], CELL), (RADII[is_wide], 2 * CELL))
+        np.concatenate(
+            [
+                cell**3 * _counted(projected_areas(framed, radii, SPREAD, cell, shift))
+                for radii, cell in scales
+            ]
+        )
+        for shift in shifts
     ]
-    weighted = WEIGHTS * (np.concatenate(volumes) + PSEUDOCOUNT)
+    weighted = WEIGHTS * (np.mean(volumes, axis=0) + PSEUDOCOUNT)
     return Signature(weighted.ravel(), kind="hapt", metric="histograms")
 
 
@@ -382,7 +401,7 @@ def _crossing(
 
 HAPT = Descriptor(
     name="hapt",
-    make=lambda shape, _: hapt(shape.mesh, shift=shape.number % 2 / 2),
+    make=lambda shape, _: hapt(shape.mesh, shape.number),
     needs=("mesh",),
     has_size=False,
     length=lambda _: WEIGHTS.size,

@@ -299,16 +299,15 @@ class Shape(Value):
         All stages from the file to the spectra, and the checks, in order.
     grade : Grade or None
         Whether the signature can be relied on; None if that is not known.
-    number : int
-        Which of the surfaces of its scan the first one is, from 0: more than 0 if `apart` has made the shape
-        of a further surface.
+    number : int or None
+        Which of several surfaces of its scan the one of a shape is that `apart` has made, from 0.
     """
 
     surfaces: tuple[Surface, ...]
     cloud: PointCloud | None = None
     provenance: tuple[Step, ...] = field(default=(), compare=False)
     grade: Grade | None = None
-    number: int = 0
+    number: int | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "surfaces", tuple(self.surfaces))
@@ -364,9 +363,11 @@ class Shape(Value):
 
     def apart(self) -> tuple[Shape, ...]:
         """One shape for each surface, each with the points of the scan."""
+        if len(self.surfaces) == 1:
+            return (self,)
         return tuple(
             replace(self, surfaces=(surface,), number=number)
-            for number, surface in enumerate(self.surfaces, self.number)
+            for number, surface in enumerate(self.surfaces)
         )
 
 

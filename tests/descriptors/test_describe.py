@@ -217,10 +217,8 @@ def test_a_shape_of_several_surfaces_is_described_by_their_mean(method: str) -> 
     assert mean.errors.max() > 0
     assert describe(body(), options(method)).errors is None
     log = np.log if mean.metric == "logarithms" else np.asarray
-    second = replace(longer(), number=1)
-    rows = np.array(
-        [log(describe(shape, options(method)).values) for shape in (body(), second)]
-    )
+    parts = (replace(body(), number=0), replace(longer(), number=1))
+    rows = np.array([log(describe(shape, options(method)).values) for shape in parts])
     np.testing.assert_allclose(log(mean.values), rows.mean(axis=0), rtol=0, atol=1e-12)
     np.testing.assert_allclose(
         mean.errors, np.abs(rows[0] - rows[1]) / np.sqrt(2), atol=1e-12
