@@ -469,8 +469,10 @@ class Fit:
         limbs: list[End] = []
         for end in sorted(found, key=lambda one: -one.size):
             # One cut may be closed in several pieces.
-            apart = [np.linalg.norm(limb.middle - end.middle) for limb in limbs]
-            if min(apart, default=np.inf) > self._near_end:
+            if all(
+                np.linalg.norm(limb.middle - end.middle) > self._near_end
+                for limb in limbs
+            ):
                 limbs.append(end)
         return tuple(limbs)
 
@@ -502,10 +504,10 @@ class Fit:
         axis = self.axis(faces)
         rim = np.unique(self.to_points[1][far[is_near]])
         normals = np.asarray(self.cloud.normals)[rim]
-        middle = np.average(self.middles[faces], axis=0, weights=self.areas[faces])
-        offsets = self.cloud.points[rim] - middle
         if (normals @ axis).mean() > TILTED:
             return None
+        middle = np.average(self.middles[faces], axis=0, weights=self.areas[faces])
+        offsets = self.cloud.points[rim] - middle
         likeness = max(rim_of_limb(normals, offsets, axis), SHEET)
         closing = far[is_near & is_closing]
         area = np.linalg.norm(self.areas[closing] @ self.normals[closing])

@@ -241,12 +241,8 @@ def _needed(descriptor: Descriptor, part: Shape, options: SignatureOptions) -> S
     mesh = part.mesh if "mesh" in needs else None
     pairs = _lowest_pairs(part, options.n_modes + 1) if "eigenvectors" in needs else None
     cloud = part.points if "points" in needs else None
-    return Shape(
-        (Surface(part.area, spectrum, mesh, pairs),),
-        cloud,
-        part.provenance,
-        number=part.number,
-    )
+    surface = Surface(part.area, spectrum, mesh, pairs)
+    return replace(part, surfaces=(surface,), cloud=cloud, grade=None)
 
 
 def _lowest_pairs(part: Shape, n_pairs: int) -> Eigenpairs:

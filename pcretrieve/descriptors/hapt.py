@@ -28,14 +28,7 @@ from numpy.typing import NDArray
 
 from pcretrieve.descriptors.descriptor import Descriptor
 from pcretrieve.errors import DegenerateMeshError
-from pcretrieve.values import (
-    FloatArray,
-    Grid,
-    IntArray,
-    Mask,
-    Signature,
-    TriangleMesh,
-)
+from pcretrieve.values import FloatArray, Grid, IntArray, Mask, Signature, TriangleMesh
 from pcretrieve.values.compiled import compiled, inner
 
 # Half as long as float64: the time is that of reading them.
@@ -97,21 +90,21 @@ def hapt(mesh: TriangleMesh, number: int | None = None) -> Signature:
        multiscale area projection transform", Computer Graphics Forum 31 (2012).
     """
     framed = in_principal_frame(mesh)
-    is_wide = RADII >= WIDE
-    scales = (RADII[~is_wide], CELL), (RADII[is_wide], 2 * CELL)
     shifts = SHIFTS if number is None else (SHIFTS[number % 2],)
-    # In how much of the body the transform for each radius exceeds each level, (r, l), by each grid.
-    volumes = [
-        np.concatenate(
-            [
-                cell**3 * _counted(projected_areas(framed, radii, SPREAD, cell, shift))
-                for radii, cell in scales
-            ]
-        )
-        for shift in shifts
-    ]
-    weighted = WEIGHTS * (np.mean(volumes, axis=0) + PSEUDOCOUNT)
+    volumes = np.mean([_volumes(framed, shift) for shift in shifts], axis=0)
+    weighted = WEIGHTS * (volumes + PSEUDOCOUNT)
     return Signature(weighted.ravel(), kind="hapt", metric="histograms")
+
+
+def _volumes(framed: TriangleMesh, shift: float) -> FloatArray:
+    """(r, l) in how much of a body the transform for each radius exceeds each level, by one grid."""
+    scales = (RADII[RADII < WIDE], CELL), (RADII[RADII >= WIDE], 2 * CELL)
+    return np.concatenate(
+        [
+            cell**3 * _counted(projected_areas(framed, radii, SPREAD, cell, shift))
+            for radii, cell in scales
+        ]
+    )
 
 
 @compiled()
@@ -142,10 +135,10 @@ def projected_areas(
 ) -> Areas:
     """(r, k) the transform for radii (r,) at the centres of all k voxels inside a body of unit area.
 
-    A thin body may have no voxel of the wide radii inside.
+    shift: as in `SHIFTS`. A thin body may have no voxel of the wide radii inside.
     """
-    margin = int(np.ceil(spread * radii.max() / cell)) + 1
-    grid = _grid(framed, cell, margin, shift)
+    # Half a voxel more on each side moves all centres by half an edge.
+    grid = _grid(framed, cell, margin=np.ceil(spread * radii.max() / cell) + 1 + shift)
     inside = np.flatnonzero(interior(framed, grid))  # (k,)
     if not len(inside) and cell == CELL:
         raise DegenerateMeshError(
@@ -218,9 +211,9 @@ def _gathered(
     return gathered
 
 
-def _grid(mesh: TriangleMesh, cell: float, margin: int, shift: float) -> Grid:
+def _grid(mesh: TriangleMesh, cell: float, margin: float) -> Grid:
     """A grid that is its own mirror image, because the directions of principal axes are arbitrary."""
-    reach = np.ceil(np.abs(mesh.vertices).max(axis=0) / cell) + margin + shift  # (3,)
+    reach = np.ceil(np.abs(mesh.vertices).max(axis=0) / cell) + margin  # (3,)
     if (n_voxels := np.prod(2 * reach + 1)) > MOST_VOXELS:
         raise DegenerateMeshError(
             f"hapt needs a body of at most {MOST_VOXELS:,} voxels of {cell:g} √area, got {n_voxels:,.0f}: "

@@ -259,7 +259,7 @@ def neighbour_pairs(
     points = np.ascontiguousarray(logs[rows])
     lists = neighbour_lists(_blocks(np.ascontiguousarray(known[rows])), len(points))
     order = rerank(lists, parameters=PAIRING)
-    k = _most_alike(order, min(MOST_NEIGHBORS, order.shape[1] - 1))
+    k = _number_of_neighbors(order, min(MOST_NEIGHBORS, order.shape[1] - 1))
     near = nearest_matrix(order, k)
     overlap = triu(_jaccard(near).multiply(near.T), k=1).tocoo()
     lengths = np.linalg.norm(points[overlap.row] - points[overlap.col], axis=1)
@@ -277,7 +277,7 @@ def _jaccard(near: csr_array) -> csr_array:
     return common
 
 
-def _most_alike(order: Positions, most: int) -> int:
+def _number_of_neighbors(order: Positions, most: int) -> int:
     """The number of neighbours at which the neighbourhoods of neighbours overlap most."""
     n = len(order)
     # Without the edges from each shape to itself, whose Jaccard index is 1.
