@@ -300,7 +300,7 @@ class Shape(Value):
     grade : Grade or None
         Whether the signature can be relied on; None if that is not known.
     number : int or None
-        Which of several surfaces of its scan the one of a shape is that `apart` has made, from 0.
+        Of a shape that `apart` has made of a scan with several surfaces: which of them it has, from 0.
     """
 
     surfaces: tuple[Surface, ...]

@@ -7,14 +7,16 @@
     scripts/benchmark transfer seen.sqlite many.sqlite                  # each kind of sensor left out once
     scripts/make_people --out bodies --people 200 --seed 48 --bodies
     scripts/benchmark transfer seen.sqlite many.sqlite --anny bodies    # the same of others
+    scripts/benchmark transfer --anny bodies                            # by the metric of the package
     scripts/benchmark transfer --damaged                               # people of another model
 
 The people of the scans are cut into five folds. A metric that learned from four of them, without one kind of
 sensor, ranks the scans of the fifth; queries are those by the kind that was left out, or those with a damage,
 where all kinds taught. Scans of make_people without --sensors teach, and are in the galleries, but are no
 queries. With --anny, people who taught nothing are scanned by sensors that taught nothing; "crossed" finds
-each of their scans among those by all other sensors. "and size" is by `--size-weight 6`. FNMR is the share of
-pairs of one person that are refused where so many pairs of two people are accepted.
+each of their scans among those by all other sensors. Without catalogues, the metric is that of the package,
+which all kinds of sensors taught, but not these people. "and size" is by `--size-weight 6`. FNMR is the share
+of pairs of one person that are refused where so many pairs of two people are accepted.
 
 A second table is of collections of one or two scans of each person: how often the nearest is right, how many
 of the right answers are given, and how many strangers get a name.
@@ -154,10 +156,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given.damaged:
         print_lines(lines_of_damages())
         return
-    if not given.catalogues:
-        parser.error("give catalogues, or --damaged")
-    scans = scans_of(given.catalogues)
-    print_lines(lines_of_kinds(scans))
+    if not given.catalogues and not given.anny:
+        parser.error("give catalogues, --anny, or --damaged")
+    scans = scans_of(given.catalogues) if given.catalogues else None
+    if scans:
+        print_lines(lines_of_kinds(scans))
     if given.anny:
         unseen = {
             name: scans_by(name, given.anny, given.limit, given.poses)
@@ -310,10 +313,17 @@ def lines_of_kinds(scans: Scans) -> Iterator[str]:
         yield TABLE.row(name, n_taught // N_FOLDS, *joined(found).rates())
 
 
-def lines_of_sensors(scans: Scans, unseen: Mapping[str, SensorScans]) -> Iterator[str]:
-    """The tables of people who taught nothing, by sensors that taught nothing; and crossed."""
-    taught = {name: without(scans, FAMILIES[FAMILY_OF[name]]) for name in unseen}
-    samples = {name: learned(teaching) for name, teaching in taught.items()}
+def lines_of_sensors(
+    scans: Scans | None, unseen: Mapping[str, SensorScans]
+) -> Iterator[str]:
+    """The tables of people who taught nothing, by sensors that taught nothing; and crossed.
+
+    scans: those that teach; without them, the metric is that of the package.
+    """
+    taught, samples = dict[str, Scans](), dict[str, dict[str, FloatArray]]()
+    if scans:
+        taught = {name: without(scans, FAMILIES[FAMILY_OF[name]]) for name in unseen}
+        samples = {name: learned(teaching) for name, teaching in taught.items()}
     person = np.concatenate([each.person for each in unseen.values()])
     sensor = np.repeat([*unseen], [len(each.points) for each in unseen.values()])
     yield TABLE.head
@@ -321,14 +331,14 @@ def lines_of_sensors(scans: Scans, unseen: Mapping[str, SensorScans]) -> Iterato
         points = np.concatenate([each.sized(weight) for each in unseen.values()])
         compared, across = " and size" * bool(weight), []
         for name, each in unseen.items():
-            metric = metric_of_people(samples[name], weight)
+            metric = metric_of_people(samples.get(name), weight)
             found = found_by(
                 metric,
                 each.sized(weight),
                 each.person,
                 queries=np.ones(len(each.person), dtype=bool),
             )
-            n_taught = len(taught[name].person)
+            n_taught = len(taught[name].person) if scans else None
             yield TABLE.row(f"{name}{compared}", n_taught, *found.rates())
             if len(unseen) > 1:
                 queries = sensor == name
@@ -340,8 +350,8 @@ def lines_of_sensors(scans: Scans, unseen: Mapping[str, SensorScans]) -> Iterato
     yield ""
     yield ANSWERS.head
     for name, each in unseen.items():
-        known = reference(taught[name])
-        moments = moments_of_people(samples[name])
+        moments = moments_of_people(samples.get(name))
+        known = reference(taught[name]) if scans else moments.reference
         for n_people, n_each in product(COLLECTIONS, EACH):
             if n_people < (np.bincount(each.person) > n_each).sum():
                 answers = answers_of(each, n_people, n_each, moments, known)
@@ -373,7 +383,11 @@ def lines_of_damages() -> Iterator[str]:
 
 
 def answers_of(
-    scans: SensorScans, n_people: int, n_each: int, moments: People, known: Reference
+    scans: SensorScans,
+    n_people: int,
+    n_each: int,
+    moments: People,
+    known: Reference | None,
 ) -> tuple[float, float, str, str]:
     """What is answered to scans of people in collections, and to scans of others.
 
