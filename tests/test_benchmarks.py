@@ -328,13 +328,16 @@ def test_collections_of_one_scan_each_name_their_people_and_no_strangers() -> No
     points = fused_points(scans.parts, SignatureOptions())
     judged = SensorScans(points, np.zeros(len(points)), scans.person)
     moments = moments_of_people(learned(scans))
-    nearest, given, wrong, named = answers_of(judged, 10, 1, moments, reference(scans))
-    assert (nearest, given, wrong, named) == (1.0, 1.0, "0 of 120", "0 of 600")
+    known, others = reference(scans), points[:3] + 100.0
+    answers = answers_of(judged, 10, 1, moments, known, others)
+    assert answers == (1.0, 1.0, "0 of 120", "0 of 600", "0 of 36")
     # If two people are in truth one, the one in the collection is named for the other.
     first = scans.person // 2 * 2 * len(KINDS)
     twins = judged._replace(points=points[first + np.arange(len(points)) % len(KINDS)])
-    named = answers_of(twins, 10, 1, moments, reference(scans))[3]
-    assert int(named.split()[0]) > 40
+    named = answers_of(twins, 10, 1, moments, known, points)[3:]
+    assert int(named[0].split()[0]) > 40
+    # So are people of another model, if they are those in the collection.
+    assert int(named[1].split()[0]) > 40
 
 
 def test_the_directions_of_what_limbs_change_make_its_second_moment() -> None:

@@ -18,8 +18,9 @@ each of their scans among those by all other sensors. Without catalogues, the me
 which all kinds of sensors taught, but not these people. "and size" is by `--size-weight 6`. FNMR is the share
 of pairs of one person that are refused where so many pairs of two people are accepted.
 
-A second table is of collections of one or two scans of each person: how often the nearest is right, how many
-of the right answers are given, and how many strangers get a name.
+A second table is of collections of one, two or three scans of each person: how often the nearest is right,
+how many of the right answers are given, and how many strangers get a name: all others of these people, and
+those of another model, `benchmarks.simulation`, by the same sensor.
 
 With --damaged, ten people of `benchmarks.simulation` are scanned by uniform points. Scans with a gross fault
 are queries in the whole scans of all other bodies, a collection to which the metric of the package adapts.
@@ -47,7 +48,6 @@ from benchmarks.measuring import (
     print_lines,
 )
 from benchmarks.recognition import (
-    EACH,
     N_FOLDS,
     SIZE_WEIGHT,
     Scans,
@@ -114,6 +114,7 @@ ANSWERS = Table(
     *(Column(title, 7, ".3f") for title in ("nearest", "given")),
     Column("sure, wrong", 14),
     Column("strangers named", 15),
+    Column("of another model", 16),
 )
 
 DAMAGED = Table(
@@ -122,8 +123,12 @@ DAMAGED = Table(
     Column("rank-1", 8, ".4f"),
 )
 
-# Numbers of people in collections that are judged, and how many are drawn of each.
+# Numbers of people in collections that are judged, of scans of each, and how many collections are drawn.
 COLLECTIONS = (2, 5, 10, 25, 100)
+EACH = (1, 2, 3)
+
+# Whose scans are queries: people in the collection, others of the same model, and those of another.
+GROUPS = ("own", "same model", "another")
 N_COLLECTIONS = 12
 
 
@@ -166,7 +171,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             name: scans_by(name, given.anny, given.limit, given.poses)
             for name in given.sensors
         }
-        print_lines(lines_of_sensors(scans, unseen))
+        others = {name: scans_of_another_model(name) for name in given.sensors}
+        print_lines(lines_of_sensors(scans, unseen, others))
 
 
 def kinds_of(scans: Scans) -> NDArray[np.str_]:
@@ -210,6 +216,16 @@ def scans_by(sensor: str, bodies: Path, n_people: int, n_poses: int) -> SensorSc
     # Of all bodies: a person has one number, also where another sensor fails.
     person = np.unique([body.label for body in bodies_of], return_inverse=True)[1]
     return SensorScans(points[:, :-1], points[:, -1], person[done])
+
+
+def scans_of_another_model(sensor: str) -> FloatArray:
+    """(100, L) default signatures of ten people of `benchmarks.simulation` in ten poses, by one sensor."""
+    return _scanned(_of_another_model(), sensor, WHOLE)[1][:, :-1]
+
+
+def _of_another_model() -> list[Body]:
+    items = SETS["humans"](Path(), None)
+    return [Body(item.name, item.label, item.mesh) for item in items]
 
 
 def _scanned(
@@ -314,11 +330,14 @@ def lines_of_kinds(scans: Scans) -> Iterator[str]:
 
 
 def lines_of_sensors(
-    scans: Scans | None, unseen: Mapping[str, SensorScans]
+    scans: Scans | None,
+    unseen: Mapping[str, SensorScans],
+    others: Mapping[str, FloatArray],
 ) -> Iterator[str]:
     """The tables of people who taught nothing, by sensors that taught nothing; and crossed.
 
     scans: those that teach; without them, the metric is that of the package.
+    others: signatures (m, L) of people of another model by each sensor, who are strangers to all.
     """
     taught, samples = dict[str, Scans](), dict[str, dict[str, FloatArray]]()
     if scans:
@@ -354,14 +373,13 @@ def lines_of_sensors(
         known = reference(taught[name]) if scans else moments.reference
         for n_people, n_each in product(COLLECTIONS, EACH):
             if n_people < (np.bincount(each.person) > n_each).sum():
-                answers = answers_of(each, n_people, n_each, moments, known)
+                answers = answers_of(each, n_people, n_each, moments, known, others[name])
                 yield ANSWERS.row(name, n_people, n_each, *answers)
 
 
 def lines_of_damages() -> Iterator[str]:
     """The table of scans with a gross fault, in a collection with the metric of the package."""
-    items = SETS["humans"](Path(), None)
-    bodies = [Body(item.name, item.label, item.mesh) for item in items]
+    bodies = _of_another_model()
     labels = np.array([body.label for body in bodies])
     scanned = {
         damage: _scanned(bodies, "uniform", damage) for damage in (WHOLE, *DAMAGES)
@@ -388,14 +406,16 @@ def answers_of(
     n_each: int,
     moments: People,
     known: Reference | None,
-) -> tuple[float, float, str, str]:
-    """What is answered to scans of people in collections, and to scans of others.
+    others: FloatArray,
+) -> tuple[float, float, str, str, str]:
+    """What is answered to scans of people in collections, to scans of others, and of another model.
 
+    others: signatures (m, L) of people of another model.
     The shares of nearest that are right, and of these that are sure; how many are sure and wrong; and how
-    many strangers get a name.
+    many strangers get a name, of the same model and of another.
     """
     options = PipelineOptions()
-    rng, found = np.random.default_rng(0), list[tuple[bool, bool, bool]]()
+    rng, found = np.random.default_rng(0), list[tuple[str, bool, bool]]()
     several = np.flatnonzero(np.bincount(scans.person) > n_each)
     for _ in range(N_COLLECTIONS):
         drawn = [
@@ -415,17 +435,27 @@ def answers_of(
         scores = fit_scores(table, whitening, reference=known)
         if scores is None:
             raise TypeError("a reference must give scores to any labelled collection")
-        places = whitening.apply(scans.points)
-        for number, each in enumerate(drawn):
-            apart = pairwise(options.retrieval.distance, places[each[-1:]], places[rows])[
-                0
-            ]
+        asked = [each[-1] for each in drawn]
+        queries = np.concatenate([scans.points[asked], others])
+        gaps = pairwise(
+            options.retrieval.distance,
+            whitening.apply(queries),
+            whitening.apply(scans.points[rows]),
+        )
+        sizes = n_people, len(drawn) - n_people, len(others)
+        groups = np.repeat(GROUPS, sizes).tolist()
+        truth = [*scans.person[asked].tolist(), *[None] * len(others)]
+        for group, person, apart in zip(groups, truth, gaps, strict=True):
             label = classes[apart.argmin()]
             certainty = scores.certainty(apart.min(), apart[classes != label].min())
-            is_right = bool(label == scans.person[each[-1]])
             is_sure = certainty is not None and certainty >= SURE
-            found.append((number < n_people, is_right, is_sure))
-    own, right, sure = np.array(found).T
+            found.append((group, bool(label == person), is_sure))
+    group = np.array([each[0] for each in found])
+    right, sure = np.array([each[1:] for each in found]).T
+    own, same_model, another = (group == one for one in GROUPS)
     wrong = f"{(sure & own & ~right).sum()} of {own.sum()}"
-    named = f"{(sure & ~own).sum()} of {(~own).sum()}"
-    return right[own].mean(), sure[own & right].mean(), wrong, named
+    named, foreign = (
+        f"{(sure & strangers).sum()} of {strangers.sum()}"
+        for strangers in (same_model, another)
+    )
+    return right[own].mean(), sure[own & right].mean(), wrong, named, foreign
