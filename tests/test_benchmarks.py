@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from benchmarks.__main__ import BENCHMARKS
 from benchmarks.bodies import Body
 from benchmarks.grades import add_ranks
 from benchmarks.judging import metric_of_people, moments_of_people
+from benchmarks.learning import GROUPS
 from benchmarks.paper.shapes import drifts, noisy, perturbed, planar_mesh
 from benchmarks.paper.spectra import (
     FIGURE_6,
@@ -319,6 +321,21 @@ def test_what_distances_mean_is_learned_from_people_who_did_not_teach_the_metric
     assert np.median(known.same) > 1.3 * np.median(gaps[own])
     assert (np.diff(known.same) >= 0).all()
     assert (np.diff(known.apart) >= 0).all()
+
+
+def test_one_command_learns_from_the_people_whom_the_package_names() -> None:
+    scans = sum(group.people * group.poses for group in GROUPS)
+    told = (
+        f"{scans:,} scans of {sum(group.people for group in GROUPS):,} simulated people"
+    )
+    text = files("pcretrieve.retrieval").joinpath("people.txt").read_text("utf-8")
+    assert told in text
+    numbers = [
+        (group.seed, group.first + number)
+        for group in GROUPS
+        for number in range(group.people)
+    ]
+    assert len(set(numbers)) == len(numbers)
 
 
 def test_collections_of_one_scan_each_name_their_people_and_no_strangers() -> None:

@@ -23,6 +23,7 @@ BENCHMARKS = {
     "grades": ("grades", "what scans of many kinds and sensors are called"),
     "holes": ("holes", "what one hole does to the signature of a scan of a person"),
     "layers": ("layers", "how many badly registered scans are found"),
+    "learn": ("learning", "the metric that ships, from bodies to its file: two hours"),
     "paper": ("paper.main", "the experiments of Ye and Yu on their descriptor"),
     "people": (
         "recognition",

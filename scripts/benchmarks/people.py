@@ -298,6 +298,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add("--out", type=Path, required=True, help="folder to write to")
     add("--people", type=int, default=100, help="number of people (default: %(default)s)")
     add(
+        "--first",
+        type=int,
+        default=0,
+        help="number of the first of them (default: %(default)s)",
+    )
+    add(
         "--poses",
         type=int,
         default=3,
@@ -333,7 +339,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _write_drawn(people, given)
         return
     rows = [("file", "class")]
-    for person in progress(range(given.people), "people"):
+    for person in progress(_numbers(given), "people"):
         name = f"person-{given.seed}-{person:05}"
         for pose in people.poses(person, given.poses):
             path = given.out / f"{name}_{pose}.ply"
@@ -349,10 +355,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     _write_table(given.out, rows)
 
 
+def _numbers(given: argparse.Namespace) -> range:
+    """The numbers of the people."""
+    return range(given.first, given.first + given.people)
+
+
 def _write_drawn(people: People, given: argparse.Namespace) -> None:
     """Write scans by sensors that are drawn at random; those that are there are not made again."""
     rows = [("file", "class", "pose", "sensor", "damage")]
-    for person in progress(range(given.people), "people"):
+    for person in progress(_numbers(given), "people"):
         name = f"person-{given.seed}-{person:05}"
         for number in range(given.poses):
             there = sorted(given.out.glob(f"{name}_{number}_*.ply"))
