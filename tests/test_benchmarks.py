@@ -13,8 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
+from benchmarks import simulation
 from benchmarks.__main__ import BENCHMARKS
 from benchmarks.bodies import Body
+from benchmarks.breath import CHEST, HAIR, breathing
 from benchmarks.grades import add_ranks
 from benchmarks.judging import metric_of_people, moments_of_people
 from benchmarks.learning import GROUPS
@@ -321,6 +323,23 @@ def test_what_distances_mean_is_learned_from_people_who_did_not_teach_the_metric
     assert np.median(known.same) > 1.3 * np.median(gaps[own])
     assert (np.diff(known.same) >= 0).all()
     assert (np.diff(known.apart) >= 0).all()
+
+
+def test_breath_and_hair_move_the_chest_and_the_scalp_outwards() -> None:
+    subject = simulation.make_subject("person", np.random.default_rng(0))
+    mesh = simulation.body(
+        subject, simulation.POSES["person"]["stand"], np.random.default_rng(0)
+    )
+    plain = [Body(f"{name}_stand", name, mesh) for name in "ab"]
+    one, other = (each.mesh for each in breathing(plain, 1))
+    level = mesh.vertices[:, 1] - mesh.vertices[:, 1].min()
+    level /= level.max()
+    apart = np.linalg.norm(one.vertices - mesh.vertices, axis=1)
+    assert apart[level < 0.5].max() < 1e-6
+    assert 1e-4 < apart[(level > 0.6) & (level < 0.8)].max() < CHEST
+    assert 1e-3 < apart[level > 0.9].max() < 3 * HAIR
+    assert one.volume > mesh.volume
+    assert np.abs(one.vertices - other.vertices).max() > 1e-3
 
 
 def test_one_command_learns_from_the_people_whom_the_package_names() -> None:

@@ -8,6 +8,7 @@
     scripts/make_people --out bodies --people 200 --seed 48 --bodies
     scripts/benchmark transfer seen.sqlite many.sqlite --anny bodies    # the same of others
     scripts/benchmark transfer --anny bodies                            # by the metric of the package
+    scripts/benchmark transfer --anny bodies --breath                   # breath and hair differ, too
     scripts/benchmark transfer --damaged                               # people of another model
 
 The people of the scans are cut into five folds. A metric that learned from four of them, without one kind of
@@ -39,6 +40,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from benchmarks.bodies import Body, Mask, Sources, anny
+from benchmarks.breath import breathing
 from benchmarks.judging import examined, metric_of_people, moments_of_people
 from benchmarks.measuring import (
     Column,
@@ -95,6 +97,9 @@ FAMILY_OF = {
     "dense": "uniform",
     "turntable": "depth",
 }
+
+# Seed of scans, and of breath and hair.
+SEED = 7
 
 # Shares of pairs of two people that are accepted where FNMR is stated.
 ACCEPTED = (1e-3, 1e-4)
@@ -155,6 +160,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="sensors of --anny",
     )
     parser.add_argument(
+        "--breath",
+        action="store_true",
+        help="with --anny: breath and hair are others in each scan",
+    )
+    parser.add_argument(
         "--damaged", action="store_true", help="scans with a gross fault, by the package"
     )
     given = parser.parse_args(arguments)
@@ -168,7 +178,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print_lines(lines_of_kinds(scans))
     if given.anny:
         unseen = {
-            name: scans_by(name, given.anny, given.limit, given.poses)
+            name: scans_by(
+                name, given.anny, given.limit, given.poses, is_breathing=given.breath
+            )
             for name in given.sensors
         }
         others = {name: scans_of_another_model(name) for name in given.sensors}
@@ -208,10 +220,17 @@ class SensorScans(NamedTuple):
         return np.column_stack([self.points, weight * self.sizes])
 
 
-def scans_by(sensor: str, bodies: Path, n_people: int, n_poses: int) -> SensorScans:
-    """Scan people of Anny in some poses each by one sensor, and describe them."""
+def scans_by(
+    sensor: str, bodies: Path, n_people: int, n_poses: int, *, is_breathing: bool
+) -> SensorScans:
+    """Scan people of Anny in some poses each by one sensor, and describe them.
+
+    is_breathing: whether breath and hair differ between the scans.
+    """
     people_of = anny(Sources(Path(), bodies, 0), n_people, n_poses)
     bodies_of = [body for poses in people_of for body in poses]
+    if is_breathing:
+        bodies_of = breathing(bodies_of, SEED)
     done, points = _scanned(bodies_of, sensor, WHOLE)
     # Of all bodies: a person has one number, also where another sensor fails.
     person = np.unique([body.label for body in bodies_of], return_inverse=True)[1]
@@ -241,7 +260,7 @@ def _scanned(
 def _described(task: tuple[Body, str, str]) -> FloatArray | None:
     """The default signature of a damaged scan of a body, and its log area; None if it has no surface."""
     body, sensor, damage = task
-    rng = np.random.default_rng((7, zlib.crc32(f"{body.name} {sensor}".encode())))
+    rng = np.random.default_rng((SEED, zlib.crc32(f"{body.name} {sensor}".encode())))
     points = SENSORS[sensor](body, rng)
     found, _ = examined(PointCloud(points[left_by(damage, points, body, rng)]))
     return np.append(found.point, np.log(found.area)) if found.point else None

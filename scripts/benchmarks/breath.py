@@ -1,0 +1,84 @@
+"""Breath and hair: how a person's surface differs between two scans that no pose explains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.sparse import coo_matrix, csr_matrix, diags_array
+
+from benchmarks.bodies import Body
+from pcretrieve.values import FloatArray, TriangleMesh, unit_vectors
+
+# Largest displacement of the chest, and largest thickness of hair, in metres.
+CHEST, HAIR = 0.012, 0.03
+
+# Where the chest of a person who stands is: its height, a standard deviation of it, what is below the neck,
+# and half its breadth, relative to the height of the person.
+MIDDLE, SPREAD, BELOW, BREADTH = 0.74, 0.045, 0.82, 0.105
+
+# Height where heads begin, and where hair begins; over which height it becomes thick.
+HEAD, HAIRLINE, RISE = 0.9, 0.9, 0.04
+
+# How much thicker hair is in some places, relative to its mean, and the least share of that.
+LUMPS, THINNEST = 0.35, 0.1
+
+# Number of times that what moves vertices is averaged with that of neighbours.
+N_SMOOTHED = 12
+
+
+def breathing(bodies: Sequence[Body], seed: int) -> list[Body]:
+    """Bodies of one topology, each with breath and hair of its own; one of them must stand, by its name."""
+    standing = next(body.mesh for body in bodies if body.name.endswith("_stand"))
+    averaged = _averaging(standing)
+    chest, scalp = (
+        _smoothed(where, averaged) for where in _chest_and_scalp(standing.vertices)
+    )
+    found = []
+    for number, body in enumerate(bodies):
+        rng = np.random.default_rng((seed, number))
+        lumps = _smoothed(rng.standard_normal(len(scalp)), averaged)
+        hair = (1 + LUMPS * lumps / lumps.std()).clip(THINNEST)
+        moved = rng.uniform(0, CHEST) * chest + rng.uniform(0, HAIR) * scalp * hair
+        vertices = body.mesh.vertices + moved[:, np.newaxis] * _normals(body.mesh)
+        found.append(replace(body, mesh=TriangleMesh(vertices, body.mesh.faces)))
+    return found
+
+
+def _chest_and_scalp(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n,) twice, from 0 to 1: how much vertices of somebody who stands belong to chest and scalp."""
+    x, y, z = vertices.T
+    height = np.ptp(y)
+    level, aside = (y - y.min()) / height, np.abs(x - np.median(x)) / height
+    chest = np.exp(-0.5 * ((level - MIDDLE) / SPREAD) ** 2)
+    chest[(aside > BREADTH) | (level > BELOW)] = 0
+    head = z[level > HEAD]
+    behind = 0.5 - (z - head.mean()) / (0.5 * np.ptp(head))
+    return chest, ((level - HAIRLINE) / RISE).clip(0, 1) * behind.clip(0, 1)
+
+
+def _averaging(mesh: TriangleMesh) -> csr_matrix:
+    """(n, n) the half of each vertex, and the other half of its neighbours in the mean."""
+    pairs = np.concatenate(
+        [np.roll(mesh.faces, turn, axis=1)[:, :2] for turn in range(3)]
+    )
+    pairs = np.concatenate([pairs, pairs[:, ::-1]]).T
+    n = len(mesh.vertices)
+    beside = coo_matrix((np.ones(pairs.shape[1]), pairs), shape=(n, n)).tocsr()
+    shares = 0.5 / np.maximum(np.asarray(beside.sum(axis=1)).ravel(), 1)
+    return csr_matrix(diags_array(np.full(n, 0.5)) + diags_array(shares) @ beside)
+
+
+def _smoothed(values: FloatArray, averaged: csr_matrix) -> FloatArray:
+    for _ in range(N_SMOOTHED):
+        values = averaged @ values
+    return values
+
+
+def _normals(mesh: TriangleMesh) -> FloatArray:
+    """(n, 3) unit normals of the vertices."""
+    summed = np.zeros_like(mesh.vertices)
+    for corner in mesh.faces.T:
+        np.add.at(summed, corner, mesh.area_vectors)
+    return unit_vectors(summed)
