@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix, diags_array
+from scipy.sparse import csr_array, diags_array, eye_array
 
 from benchmarks.bodies import Body
-from pcretrieve.values import FloatArray, TriangleMesh, unit_vectors
+from pcretrieve.arrays import vertex_normals
+from pcretrieve.values import FloatArray, TriangleMesh
+from pcretrieve.values.geometry import adjacency
 
 # Largest displacement of the chest, and largest thickness of hair, in metres.
 CHEST, HAIR = 0.012, 0.03
@@ -41,8 +43,10 @@ def breathing(bodies: Sequence[Body], seed: int) -> list[Body]:
         lumps = _smoothed(rng.standard_normal(len(scalp)), averaged)
         hair = (1 + LUMPS * lumps / lumps.std()).clip(THINNEST)
         moved = rng.uniform(0, CHEST) * chest + rng.uniform(0, HAIR) * scalp * hair
-        vertices = body.mesh.vertices + moved[:, np.newaxis] * _normals(body.mesh)
-        found.append(replace(body, mesh=TriangleMesh(vertices, body.mesh.faces)))
+        plain = body.mesh
+        normals = vertex_normals(plain.vertices, plain.faces)
+        vertices = plain.vertices + moved[:, np.newaxis] * normals
+        found.append(replace(body, mesh=TriangleMesh(vertices, plain.faces)))
     return found
 
 
@@ -58,27 +62,14 @@ def _chest_and_scalp(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
     return chest, ((level - HAIRLINE) / RISE).clip(0, 1) * behind.clip(0, 1)
 
 
-def _averaging(mesh: TriangleMesh) -> csr_matrix:
+def _averaging(mesh: TriangleMesh) -> csr_array:
     """(n, n) the half of each vertex, and the other half of its neighbours in the mean."""
-    pairs = np.concatenate(
-        [np.roll(mesh.faces, turn, axis=1)[:, :2] for turn in range(3)]
-    )
-    pairs = np.concatenate([pairs, pairs[:, ::-1]]).T
-    n = len(mesh.vertices)
-    beside = coo_matrix((np.ones(pairs.shape[1]), pairs), shape=(n, n)).tocsr()
-    shares = 0.5 / np.maximum(np.asarray(beside.sum(axis=1)).ravel(), 1)
-    return csr_matrix(diags_array(np.full(n, 0.5)) + diags_array(shares) @ beside)
+    beside = adjacency(mesh)
+    shares = 0.5 / np.maximum(beside.sum(axis=1), 1)
+    return csr_array(0.5 * eye_array(beside.shape[0]) + diags_array(shares) @ beside)
 
 
-def _smoothed(values: FloatArray, averaged: csr_matrix) -> FloatArray:
+def _smoothed(values: FloatArray, averaged: csr_array) -> FloatArray:
     for _ in range(N_SMOOTHED):
         values = averaged @ values
     return values
-
-
-def _normals(mesh: TriangleMesh) -> FloatArray:
-    """(n, 3) unit normals of the vertices."""
-    summed = np.zeros_like(mesh.vertices)
-    for corner in mesh.faces.T:
-        np.add.at(summed, corner, mesh.area_vectors)
-    return unit_vectors(summed)

@@ -18,6 +18,7 @@ from benchmarks.poses import POSES
 from benchmarks.simulation import RigOptions, body, make_subject, scan, write_ply
 from benchmarks.uniform import UniformOptions, scan_uniformly
 from pcretrieve import ingest
+from pcretrieve.arrays import vertex_normals
 from pcretrieve.catalogue import Catalogue
 from pcretrieve.descriptors import DESCRIPTORS, describe
 from pcretrieve.errors import BenchmarkError, ShapeError
@@ -293,9 +294,8 @@ def damaged(
         for _ in range(options.n_flaps)
     ]
     if options.shell_radius > 0:
-        beneath = mesh.vertices - options.shell_depth * mesh.diagonal * vertex_normals(
-            mesh
-        )
+        depth = options.shell_depth * mesh.diagonal
+        beneath = mesh.vertices - depth * vertex_normals(mesh.vertices, mesh.faces)
         sheets.append((beneath, mesh.faces[patch(options.shell_radius)]))
     faces = mesh.faces.copy()
     for _ in range(options.n_flipped):
@@ -326,14 +326,3 @@ def _turned(
     middle = vertices[faces].mean(axis=(0, 1))
     turn = Rotation.from_quat(rng.standard_normal(4)).as_matrix()
     return (vertices - middle) @ turn.T + middle, faces
-
-
-def vertex_normals(mesh: TriangleMesh) -> FloatArray:
-    """(n, 3) unit normals of vertices: means of the normals of the incident faces, weighted by area."""
-    normals, of_faces = np.zeros_like(mesh.vertices), mesh.area_vectors
-    for k in range(3):
-        np.add.at(normals, mesh.faces[:, k], of_faces)
-    normals /= np.maximum(
-        np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny
-    )
-    return normals

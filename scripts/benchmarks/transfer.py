@@ -131,10 +131,10 @@ DAMAGED = Table(
 # Numbers of people in collections that are judged, of scans of each, and how many collections are drawn.
 COLLECTIONS = (2, 5, 10, 25, 100)
 EACH = (1, 2, 3)
+N_COLLECTIONS = 12
 
 # Whose scans are queries: people in the collection, others of the same model, and those of another.
 GROUPS = ("own", "same model", "another")
-N_COLLECTIONS = 12
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

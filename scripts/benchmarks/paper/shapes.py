@@ -12,8 +12,9 @@ from PIL import Image, ImageDraw
 
 from benchmarks.measuring import all_in_workers, evaluate_table, in_workers, png
 from benchmarks.paper.spectra import unit_area_spectrum
-from benchmarks.sets import read_mesh, spread, vertex_normals
+from benchmarks.sets import read_mesh, spread
 from benchmarks.strip import TILE, captioned
+from pcretrieve.arrays import vertex_normals
 from pcretrieve.descriptors import describe
 from pcretrieve.draw.pictures import thumbnail
 from pcretrieve.errors import BenchmarkError, PcretrieveError
@@ -390,9 +391,8 @@ def noisy(mesh: TriangleMesh, size: float, rng: np.random.Generator) -> Triangle
     corners = mesh.vertices[mesh.faces]  # (m, 3, 3)
     edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean()
     offsets = size * edge * rng.standard_normal(len(mesh.vertices))
-    return TriangleMesh(
-        mesh.vertices + offsets[:, None] * vertex_normals(mesh), mesh.faces
-    )
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    return TriangleMesh(mesh.vertices + offsets[:, None] * normals, mesh.faces)
 
 
 def without_faces(
