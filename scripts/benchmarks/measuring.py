@@ -309,7 +309,7 @@ def draw_curves(
     axes.set_yscale(scale)
     axes.set_xlabel(x_label)
     axes.set_ylabel(y_label)
-    axes.legend()
+    figure.legend(loc="outside upper center", ncols=2)
     data = io.BytesIO()
     figure.savefig(data, dpi=150, format=path.suffix.removeprefix(".") or None)
     write_file(path, data.getvalue())
