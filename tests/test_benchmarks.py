@@ -16,7 +16,7 @@ import shapes
 from benchmarks import simulation
 from benchmarks.__main__ import BENCHMARKS
 from benchmarks.bodies import Body
-from benchmarks.breath import CHEST, HAIR, breathing
+from benchmarks.breath import BUN_HIGHER, CHEST, HAIR, STYLED, breathing
 from benchmarks.grades import add_ranks
 from benchmarks.judging import metric_of_people, moments_of_people
 from benchmarks.learning import GROUPS
@@ -340,6 +340,26 @@ def test_breath_and_hair_move_the_chest_and_the_scalp_outwards() -> None:
     assert 1e-3 < apart[level > 0.9].max() < 3 * HAIR
     assert one.volume > mesh.volume
     assert np.abs(one.vertices - other.vertices).max() > 1e-3
+
+
+def test_hair_in_styles_is_another_than_hair_that_teaches() -> None:
+    subject = simulation.make_subject("person", np.random.default_rng(0))
+    mesh = simulation.body(
+        subject, simulation.POSES["person"]["stand"], np.random.default_rng(0)
+    )
+    plain = [Body(f"{number}_stand", "one", mesh) for number in range(12)]
+    moved = [each.mesh for each in breathing(plain, 1, is_styled=True)]
+    level = mesh.vertices[:, 1] - mesh.vertices[:, 1].min()
+    level /= level.max()
+    thickest = np.array(
+        [
+            np.linalg.norm(each.vertices - mesh.vertices, axis=1)[level > 0.85].max()
+            for each in moved
+        ]
+    )
+    # One of four styles is no hair; a bun is thicker than other hair.
+    assert 0 < (thickest < 1e-4).sum() < 12
+    assert STYLED[0] < thickest.max() < BUN_HIGHER * STYLED[1]
 
 
 def test_one_command_learns_from_the_people_whom_the_package_names() -> None:

@@ -26,23 +26,41 @@ HEAD, HAIRLINE, RISE = 0.9, 0.9, 0.04
 # How much thicker hair is in some places, relative to its mean, and the least share of that.
 LUMPS, THINNEST = 0.35, 0.1
 
+# Hair in styles: its least and largest thickness, in metres; the height of a bun, how much higher it is than
+# other hair before it is smoothed, and a standard deviation of it; where hair falls to, and where flat hair
+# begins; and their half breadth. Relative to the height, as is the half of the band where a place is sought.
+STYLED = (0.01, 0.03)
+BUN, BUN_HIGHER, BUN_SPREAD = 0.955, 3.0, 0.018
+NAPE, FLAT, ACROSS, BAND = 0.83, 0.94, 0.06, 0.01
+
 # Number of times that what moves vertices is averaged with that of neighbours.
 N_SMOOTHED = 12
 
 
-def breathing(bodies: Sequence[Body], seed: int) -> list[Body]:
-    """Bodies of one topology, each with breath and hair of its own; one of them must stand, by its name."""
+def breathing(
+    bodies: Sequence[Body], seed: int, *, is_styled: bool = False
+) -> list[Body]:
+    """Bodies of one topology, each with breath and hair of its own; one of them must stand, by its name.
+
+    is_styled: whether hair is a bun, falls to the neck, lies on the crown, or is not there; else it is uneven
+    hair all over the scalp.
+    """
     standing = next(body.mesh for body in bodies if body.name.endswith("_stand"))
     averaged = _averaging(standing)
     chest, scalp = (
         _smoothed(where, averaged) for where in _chest_and_scalp(standing.vertices)
     )
+    styles = [_smoothed(where, averaged) for where in _styles(standing.vertices)]
     found = []
     for number, body in enumerate(bodies):
         rng = np.random.default_rng((seed, number))
         lumps = _smoothed(rng.standard_normal(len(scalp)), averaged)
         hair = (1 + LUMPS * lumps / lumps.std()).clip(THINNEST)
-        moved = rng.uniform(0, CHEST) * chest + rng.uniform(0, HAIR) * scalp * hair
+        moved = rng.uniform(0, CHEST) * chest
+        if is_styled:
+            moved += rng.uniform(*STYLED) * styles[rng.integers(len(styles))]
+        else:
+            moved += rng.uniform(0, HAIR) * scalp * hair
         plain = body.mesh
         normals = vertex_normals(plain.vertices, plain.faces)
         vertices = plain.vertices + moved[:, np.newaxis] * normals
@@ -60,6 +78,20 @@ def _chest_and_scalp(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
     head = z[level > HEAD]
     behind = 0.5 - (z - head.mean()) / (0.5 * np.ptp(head))
     return chest, ((level - HAIRLINE) / RISE).clip(0, 1) * behind.clip(0, 1)
+
+
+def _styles(vertices: FloatArray) -> list[FloatArray]:
+    """(n,) each: where a bun is of somebody who stands, hair to the neck, flat hair, and none."""
+    x, y, z = vertices.T
+    height = np.ptp(y)
+    level, aside = (y - y.min()) / height, np.abs(x - np.median(x)) / height
+    middle = z[level > HEAD].mean()
+    behind = np.where((np.abs(level - BUN) < BAND) & (aside < BAND), z, np.inf).argmin()
+    apart = np.linalg.norm(vertices - vertices[behind], axis=1)
+    bun = BUN_HIGHER * np.exp(-0.5 * (apart / (BUN_SPREAD * height)) ** 2)
+    near = aside < ACROSS
+    falls, flat = near & (level > NAPE) & (z < middle), near & (level > FLAT)
+    return [bun, falls.astype(float), flat.astype(float), np.zeros(len(vertices))]
 
 
 def _averaging(mesh: TriangleMesh) -> csr_array:

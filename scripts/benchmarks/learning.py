@@ -5,8 +5,8 @@
 
 Some people are in wider poses, and a quarter of their scans have a damage; others are in usual poses, and
 nothing is damaged; the last are scanned by nine cameras. Coarser meshes of some of these teach, too, and
-limbs that people of another model lack: see `scripts/benchmark people`, which learns, and writes
-pcretrieve/retrieval/people.npz.
+limbs that people of another model lack, and breath and hair of others: see `scripts/benchmark people`, which
+learns, and writes pcretrieve/retrieval/people.npz.
 
 Scans that were made, and ingested, are not made again: a run that was interrupted goes on.
 """
@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 from benchmarks import people, recognition
 from benchmarks.measuring import argument_parser
+from benchmarks.recognition import HAIRED_POSES, N_HAIRED
 from pcretrieve.values.files import write_file
 
 # Sensors are drawn from these, for some people without cameras: there were fewest of the others.
@@ -59,8 +60,9 @@ class Group(NamedTuple):
         return ["--out", str(folder / self.name), *words, *self.options]
 
 
-# Those of whom coarser meshes teach, and all.
+# Those of whom coarser meshes teach; those of whom breath and hair do, who are not scanned; and all others.
 COARSER = Group(1, 150, 3)
+HAIRED = Group(91, N_HAIRED, HAIRED_POSES, ("--bodies",))
 GROUPS = (
     Group(71, 300, 4, ALL),
     Group(72, 249, 4, ALL),
@@ -90,7 +92,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     catalogues = [str(catalogue_of(group, folder)) for group in GROUPS]
     coarser = ["--coarser", str(catalogue_of(COARSER, folder))]
     limbless = ["--limbless", str(N_LIMBLESS)]
-    recognition.main([*catalogues, "--learn", *coarser, *limbless])
+    people.main(HAIRED.arguments(folder))
+    haired = ["--haired", str(folder / HAIRED.name)]
+    recognition.main([*catalogues, "--learn", *coarser, *limbless, *haired])
 
 
 def catalogue_of(group: Group, folder: Path) -> Path:

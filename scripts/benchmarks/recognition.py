@@ -5,11 +5,13 @@
     scripts/benchmark people seen.sqlite --unseen 1000        # learns from the others, and prints the curve
     scripts/make_people --out many --people 600 --seed 71 --poses 4 --sensors cameras uniform turntable steps
     pcretrieve ingest many --labels many/labels.csv -c many.sqlite
-    scripts/benchmark people seen.sqlite many.sqlite --learn --coarser others.sqlite --limbless 100
+    scripts/make_people --out bodies --people 120 --seed 91 --poses 2 --bodies
+    scripts/benchmark people seen.sqlite many.sqlite --learn --coarser others.sqlite --limbless 100 \
+        --haired bodies
 
 The last command writes pcretrieve/retrieval/people.npz: the moments of the scans, with what coarser meshes of
-other scans and missing limbs of other people change, and what distances of people mean who did not teach the
-metric (see `reference`).
+other scans, and missing limbs, breath and hair of other people change, and what distances of people mean who
+did not teach the metric (see `reference`).
 
 Each scan is a query in all other scans. Rank-1 is the share of queries whose nearest scan is of the same
 person; rank-5, of which one of the nearest five people is this person. They are the expected values over all
@@ -34,7 +36,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pcretrieve.retrieval
-from benchmarks.bodies import Body
+from benchmarks.bodies import Body, Sources, anny
+from benchmarks.breath import breathing
 from benchmarks.judging import metric_of_people
 from benchmarks.measuring import (
     Column,
@@ -45,7 +48,15 @@ from benchmarks.measuring import (
     print_lines,
 )
 from benchmarks.poses import POSES
-from benchmarks.sensors import DAMAGES, KINDS, WHOLE, drawn, left_by
+from benchmarks.sensors import (
+    DAMAGES,
+    KINDS,
+    N_TYPICAL,
+    WHOLE,
+    drawn,
+    left_by,
+    outer_points,
+)
 from benchmarks.sets import to_faces
 from benchmarks.simulation import body, make_subject
 from pcretrieve.catalogue import Catalogue
@@ -143,12 +154,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="with --learn: add what a missing limb changes in scans of N simulated people",
     )
     parser.add_argument(
+        "--haired",
+        type=Path,
+        metavar="BODIES",
+        help="with --learn: add what breath and hair change in these (make_people --bodies)",
+    )
+    parser.add_argument(
         "--methods", nargs="+", default=["hapt+r-bihdm", "hapt", "r-bihdm"]
     )
     parser.add_argument("--draw", type=Path, metavar="PICTURE", help="draw the curve")
     given = parser.parse_args(arguments)
-    if (given.coarser or given.limbless) and not given.learn:
-        parser.error("--coarser and --limbless add to what --learn learns: give it, too")
+    if (given.coarser or given.limbless or given.haired) and not given.learn:
+        parser.error(
+            "--coarser, --limbless and --haired add to what --learn learns: give it, too"
+        )
     scans = scans_of(given.catalogues)
     if given.learn:
         lost = np.zeros((N_COORDINATES, N_COORDINATES))
@@ -157,6 +176,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         changed = SHARE_OF_LIMBS * lost
         if given.coarser:
             changed += coarser(given.coarser)
+        if given.haired:
+            changed += haired(given.haired)
         sample = learned(scans, changed) | reference(scans, changed)._asdict()
         sample["limbs"] = limbs_of(lost / np.outer(sample["scale"], sample["scale"]))
         sample |= limbless_moments(scans, sample["scale"])
@@ -238,7 +259,8 @@ def shrunk_within(within: FloatArray) -> FloatArray:
 def learned(scans: Scans, changed: FloatArray | float = 0.0) -> dict[str, FloatArray]:
     """The moments of `SAMPLE`.
 
-    changed: (214, 214) what is added to the covariance within people: shares of `coarser` and `limbless`.
+    changed: (214, 214) what is added to the covariance within people: shares of `coarser`, `limbless` and
+    `haired`.
     """
     scale = np.array(
         [DESCRIPTORS[name].spread if name in BEGINS else 1.0 for name in scans.parts]
@@ -279,6 +301,10 @@ N_FACES, COARSER = (1000, 2000, 3000), 0.25
 # are stored: see docs/decisions.md, limbless.
 SHARE_OF_LIMBS, N_LIMBS = 0.05, 12
 
+# The share of what breath and hair change in the covariance within people, of how many people in how many
+# poses, and the seed of their hair: see docs/decisions.md, haired.
+SHARE_OF_HAIR, N_HAIRED, HAIRED_POSES, HAIR_SEED = 0.2, 120, 2, 91
+
 # The number of the first person without a limb: no other benchmark has these.
 FIRST_LIMBLESS = 2000
 
@@ -304,6 +330,17 @@ def limbless(n_people: int) -> FloatArray:
     """
     people_of = range(FIRST_LIMBLESS, FIRST_LIMBLESS + n_people)
     return _second_moment(all_in_workers(_limbless, people_of, "limbs"))
+
+
+def haired(folder: Path) -> FloatArray:
+    """(214, 214) the share of the second moment of what breath and hair change in people of Anny.
+
+    The points lie on the surfaces: no sensor teaches here.
+    """
+    people_of = anny(Sources(Path(), folder, 0), N_HAIRED, HAIRED_POSES)
+    plain = [body for poses in people_of for body in poses]
+    tasks = list(zip(plain, breathing(plain, HAIR_SEED), strict=True))
+    return SHARE_OF_HAIR * _second_moment(all_in_workers(_haired, tasks, "hair"))
 
 
 def limbs_of(moment: FloatArray) -> FloatArray:
@@ -355,6 +392,18 @@ def _limbless(number: int) -> FloatArray | None:
     except ShapeError:
         return None
     return _coordinates(cut) - _coordinates(whole)
+
+
+def _haired(task: tuple[Body, Body]) -> FloatArray | None:
+    """(214,) what the coordinates differ by between two surfaces of one topology; None if one fails."""
+    points = (
+        outer_points(each.mesh, N_TYPICAL, np.random.default_rng(0))[0] for each in task
+    )
+    try:
+        plain, moved = (process(PointCloud(each)) for each in points)
+    except ShapeError:
+        return None
+    return _coordinates(moved) - _coordinates(plain)
 
 
 def _coordinates(shape: Shape) -> FloatArray:

@@ -8,7 +8,9 @@
     scripts/make_people --out bodies --people 200 --seed 48 --bodies
     scripts/benchmark transfer seen.sqlite many.sqlite --anny bodies    # the same of others
     scripts/benchmark transfer --anny bodies                            # by the metric of the package
-    scripts/benchmark transfer --anny bodies --breath                   # breath and hair differ, too
+    scripts/benchmark transfer --anny bodies --breath uneven            # breath and hair differ, too
+    scripts/make_people --out haired --people 120 --poses 2 --seed 91 --bodies
+    scripts/benchmark transfer seen.sqlite many.sqlite --anny bodies --haired haired
     scripts/benchmark transfer --damaged                               # people of another model
 
 The people of the scans are cut into five folds. A metric that learned from four of them, without one kind of
@@ -16,8 +18,9 @@ sensor, ranks the scans of the fifth; queries are those by the kind that was lef
 where all kinds taught. Scans of make_people without --sensors teach, and are in the galleries, but are no
 queries. With --anny, people who taught nothing are scanned by sensors that taught nothing; "crossed" finds
 each of their scans among those by all other sensors. Without catalogues, the metric is that of the package,
-which all kinds of sensors taught, but not these people. "and size" is by `--size-weight 6`. FNMR is the share
-of pairs of one person that are refused where so many pairs of two people are accepted.
+which all kinds of sensors taught, but not these people. With --haired, breath and hair of others teach, too.
+"and size" is by `--size-weight 6`. FNMR is the share of pairs of one person that are refused where so many
+pairs of two people are accepted.
 
 A second table is of collections of one, two or three scans of each person: how often the nearest is right,
 how many of the right answers are given, and how many strangers get a name: all others of these people, and
@@ -31,6 +34,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -55,6 +59,7 @@ from benchmarks.recognition import (
     Scans,
     damages_of,
     fused_points,
+    haired,
     learned,
     reference,
     scans_of,
@@ -161,8 +166,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument(
         "--breath",
-        action="store_true",
-        help="with --anny: breath and hair are others in each scan",
+        choices=("uneven", "styled"),
+        help="with --anny: breath and hair are others in each scan; styled hair teaches no metric",
+    )
+    parser.add_argument(
+        "--haired",
+        type=Path,
+        metavar="BODIES",
+        help="with catalogues: add what breath and hair change in these",
     )
     parser.add_argument(
         "--damaged", action="store_true", help="scans with a gross fault, by the package"
@@ -173,18 +184,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
         return
     if not given.catalogues and not given.anny:
         parser.error("give catalogues, --anny, or --damaged")
+    if given.breath and not given.anny:
+        parser.error("--breath moves the bodies of --anny: give them, too")
+    if given.haired and not given.catalogues:
+        parser.error("--haired adds to what catalogues teach: give them, too")
+    changed = haired(given.haired) if given.haired else 0.0
     scans = scans_of(given.catalogues) if given.catalogues else None
     if scans:
-        print_lines(lines_of_kinds(scans))
+        print_lines(lines_of_kinds(scans, changed))
     if given.anny:
         unseen = {
             name: scans_by(
-                name, given.anny, given.limit, given.poses, is_breathing=given.breath
+                name, given.anny, given.limit, given.poses, breath=given.breath
             )
             for name in given.sensors
         }
         others = {name: scans_of_another_model(name) for name in given.sensors}
-        print_lines(lines_of_sensors(scans, unseen, others))
+        print_lines(lines_of_sensors(scans, unseen, others, changed))
 
 
 def kinds_of(scans: Scans) -> NDArray[np.str_]:
@@ -221,16 +237,16 @@ class SensorScans(NamedTuple):
 
 
 def scans_by(
-    sensor: str, bodies: Path, n_people: int, n_poses: int, *, is_breathing: bool
+    sensor: str, bodies: Path, n_people: int, n_poses: int, *, breath: str | None
 ) -> SensorScans:
     """Scan people of Anny in some poses each by one sensor, and describe them.
 
-    is_breathing: whether breath and hair differ between the scans.
+    breath: how breath and hair differ between the scans; None: they do not.
     """
     people_of = anny(Sources(Path(), bodies, 0), n_people, n_poses)
     bodies_of = [body for poses in people_of for body in poses]
-    if is_breathing:
-        bodies_of = breathing(bodies_of, SEED)
+    if breath:
+        bodies_of = breathing(bodies_of, SEED, is_styled=breath == "styled")
     done, points = _scanned(bodies_of, sensor, WHOLE)
     # Of all bodies: a person has one number, also where another sensor fails.
     person = np.unique([body.label for body in bodies_of], return_inverse=True)[1]
@@ -242,6 +258,7 @@ def scans_of_another_model(sensor: str) -> FloatArray:
     return _scanned(_of_another_model(), sensor, WHOLE)[1][:, :-1]
 
 
+@cache
 def _of_another_model() -> list[Body]:
     items = SETS["humans"](Path(), None)
     return [Body(item.name, item.label, item.mesh) for item in items]
@@ -313,8 +330,11 @@ def found_by(
     return joined(found)
 
 
-def lines_of_kinds(scans: Scans) -> Iterator[str]:
-    """The table by kinds of sensors that were left out, and by damages, of people who taught nothing."""
+def lines_of_kinds(scans: Scans, changed: FloatArray | float = 0.0) -> Iterator[str]:
+    """The table by kinds of sensors that were left out, and by damages, of people who taught nothing.
+
+    changed: as in `learned`.
+    """
     points = fused_points(scans.parts, SignatureOptions())
     kind, damage = kinds_of(scans), damages_of(scans)
     asked = kind != RING
@@ -324,7 +344,10 @@ def lines_of_kinds(scans: Scans) -> Iterator[str]:
     groups += [(name, asked & (damage == name), ()) for name in (WHOLE, *DAMAGES)]
     groups = [group for group in groups if group[1].any()]
     metrics = {
-        (kinds, fold): (metric_of_people(learned(teaching)), len(teaching.person))
+        (kinds, fold): (
+            metric_of_people(learned(teaching, changed)),
+            len(teaching.person),
+        )
         for kinds in {kinds for *_, kinds in groups}
         for fold in range(N_FOLDS)
         for teaching in [without(scans, kinds, fold)]
@@ -352,16 +375,18 @@ def lines_of_sensors(
     scans: Scans | None,
     unseen: Mapping[str, SensorScans],
     others: Mapping[str, FloatArray],
+    changed: FloatArray | float = 0.0,
 ) -> Iterator[str]:
     """The tables of people who taught nothing, by sensors that taught nothing; and crossed.
 
     scans: those that teach; without them, the metric is that of the package.
     others: signatures (m, L) of people of another model by each sensor, who are strangers to all.
+    changed: as in `learned`.
     """
     taught, samples = dict[str, Scans](), dict[str, dict[str, FloatArray]]()
     if scans:
         taught = {name: without(scans, FAMILIES[FAMILY_OF[name]]) for name in unseen}
-        samples = {name: learned(teaching) for name, teaching in taught.items()}
+        samples = {name: learned(teaching, changed) for name, teaching in taught.items()}
     person = np.concatenate([each.person for each in unseen.values()])
     sensor = np.repeat([*unseen], [len(each.points) for each in unseen.values()])
     yield TABLE.head
@@ -389,7 +414,7 @@ def lines_of_sensors(
     yield ANSWERS.head
     for name, each in unseen.items():
         moments = moments_of_people(samples.get(name))
-        known = reference(taught[name]) if scans else moments.reference
+        known = reference(taught[name], changed) if scans else moments.reference
         for n_people, n_each in product(COLLECTIONS, EACH):
             if n_people < (np.bincount(each.person) > n_each).sum():
                 answers = answers_of(each, n_people, n_each, moments, known, others[name])
