@@ -34,8 +34,10 @@ from benchmarks.paper.spectra import (
 from benchmarks.people import POSES, joints
 from benchmarks.recognition import (
     EVEN,
+    SHARE_OF_HAIR,
     Scans,
     fused_points,
+    haired,
     learned,
     limbless_moments,
     limbs_of,
@@ -360,6 +362,23 @@ def test_hair_in_styles_is_another_than_hair_that_teaches() -> None:
     # One of four styles is no hair; a bun is thicker than other hair.
     assert 0 < (thickest < 1e-4).sum() < 12
     assert STYLED[0] < thickest.max() < BUN_HIGHER * STYLED[1]
+
+
+def test_breath_and_hair_teach_what_they_change(tmp_path: Path) -> None:
+    subject = simulation.make_subject("person", np.random.default_rng(0))
+    mesh = simulation.body(
+        subject, simulation.POSES["person"]["stand"], np.random.default_rng(0)
+    )
+    names = ["a_stand.ply", "a_walk.ply"]
+    for name in names:
+        write_mesh(mesh, tmp_path / name)
+    rows = ["file,class", *(f"{name},a" for name in names)]
+    (tmp_path / "labels.csv").write_text("\n".join(rows))
+    found = haired(tmp_path)
+    assert found.shape == (214, 214)
+    # Two surfaces teach two directions; the last coordinate is the logarithm of the area.
+    assert np.linalg.matrix_rank(found, tol=1e-9 * np.trace(found)) == 2
+    assert 0 < found[-1, -1] < SHARE_OF_HAIR * 0.05**2
 
 
 def test_one_command_learns_from_the_people_whom_the_package_names() -> None:
