@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import product
+from itertools import permutations, product
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
 
-from pcretrieve.arrays import vertex_normals
+from pcretrieve.arrays import bounds, vertex_normals
 from pcretrieve.catalogue import Catalogue, CatalogueLike
 from pcretrieve.catalogue.cache import short_digest
 from pcretrieve.descriptors.hapt import in_principal_frame
@@ -33,6 +33,9 @@ FALSE_COPIES = 1e-4
 # vertices: see docs/decisions.md, ONE_SURFACE.
 ONE_SURFACE = 0.007
 SURFACE_SHARE = 0.95
+
+# One of so many vertices tells how two surfaces are turned.
+SOME = 8
 
 # Effective number of neighbours of a point of t-SNE: by more, islands mix when shapes are moved apart.
 PERPLEXITY = 12.0
@@ -386,24 +389,28 @@ def _surface_gap(one: TriangleMesh, other: TriangleMesh) -> float:
     from scipy.spatial import cKDTree
 
     surfaces = [in_principal_frame(mesh) for mesh in (one, other)]
-    normals = [vertex_normals(each.vertices, each.faces) for each in surfaces]
-    trees = [cKDTree(each.vertices) for each in surfaces]
-    gaps = []
-    for signs, (of, by) in product(product((1.0, -1.0), repeat=3), ((0, 1), (1, 0))):
-        points = surfaces[of].vertices * signs
-        nearest = trees[by].query(points)[1]
-        offsets = points - surfaces[by].vertices[nearest]
-        apart = np.abs((offsets * normals[by][nearest]).sum(axis=1))
-        gaps.append(float(np.quantile(apart, SURFACE_SHARE)))
-    return min(gaps)
+    sides = [
+        (each.vertices, vertex_normals(each.vertices, each.faces), cKDTree(each.vertices))
+        for each in surfaces
+    ]
+
+    def apart(signs: Sequence[float], step: int) -> float:
+        gaps = []
+        for (points, *_), (vertices, normals, tree) in permutations(sides):
+            turned = points[::step] * signs
+            near = tree.query(turned)[1]
+            offsets = np.einsum("ij,ij->i", turned - vertices[near], normals[near])
+            gaps.append(np.quantile(np.abs(offsets), SURFACE_SHARE))
+        return float(min(gaps))
+
+    turns = product((1.0, -1.0), repeat=3)
+    return apart(min(turns, key=lambda signs: apart(signs, SOME)), 1)
 
 
 def _framed(places: FloatArray) -> FloatArray:
     """Places in the middle of [0, 1]², which they fill in one direction."""
-    low, high = places.min(axis=0), places.max(axis=0)
-    return np.asarray(
-        (places - (low + high) / 2) / (float((high - low).max()) or 1.0) + 0.5
-    )
+    low, high = bounds(places)
+    return np.asarray((places - (low + high) / 2) / ((high - low).max() or 1.0) + 0.5)
 
 
 def _apart(places: FloatArray, gap: float) -> FloatArray:
@@ -419,9 +426,9 @@ def _apart(places: FloatArray, gap: float) -> FloatArray:
             break
         apart = places[pairs[:, 0]] - places[pairs[:, 1]]
         length = np.linalg.norm(apart, axis=1, keepdims=True)
-        step = apart / length * (gap - length) / 2
-        np.add.at(places, pairs[:, 0], step / 2)
-        np.add.at(places, pairs[:, 1], -step / 2)
+        step = apart / length * (gap - length) / 4
+        np.add.at(places, pairs[:, 0], step)
+        np.add.at(places, pairs[:, 1], -step)
     return places
 
 
