@@ -34,8 +34,8 @@ FALSE_COPIES = 1e-4
 ONE_SURFACE = 0.007
 SURFACE_SHARE = 0.95
 
-# One of so many vertices tells how two surfaces are turned.
-SOME = 8
+# How two surfaces are turned and mirrored is told by each eighth of their vertices: see docs/decisions.md.
+TURN_STEP = 8
 
 # Effective number of neighbours of a point of t-SNE: by more, islands mix when shapes are moved apart.
 PERPLEXITY = 12.0
@@ -384,7 +384,7 @@ def _surface_gap(one: TriangleMesh, other: TriangleMesh) -> float:
     The quantile `SURFACE_SHARE` over the vertices of one of the distance from the tangent plane at the
     nearest vertex of the other, the smaller one of both ways: the vertices of a coarse copy lie on the fine
     surface, whose vertices lie beside the faces of the copy. The principal axes are the same but for their
-    signs.
+    signs, which some of the vertices choose.
     """
     from scipy.spatial import cKDTree
 
@@ -394,7 +394,7 @@ def _surface_gap(one: TriangleMesh, other: TriangleMesh) -> float:
         for each in surfaces
     ]
 
-    def apart(signs: Sequence[float], step: int) -> float:
+    def gap(signs: Sequence[float], step: int) -> float:
         gaps = []
         for (points, *_), (vertices, normals, tree) in permutations(sides):
             turned = points[::step] * signs
@@ -404,7 +404,7 @@ def _surface_gap(one: TriangleMesh, other: TriangleMesh) -> float:
         return float(min(gaps))
 
     turns = product((1.0, -1.0), repeat=3)
-    return apart(min(turns, key=lambda signs: apart(signs, SOME)), 1)
+    return gap(min(turns, key=lambda signs: gap(signs, TURN_STEP)), 1)
 
 
 def _framed(places: FloatArray) -> FloatArray:
@@ -414,7 +414,7 @@ def _framed(places: FloatArray) -> FloatArray:
 
 
 def _apart(places: FloatArray, gap: float) -> FloatArray:
-    """Move places apart that are nearer than a gap, half of the way each, several times."""
+    """Move places apart that are nearer than a gap, several times, a quarter of what is missing each."""
     from scipy.spatial import cKDTree
 
     # Equal places have no direction in which they could be moved apart: they are put on a small spiral.
