@@ -58,6 +58,7 @@ from pcretrieve.options import SignatureOptions
 from pcretrieve.points.neighbors import nearest
 from pcretrieve.retrieval import fit_whitening
 from pcretrieve.retrieval.people import SYMMETRIC, installed, unpacked
+from pcretrieve.values import FloatArray, TriangleMesh
 from pcretrieve.values.topology import defects
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
@@ -327,15 +328,27 @@ def test_what_distances_mean_is_learned_from_people_who_did_not_teach_the_metric
     assert (np.diff(known.apart) >= 0).all()
 
 
-def test_breath_and_hair_move_the_chest_and_the_scalp_outwards() -> None:
+@pytest.fixture
+def standing() -> TriangleMesh:
+    """A simulated person who stands."""
     subject = simulation.make_subject("person", np.random.default_rng(0))
-    mesh = simulation.body(
+    return simulation.body(
         subject, simulation.POSES["person"]["stand"], np.random.default_rng(0)
     )
+
+
+def levels(mesh: TriangleMesh) -> FloatArray:
+    """(n,) heights of vertices, from 0 to 1."""
+    heights = mesh.vertices[:, 1] - mesh.vertices[:, 1].min()
+    return np.asarray(heights / heights.max())
+
+
+def test_breath_and_hair_move_the_chest_and_the_scalp_outwards(
+    standing: TriangleMesh,
+) -> None:
+    mesh, level = standing, levels(standing)
     plain = [Body(f"{name}_stand", name, mesh) for name in "ab"]
     one, other = (each.mesh for each in breathing(plain, 1))
-    level = mesh.vertices[:, 1] - mesh.vertices[:, 1].min()
-    level /= level.max()
     apart = np.linalg.norm(one.vertices - mesh.vertices, axis=1)
     assert apart[level < 0.5].max() < 1e-6
     assert 1e-4 < apart[(level > 0.6) & (level < 0.8)].max() < CHEST
@@ -344,15 +357,12 @@ def test_breath_and_hair_move_the_chest_and_the_scalp_outwards() -> None:
     assert np.abs(one.vertices - other.vertices).max() > 1e-3
 
 
-def test_hair_in_styles_is_another_than_hair_that_teaches() -> None:
-    subject = simulation.make_subject("person", np.random.default_rng(0))
-    mesh = simulation.body(
-        subject, simulation.POSES["person"]["stand"], np.random.default_rng(0)
-    )
+def test_hair_in_styles_is_another_than_hair_that_teaches(
+    standing: TriangleMesh,
+) -> None:
+    mesh, level = standing, levels(standing)
     plain = [Body(f"{number}_stand", "one", mesh) for number in range(12)]
     moved = [each.mesh for each in breathing(plain, 1, is_styled=True)]
-    level = mesh.vertices[:, 1] - mesh.vertices[:, 1].min()
-    level /= level.max()
     thickest = np.array(
         [
             np.linalg.norm(each.vertices - mesh.vertices, axis=1)[level > 0.85].max()
@@ -364,14 +374,12 @@ def test_hair_in_styles_is_another_than_hair_that_teaches() -> None:
     assert STYLED[0] < thickest.max() < BUN_HIGHER * STYLED[1]
 
 
-def test_breath_and_hair_teach_what_they_change(tmp_path: Path) -> None:
-    subject = simulation.make_subject("person", np.random.default_rng(0))
-    mesh = simulation.body(
-        subject, simulation.POSES["person"]["stand"], np.random.default_rng(0)
-    )
+def test_breath_and_hair_teach_what_they_change(
+    standing: TriangleMesh, tmp_path: Path
+) -> None:
     names = ["a_stand.ply", "a_walk.ply"]
     for name in names:
-        write_mesh(mesh, tmp_path / name)
+        write_mesh(standing, tmp_path / name)
     rows = ["file,class", *(f"{name},a" for name in names)]
     (tmp_path / "labels.csv").write_text("\n".join(rows))
     found = haired(tmp_path)

@@ -70,9 +70,8 @@ def breathing(
 
 def _chest_and_scalp(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(n,) twice, from 0 to 1: how much vertices of somebody who stands belong to chest and scalp."""
-    x, y, z = vertices.T
-    height = np.ptp(y)
-    level, aside = (y - y.min()) / height, np.abs(x - np.median(x)) / height
+    level, aside = _level_and_aside(vertices)
+    z = vertices[:, 2]
     chest = np.exp(-0.5 * ((level - MIDDLE) / SPREAD) ** 2)
     chest[(aside > BREADTH) | (level > BELOW)] = 0
     head = z[level > HEAD]
@@ -82,9 +81,8 @@ def _chest_and_scalp(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _styles(vertices: FloatArray) -> list[FloatArray]:
     """(n,) each: where a bun is of somebody who stands, hair to the neck, flat hair, and none."""
-    x, y, z = vertices.T
-    height = np.ptp(y)
-    level, aside = (y - y.min()) / height, np.abs(x - np.median(x)) / height
+    level, aside = _level_and_aside(vertices)
+    z, height = vertices[:, 2], np.ptp(vertices[:, 1])
     middle = z[level > HEAD].mean()
     behind = np.where((np.abs(level - BUN) < BAND) & (aside < BAND), z, np.inf).argmin()
     apart = np.linalg.norm(vertices - vertices[behind], axis=1)
@@ -92,6 +90,13 @@ def _styles(vertices: FloatArray) -> list[FloatArray]:
     near = aside < ACROSS
     falls, flat = near & (level > NAPE) & (z < middle), near & (level > FLAT)
     return [bun, falls.astype(float), flat.astype(float), np.zeros(len(vertices))]
+
+
+def _level_and_aside(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n,) twice: how high vertices are, and how far to a side of the middle, relative to the height."""
+    x, y, _ = vertices.T
+    height = np.ptp(y)
+    return (y - y.min()) / height, np.abs(x - np.median(x)) / height
 
 
 def _averaging(mesh: TriangleMesh) -> csr_array:

@@ -60,7 +60,7 @@ class Group(NamedTuple):
         return ["--out", str(folder / self.name), *words, *self.options]
 
 
-# Those of whom coarser meshes teach; those of whom breath and hair do, who are not scanned; and all others.
+# Those of whom coarser meshes teach; those of whom breath and hair do, who are not scanned; and all who are.
 COARSER = Group(1, 150, 3)
 HAIRED = Group(91, N_HAIRED, HAIRED_POSES, ("--bodies",))
 GROUPS = (

@@ -157,7 +157,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--haired",
         type=Path,
         metavar="BODIES",
-        help="with --learn: add what breath and hair change in these (make_people --bodies)",
+        help=f"with --learn: add what breath and hair change in {N_HAIRED} of these (make_people --bodies)",
     )
     parser.add_argument(
         "--methods", nargs="+", default=["hapt+r-bihdm", "hapt", "r-bihdm"]

@@ -55,6 +55,7 @@ from benchmarks.measuring import (
 )
 from benchmarks.recognition import (
     N_FOLDS,
+    N_HAIRED,
     SIZE_WEIGHT,
     Scans,
     damages_of,
@@ -173,7 +174,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--haired",
         type=Path,
         metavar="BODIES",
-        help="with catalogues: add what breath and hair change in these",
+        help=f"with catalogues: add what breath and hair change in {N_HAIRED} of these",
     )
     parser.add_argument(
         "--damaged", action="store_true", help="scans with a gross fault, by the package"
