@@ -38,7 +38,14 @@ from pcretrieve.surface.fairing import faces_at, faired, with_ring
 from pcretrieve.surface.field import distance_field, folded, hidden_below, normals_of
 from pcretrieve.surface.growth import with_topology
 from pcretrieve.surface.marching import LEAST_SHARE, Crossings, crossed, marched, smoothed
-from pcretrieve.surface.parts import CONTINUED, contact_layer, joined, rims, walls
+from pcretrieve.surface.parts import (
+    CONTINUED,
+    contact_layer,
+    joined,
+    rims,
+    walls,
+    without_grooves,
+)
 from pcretrieve.surface.poisson import interpolated
 from pcretrieve.values import FloatArray, Grid, Mask, PointCloud, Step, TriangleMesh
 from pcretrieve.values.simplify import simplified
@@ -273,13 +280,15 @@ def _body(
 def _contacts(
     cloud: PointCloud, folds: Mask, inside: Mask, to_points: Voxels, grid: Grid
 ) -> tuple[Mask, Mask]:
-    """The voxels of contacts, as by `contact_layer`, and the (3, a, b, c) links that cross a surfel.
+    """The voxels of contacts, without grooves, and the (3, a, b, c) links that cross a surfel.
 
     Folds are no contacts: a closed mouth does not part the head.
     """
     links = _walls(cloud.select(~folds), grid)
     continued = _continued(cloud, grid, to_points)
     parted = contact_layer(inside, links, continued, to_points)
+    at = grid.coordinates(cloud.points)
+    parted = without_grooves(parted, inside, at, normals_of(cloud), to_points)
     if continued.any():
         links |= continued
     if folds.any():

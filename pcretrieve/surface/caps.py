@@ -128,9 +128,9 @@ def capped(surface: TriangleMesh, cloud: PointCloud, *, spacing: float) -> Cappe
     is_end = np.zeros(len(cap), dtype=np.bool_)
     if not free.any():
         return Capped(surface, cap, is_end)
-    is_rim = with_ring(free, surface.faces) & ~free
-    vertices = surface.vertices.copy()
-    vertices[is_rim] = cloud.points[near[is_rim]]
+    vertices = _on_points(
+        surface.vertices, with_ring(free, surface.faces) & ~free, cloud, near
+    )
     flat = TriangleMesh(membrane(vertices, surface.faces, free), surface.faces)
     vertices = flat.vertices
     for number in np.unique(hole[free]):
@@ -166,6 +166,23 @@ def _raised(
     else:
         vertices = faired(vertices, flat.faces, own)
     return vertices, ends_a_part(tilt, steepness)
+
+
+def _on_points(
+    vertices: FloatArray, is_rim: Mask, cloud: PointCloud, near: NDArray[np.intp]
+) -> FloatArray:
+    """The vertices, of which those of rims are at their nearest points.
+
+    Of several with one nearest point only the nearest moves: faces between them would have no area, so that
+    the patch that they close could not be faired, and would stay flat.
+    """
+    rim = np.flatnonzero(is_rim)
+    offsets = cloud.points[near[rim]] - vertices[rim]
+    rim = rim[np.argsort((offsets**2).sum(axis=1), kind="stable")]
+    rim = rim[np.unique(near[rim], return_index=True)[1]]
+    moved: FloatArray = vertices.copy()
+    moved[rim] = cloud.points[near[rim]]
+    return moved
 
 
 def _large_holes(

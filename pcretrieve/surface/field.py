@@ -28,7 +28,7 @@ LEAST_WEIGHT = 0.15
 # Largest depth below the outside of a point of the surface, if its sensor is not known: the larger of a
 # length relative to the diagonal and a length in voxels. Deeper ("hidden") points lie at contacts and in
 # closed mouths, where the direction of the outside is ambiguous.
-HIDDEN = 0.02
+HIDDEN = 0.035
 HIDDEN_CELLS = 4.5
 
 # A component of hidden points is a fold, such as a closed mouth, if it has at least this many voxels and at

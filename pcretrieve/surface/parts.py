@@ -234,6 +234,59 @@ def _contacts(inside: Mask, away: NDArray[np.int32], detour: int) -> tuple[Mask,
     return found, n_boundary
 
 
+# Smallest number of voxels, and largest depth below the surface, of a groove: a component of a contact layer
+# that no points face each other across, from within this distance; lengths in voxels.
+LEAST_GROOVE = 22
+SHALLOW = 2.5
+FACED_WITHIN = 3.0
+
+
+def without_grooves(
+    layer: Mask, inside: Mask, at: FloatArray, normals: FloatArray, to_points: Voxels
+) -> Mask:
+    """A contact layer without the grooves that surfels cut into a body where it is concave.
+
+    A surfel at a concave edge, such as that between a shaft and its flange, extends into the body beyond the
+    edge, so that the shortest path round it is long. Where two parts touch, points face each other across the
+    gap, or the layer is deep.
+
+    at, normals, to_points: as in `rims`.
+    """
+    pieces, sizes = components(layer, corners=True)
+    is_groove = sizes >= LEAST_GROOVE
+    is_groove[0] = False
+    if not is_groove.any():
+        return layer
+    from scipy.spatial import cKDTree
+
+    cells = np.argwhere(is_groove[pieces])
+    piece = pieces[tuple(cells.T)]
+    is_groove[piece[inside[_around(cells, SHALLOW, inside.shape)].all(axis=1)]] = False
+    cells = cells[is_groove[piece]]
+    # Points farther away face each other across none of these; a voxel more, because places are rounded.
+    nearby = np.zeros_like(inside)
+    nearby[_around(cells, FACED_WITHIN + RIM / 2 + 1, inside.shape)] = True
+    x, y, z = np.rint(at).astype(np.intp).T
+    near = nearby[x, y, z]
+    middles, _ = rims(at[near], normals[near], to_points)
+    if len(middles):
+        apart, _ = cKDTree(middles).query(cells, distance_upper_bound=FACED_WITHIN)
+        is_groove[pieces[tuple(cells[np.isfinite(apart)].T)]] = False
+    left: Mask = layer & ~is_groove[pieces]
+    return left
+
+
+def _around(
+    cells: NDArray[np.intp], radius: float, shape: tuple[int, ...]
+) -> tuple[NDArray[np.intp], ...]:
+    """The indices, (k, o) along each axis, of the voxels within a radius of each of (k, 3) cells."""
+    n = int(radius)
+    offsets = np.indices((2 * n + 1,) * 3).reshape(3, -1) - n
+    offsets = offsets[:, (offsets**2).sum(axis=0) <= radius**2]
+    places = cells.T[:, :, np.newaxis] + offsets[:, np.newaxis]
+    return tuple(np.clip(places, 0, np.array(shape)[:, np.newaxis, np.newaxis] - 1))
+
+
 # Smallest fraction of the points in a component for it to be connected to the body.
 LEAST_PIECE = 0.002
 

@@ -246,7 +246,8 @@ def test_holes_of_a_round_body_are_closed_round() -> None:
             cloud, SurfaceOptions(), around, spacing=spacing(around)
         )
         assert defects(found.surface).boundary_edges == 0
-        assert found.surface.volume == pytest.approx(EGG.volume, rel=0.07)
+        assert found.surface.volume == pytest.approx(EGG.volume, rel=0.08)
+        assert found.surface.vertices[:, 2].max() == pytest.approx(1, abs=0.17)
         assert (found.cap != NO_CAP).any() == (height < 0.99)
         assert not found.base.any()
 

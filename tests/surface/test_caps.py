@@ -12,6 +12,7 @@ from pcretrieve.surface.caps import (
     NO_CAP,
     Capped,
     _ends,
+    _on_points,
     base_of,
     capped,
     ends_a_part,
@@ -70,6 +71,15 @@ def test_a_hole_begins_a_80th_of_the_diagonal_or_two_spacings_from_the_points() 
         ONE,
         NINE,
     ]
+
+
+def test_of_rim_vertices_beside_one_point_the_nearest_moves_there() -> None:
+    """Both would make faces without area, which no patch can be faired with."""
+    vertices = np.array([[0.2, 0, 0], [0, 0.1, 0], [1, 0.2, 0], [5.0, 0, 0]])
+    cloud = PointCloud(np.array([[0.0, 0, 0], [1, 0, 0], [5, 5, 0]]))
+    is_rim, near = np.array([True, True, True, False]), np.array([0, 0, 1, 2])
+    moved = _on_points(vertices, is_rim, cloud, near)
+    np.testing.assert_array_equal(moved, [[0.2, 0, 0], [0, 0, 0], [1, 0, 0], [5, 0, 0]])
 
 
 def seat(

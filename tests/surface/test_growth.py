@@ -23,10 +23,14 @@ from pcretrieve.surface.marching import (
 )
 from pcretrieve.surface.parts import (
     DETOUR,
+    LEAST_GROOVE,
     LEAST_LEAN,
+    RIM,
+    SHALLOW,
     _counted,
     contact_layer,
     walls as links_across,
+    without_grooves,
 )
 from pcretrieve.values import FloatArray, TriangleMesh
 from pcretrieve.values.geometry import adjacency
@@ -135,6 +139,36 @@ def test_a_fold_is_parted_in_one_layer_as_deep_as_it_goes(reach: int) -> None:
     legs, n_legs = label((inside & ~found)[3 : 3 + reach - DETOUR // 2])
     assert n_legs == 2
     assert legs[0, 5, 6] != legs[0, -5, 6]
+
+
+def groove(n: int, depth: int, gap: float) -> tuple[Mask, Mask]:
+    """A layer of n voxels below the surface of a slab, and what is left of it without grooves.
+
+    Below the surface, at some depth, the layer lies between two walls of points that face each other.
+
+    gap: between the walls; in voxels.
+    """
+    inside = np.pad(np.ones((60, 9, 9), dtype=bool), 3)
+    layer = np.zeros_like(inside)
+    layer[6 : 6 + n, 7, 2 + depth] = True
+    places = np.argwhere(layer).astype(float)
+    walls = [places + side * np.array([0, gap / 2, 0]) for side in (-1, 1)]
+    normals = [np.tile([0.0, -side, 0.0], (n, 1)) for side in (-1, 1)]
+    at, normal = np.concatenate(walls), np.concatenate(normals)
+    occupied = np.zeros_like(inside)
+    occupied[tuple(np.rint(at).astype(int).T)] = True
+    to_points = distances(occupied, np.inf)
+    return layer, without_grooves(layer, inside, at, normal, to_points)
+
+
+def test_a_groove_is_large_and_shallow_and_no_points_face_each_other_across_it() -> None:
+    few, many = LEAST_GROOVE - 1, LEAST_GROOVE
+    shallow, deep = int(SHALLOW), int(SHALLOW) + 1
+    wide, narrow = 2 * RIM, RIM - 1
+    assert not groove(many, shallow, wide)[1].any()
+    for kept in ((few, shallow, wide), (many, deep, wide), (many, shallow, narrow)):
+        layer, left = groove(*kept)
+        np.testing.assert_array_equal(left, layer)
 
 
 # --- marching cubes ----------------------------------------------------------------------------------
