@@ -10,7 +10,13 @@ from pcretrieve.options import SurfaceOptions
 from pcretrieve.points.density import local_spacings
 from pcretrieve.points.neighbors import PLANE_NEIGHBORS, Neighborhoods, neighborhoods
 from pcretrieve.points.voxels import Voxels, sampled
-from pcretrieve.surface.caps import Capped, capped, limbs_continued, outwards_at_rims
+from pcretrieve.surface.caps import (
+    NO_CAP,
+    Capped,
+    capped,
+    limbs_continued,
+    outwards_at_rims,
+)
 from pcretrieve.surface.field import normals_of
 from pcretrieve.surface.marching import level_set
 from pcretrieve.surface.poisson import not_closed, poisson
@@ -221,6 +227,14 @@ MARGIN = 0.15
 # surface bulges out of holes, as convex bodies do. See docs/decisions.md, LEVEL.
 LEVEL = 0.65
 
+# Least share of a coarse surface in caps for a finer grid. Its voxels are at least so many spacings wide,
+# which this share of the points do not exceed, because points farther apart leave gaps, but no wider than
+# those of a grid with this number on its longest side. See docs/decisions.md, rim of a cap.
+MUCH_CAPPED = 0.02
+FINE = 1.6
+DENSE = 0.9
+COARSE = 64
+
 # Side of the cube of the coarse Poisson surface, relative to the longest side of the bounding box. Larger
 # than the default of 1.1, so that holes at the border of the bounding box can be closed outside it; and
 # larger again, if the surface is not closed, as where a body stands.
@@ -242,7 +256,9 @@ def coarse_surface(
 
     It is a level set of the indicator function of the body. If that is open, or there are sensors from which
     parts of the body were hidden, it is a screened Poisson surface instead. Either is closed anew in large
-    holes: see `capped`. Its largest component is closed.
+    holes: see `capped`. Its largest component is closed. Where holes are a large part of it, as on a
+    turntable, the level set is made again on a finer grid, on which fingers and thin bodies have several
+    voxels across.
 
     neighbors, spacing: those of all points.
     Returns Capped, PointCloud: the surface, and the points with those of `limbs_continued`.
@@ -252,6 +268,21 @@ def coarse_surface(
         surface = _poisson_surface(cloud, options.fill_depth)
         return capped(surface, cloud, spacing=spacing), cloud
     n = 2**options.fill_depth
+    found = _coarse_surface(cloud, n, options, neighbors, spacing)
+    areas = found[0].surface.face_areas
+    if areas[found[0].cap != NO_CAP].sum() < MUCH_CAPPED * areas.sum():
+        return found
+    return _coarse_surface(cloud, 2 * n, options, neighbors, spacing)
+
+
+def _coarse_surface(
+    cloud: PointCloud,
+    n: int,
+    options: SurfaceOptions,
+    neighbors: Neighborhoods,
+    spacing: float,
+) -> tuple[Capped, PointCloud]:
+    """`coarse_surface`, without known sensors, on a grid with at most n voxels on its longest side."""
     spacings = local_spacings(neighbors)
     level = _level_set(cloud, spacings, n)
     if level is not None and (components(level) > 0).mean() > LEAST_PIECE:
@@ -273,7 +304,7 @@ def coarse_surface(
 
 def _level_set(cloud: PointCloud, spacings: FloatArray, n: int) -> TriangleMesh | None:
     """The level set of the indicator function on a grid; None if it is empty or open."""
-    grid = _grid(cloud.points, n)
+    grid = _grid(cloud.points, n, FINE * float(np.quantile(spacings, DENSE)))
     values = indicator(cloud.points, normals_of(cloud), spacings, grid)
     at_points = float(sampled(values, grid.coordinates(cloud.points)).mean())
     level = np.float32(LEVEL * at_points)
@@ -287,13 +318,17 @@ def _level_set(cloud: PointCloud, spacings: FloatArray, n: int) -> TriangleMesh 
     return TriangleMesh(grid.centres(vertices), faces)
 
 
-def _grid(points: FloatArray, n: int) -> Grid:
-    """A grid with n voxels, or a few more, on its longest side, whose Fourier transform is fast."""
+def _grid(points: FloatArray, n: int, least: float) -> Grid:
+    """A grid whose Fourier transform is fast, with n voxels, or a few more, on its longest side.
+
+    It has fewer, down to `COARSE`, if the edge of voxels would be less than the least.
+    """
     from scipy import fft
 
     low, high = bounds(points)
     longest = float((high - low).max())
-    cell = (1 + 2 * MARGIN) * longest / n
+    side = (1 + 2 * MARGIN) * longest
+    cell = float(np.clip(least, side / n, max(side / n, side / COARSE)))
     smallest = Grid.around(points, cell, int(np.ceil(MARGIN * longest / cell)))
     a, b, c = (int(fft.next_fast_len(side, real=True)) for side in smallest.shape)
     return Grid(smallest.origin, cell, (a, b, c))

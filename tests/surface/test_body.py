@@ -27,6 +27,8 @@ from pcretrieve.surface.body import _invented
 from pcretrieve.surface.caps import NO_CAP, _stands, capped
 from pcretrieve.surface.coarse import (
     BESIDE,
+    MARGIN,
+    _grid,
     _splatted,
     coarse_surface,
     crossings,
@@ -236,6 +238,36 @@ def test_vectors_are_shared_among_the_voxels_around_them_without_a_loss() -> Non
         [2, 2, 3],
         [2, 2, 4],
     ]
+
+
+def test_a_finer_coarse_grid_has_no_voxels_smaller_than_the_least() -> None:
+    corners = np.array([[0.0, 0, 0], [1, 0.2, 0.1]])
+    side = 1 + 2 * MARGIN
+    for n, least, expected in (
+        (64, 0, 64),
+        (128, 0, 128),
+        (128, side / 90, 90),
+        (128, 1, 64),
+    ):
+        assert _grid(corners, n, least).cell == pytest.approx(side / expected)
+
+
+def test_a_body_with_large_holes_has_a_finer_coarse_grid(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made: list[int] = []
+
+    def recorded(points: FloatArray, n: int, least: float) -> Grid:
+        made.append(n)
+        return _grid(points, n, least)
+
+    monkeypatch.setattr("pcretrieve.surface.coarse._grid", recorded)
+    for height, finest in ((2.0, 64), (0.9, 128)):
+        made.clear()
+        cloud = ON_EGG.select(ON_EGG.points[:, 2] < height)
+        around = neighborhoods(cloud.points, 9)
+        coarse_surface(cloud, SurfaceOptions(), around, spacing=spacing(around))
+        assert max(made) == finest
 
 
 def test_holes_of_a_round_body_are_closed_round() -> None:
