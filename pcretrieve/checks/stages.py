@@ -50,7 +50,7 @@ ERROR_OF_CUT = 0.15
 # Log-signature error of a surface with holes, and of a mesh with welds: of one that joins a foot and a head.
 # Where a mesh has many, most of them join neighbours and have no effect.
 ERROR_OF_HOLES = 0.3
-ERROR_OF_WELDS = 0.75
+ERROR_OF_WELDS = 0.85
 
 # Largest length of a level line where two bodies touch, relative to the root of the area on its smaller side:
 # of a line that is nowhere in a crease, and of one that is so all round. It is .4 along the shaft of a femur,
