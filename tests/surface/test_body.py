@@ -278,7 +278,9 @@ def test_holes_of_a_round_body_are_closed_round() -> None:
             cloud, SurfaceOptions(), around, spacing=spacing(around)
         )
         assert defects(found.surface).boundary_edges == 0
-        assert found.surface.volume == pytest.approx(EGG.volume, rel=0.08)
+        # The cap of the largest hole is .16 too high.
+        most = 0.08 if height < 0.9 else 0.07
+        assert found.surface.volume == pytest.approx(EGG.volume, rel=most)
         assert found.surface.vertices[:, 2].max() == pytest.approx(1, abs=0.17)
         assert (found.cap != NO_CAP).any() == (height < 0.99)
         assert not found.base.any()
