@@ -227,13 +227,13 @@ MARGIN = 0.15
 # surface bulges out of holes, as convex bodies do. See docs/decisions.md, LEVEL.
 LEVEL = 0.65
 
-# Least share of a coarse surface in caps for a finer grid. Its voxels are at least so many spacings wide,
-# which this share of the points do not exceed, because points farther apart leave gaps, but no wider than
-# those of a grid with this number on its longest side. See docs/decisions.md, rim of a cap.
+# Least share of a coarse surface in caps for a grid that is finer by this factor, or less: its voxels are at
+# least so many spacings wide, which this share of the points do not exceed, because points farther apart
+# leave gaps. See docs/decisions.md, rim of a cap.
 MUCH_CAPPED = 0.02
-FINE = 1.6
+FINER = 2
+LEAST_SPACINGS = 1.6
 DENSE = 0.9
-COARSE = 64
 
 # Side of the cube of the coarse Poisson surface, relative to the longest side of the bounding box. Larger
 # than the default of 1.1, so that holes at the border of the bounding box can be closed outside it; and
@@ -267,28 +267,28 @@ def coarse_surface(
     if cloud.viewpoints is not None:
         surface = _poisson_surface(cloud, options.fill_depth)
         return capped(surface, cloud, spacing=spacing), cloud
-    n = 2**options.fill_depth
-    found = _coarse_surface(cloud, n, options, neighbors, spacing)
+    found = _coarse_surface(cloud, 1, options, neighbors, spacing)
     areas = found[0].surface.face_areas
     if areas[found[0].cap != NO_CAP].sum() < MUCH_CAPPED * areas.sum():
         return found
-    return _coarse_surface(cloud, 2 * n, options, neighbors, spacing)
+    return _coarse_surface(cloud, FINER, options, neighbors, spacing)
 
 
 def _coarse_surface(
     cloud: PointCloud,
-    n: int,
+    finer: int,
     options: SurfaceOptions,
     neighbors: Neighborhoods,
     spacing: float,
 ) -> tuple[Capped, PointCloud]:
-    """`coarse_surface`, without known sensors, on a grid with at most n voxels on its longest side."""
+    """`coarse_surface`, without known sensors, on a grid that may be finer by a factor."""
+    n = 2**options.fill_depth
     spacings = local_spacings(neighbors)
-    level = _level_set(cloud, spacings, n)
+    level = _level_set(cloud, spacings, n, finer)
     if level is not None and (components(level) > 0).mean() > LEAST_PIECE:
         known = limbs_continued(cloud, spacing)
         around = local_spacings(neighborhoods(known.points, PLANE_NEIGHBORS + 1))
-        again = _level_set(known, around, n)
+        again = _level_set(known, around, n, finer)
         if again is not None:
             level, cloud, spacings = again, known, around
     surface = level or _poisson_surface(cloud, options.fill_depth)
@@ -296,15 +296,18 @@ def _coarse_surface(
     turned = outwards_at_rims(found, cloud)
     if (normals_of(turned) == normals_of(cloud)).all():
         return found, cloud
-    again = _level_set(turned, spacings, n)
+    again = _level_set(turned, spacings, n, finer)
     if again is None:
         return found, cloud
     return capped(again, turned, spacing=spacing), turned
 
 
-def _level_set(cloud: PointCloud, spacings: FloatArray, n: int) -> TriangleMesh | None:
-    """The level set of the indicator function on a grid; None if it is empty or open."""
-    grid = _grid(cloud.points, n, FINE * float(np.quantile(spacings, DENSE)))
+def _level_set(
+    cloud: PointCloud, spacings: FloatArray, n: int, finer: int
+) -> TriangleMesh | None:
+    """The level set of the indicator function on a grid, as by `_grid`; None if it is empty or open."""
+    least = LEAST_SPACINGS * float(np.quantile(spacings, DENSE))
+    grid = _grid(cloud.points, n, finer, least)
     values = indicator(cloud.points, normals_of(cloud), spacings, grid)
     at_points = float(sampled(values, grid.coordinates(cloud.points)).mean())
     level = np.float32(LEVEL * at_points)
@@ -318,17 +321,17 @@ def _level_set(cloud: PointCloud, spacings: FloatArray, n: int) -> TriangleMesh 
     return TriangleMesh(grid.centres(vertices), faces)
 
 
-def _grid(points: FloatArray, n: int, least: float) -> Grid:
-    """A grid whose Fourier transform is fast, with n voxels, or a few more, on its longest side.
+def _grid(points: FloatArray, n: int, finer: int, least: float) -> Grid:
+    """A grid with n voxels, or a few more, on its longest side, whose Fourier transform is fast.
 
-    It has fewer, down to `COARSE`, if the edge of voxels would be less than the least.
+    The edge of its voxels is up to this many times as fine, but then not less than the least.
     """
     from scipy import fft
 
     low, high = bounds(points)
     longest = float((high - low).max())
-    side = (1 + 2 * MARGIN) * longest
-    cell = float(np.clip(least, side / n, max(side / n, side / COARSE)))
+    coarsest = (1 + 2 * MARGIN) * longest / n
+    cell = float(np.clip(least, coarsest / finer, coarsest))
     smallest = Grid.around(points, cell, int(np.ceil(MARGIN * longest / cell)))
     a, b, c = (int(fft.next_fast_len(side, real=True)) for side in smallest.shape)
     return Grid(smallest.origin, cell, (a, b, c))

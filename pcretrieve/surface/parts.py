@@ -281,10 +281,10 @@ def _around(
 ) -> tuple[NDArray[np.intp], ...]:
     """The indices, (k, o) along each axis, of the voxels within a radius of each of (k, 3) cells."""
     n = int(radius)
-    offsets = np.indices((2 * n + 1,) * 3).reshape(3, -1) - n
-    offsets = offsets[:, (offsets**2).sum(axis=0) <= radius**2]
-    places = cells.T[:, :, np.newaxis] + offsets[:, np.newaxis]
-    return tuple(np.clip(places, 0, np.array(shape)[:, np.newaxis, np.newaxis] - 1))
+    offsets = np.indices((2 * n + 1,) * 3).reshape(3, -1).T - n
+    offsets = offsets[(offsets**2).sum(axis=1) <= radius**2]
+    places = cells[:, np.newaxis] + offsets
+    return tuple(np.moveaxis(places.clip(0, np.subtract(shape, 1)), -1, 0))
 
 
 # Smallest fraction of the points in a component for it to be connected to the body.

@@ -243,13 +243,13 @@ def test_vectors_are_shared_among_the_voxels_around_them_without_a_loss() -> Non
 def test_a_finer_coarse_grid_has_no_voxels_smaller_than_the_least() -> None:
     corners = np.array([[0.0, 0, 0], [1, 0.2, 0.1]])
     side = 1 + 2 * MARGIN
-    for n, least, expected in (
-        (64, 0, 64),
-        (128, 0, 128),
-        (128, side / 90, 90),
-        (128, 1, 64),
+    for finer, least, expected in (
+        (1, 0, 64),
+        (2, 0, 128),
+        (2, side / 90, 90),
+        (2, 1, 64),
     ):
-        assert _grid(corners, n, least).cell == pytest.approx(side / expected)
+        assert _grid(corners, 64, finer, least).cell == pytest.approx(side / expected)
 
 
 def test_a_body_with_large_holes_has_a_finer_coarse_grid(
@@ -257,9 +257,9 @@ def test_a_body_with_large_holes_has_a_finer_coarse_grid(
 ) -> None:
     made: list[int] = []
 
-    def recorded(points: FloatArray, n: int, least: float) -> Grid:
-        made.append(n)
-        return _grid(points, n, least)
+    def recorded(points: FloatArray, n: int, finer: int, least: float) -> Grid:
+        made.append(n * finer)
+        return _grid(points, n, finer, least)
 
     monkeypatch.setattr("pcretrieve.surface.coarse._grid", recorded)
     for height, finest in ((2.0, 64), (0.9, 128)):
