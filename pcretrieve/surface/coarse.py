@@ -267,39 +267,25 @@ def coarse_surface(
     if cloud.viewpoints is not None:
         surface = _poisson_surface(cloud, options.fill_depth)
         return capped(surface, cloud, spacing=spacing), cloud
-    found = _coarse_surface(cloud, 1, options, neighbors, spacing)
-    areas = found[0].surface.face_areas
-    if areas[found[0].cap != NO_CAP].sum() < MUCH_CAPPED * areas.sum():
-        return found
-    return _coarse_surface(cloud, FINER, options, neighbors, spacing)
-
-
-def _coarse_surface(
-    cloud: PointCloud,
-    finer: int,
-    options: SurfaceOptions,
-    neighbors: Neighborhoods,
-    spacing: float,
-) -> tuple[Capped, PointCloud]:
-    """`coarse_surface`, without known sensors, on a grid that may be finer by a factor."""
     n = 2**options.fill_depth
     spacings = local_spacings(neighbors)
-    level = _level_set(cloud, spacings, n, finer)
-    if level is not None and (components(level) > 0).mean() > LEAST_PIECE:
-        known = limbs_continued(cloud, spacing)
-        around = local_spacings(neighborhoods(known.points, PLANE_NEIGHBORS + 1))
-        again = _level_set(known, around, n, finer)
-        if again is not None:
-            level, cloud, spacings = again, known, around
-    surface = level or _poisson_surface(cloud, options.fill_depth)
-    found = capped(surface, cloud, spacing=spacing)
+    for finer in (1, FINER):
+        level = _level_set(cloud, spacings, n, finer)
+        if level and (components(level) > 0).mean() > LEAST_PIECE:
+            known = limbs_continued(cloud, spacing)
+            around = local_spacings(neighborhoods(known.points, PLANE_NEIGHBORS + 1))
+            if again := _level_set(known, around, n, finer):
+                level, cloud, spacings = again, known, around
+        surface = level or _poisson_surface(cloud, options.fill_depth)
+        found = capped(surface, cloud, spacing=spacing)
+        areas = found.surface.face_areas
+        if areas[found.cap != NO_CAP].sum() < MUCH_CAPPED * areas.sum():
+            break
     turned = outwards_at_rims(found, cloud)
-    if (normals_of(turned) == normals_of(cloud)).all():
-        return found, cloud
-    again = _level_set(turned, spacings, n, finer)
-    if again is None:
-        return found, cloud
-    return capped(again, turned, spacing=spacing), turned
+    has_turned = (normals_of(turned) != normals_of(cloud)).any()
+    if has_turned and (again := _level_set(turned, spacings, n, finer)):
+        return capped(again, turned, spacing=spacing), turned
+    return found, cloud
 
 
 def _level_set(
