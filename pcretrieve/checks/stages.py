@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,6 +19,7 @@ from pcretrieve.checks.grading import (
     percent,
 )
 from pcretrieve.checks.layers import Layers
+from pcretrieve.points.neighbors import nearest
 from pcretrieve.values import (
     FloatArray,
     Mask,
@@ -30,6 +30,7 @@ from pcretrieve.values import (
     unit_vectors,
 )
 from pcretrieve.values.geometry import adjacency
+from pcretrieve.values.simplify import simplified
 from pcretrieve.values.topology import defects
 
 if TYPE_CHECKING:
@@ -89,6 +90,10 @@ WEAKNESS = 150.0
 # Mean of these angles, round a vertex, from which it is in a crease; radians.
 CREASE = 0.05
 
+# Most faces of a surface on which creases are looked for, as many as surfaces of scans have: at the edges of
+# smaller faces, which meshes may have, normals lean less.
+N_FACES = 10_000
+
 # Number of eigenfunctions that are combined at first, and of the steps that fit the sum to the creases, which
 # are narrower. More find as many pairs.
 N_COMBINED = 40
@@ -115,23 +120,17 @@ def point_checks(cloud: PointCloud, *, spacing: float) -> list[Check]:
     """
     share = spacing / cloud.diagonal
     cleanings = [step.sizes for step in cloud.provenance if step.stage == "clean"]
-    n_kept = (
-        int(cleanings[-1]["points_in"] - cleanings[-1]["outliers"])
-        if cleanings
-        else len(cloud.points)
-    )
-    averaged = (
-        "" if n_kept == len(cloud.points) else f", averaged to {len(cloud.points):,}"
-    )
+    n_kept = n = len(cloud.points)
+    if cleanings:
+        n_kept = int(cleanings[-1]["points_in"] - cleanings[-1]["outliers"])
+    averaged = "" if n_kept == n else f", averaged to {n:,}"
     shown = f"{n_kept:,} points{averaged}, {percent(share)} of the diagonal apart"
     checks = [graded("Points", share, shown)]
     for cropped in [
         step for step in cloud.provenance if step.stage == "crop" and step.notes
     ]:
-        n_in, n_cut = (
-            cropped.sizes["points_in"],
-            cropped.sizes["points_in"] - cropped.sizes["points"],
-        )
+        n_in = cropped.sizes["points_in"]
+        n_cut = n_in - cropped.sizes["points"]
         shown = f"{n_cut:,.0f} of {n_in:,.0f} points cut away, {percent(n_cut / n_in)}"
         checks.append(
             Check(
@@ -217,7 +216,7 @@ def surface_checks(mesh: TriangleMesh) -> list[Check]:
         found.boundary_edges + found.non_manifold_edges + found.inconsistent_edges
     )
     shown = str(found) if found else "no defects"
-    error = ERROR_OF_HOLES if found else 0.0
+    error = ERROR_OF_HOLES * bool(found)
     closed = graded("Closed surface", n_edges, shown, is_good=not found, error=error)
     if found:
         return [closed]
@@ -303,9 +302,8 @@ def hole_check(fit: Fit) -> Check:
 
 def _is_visible(hole: Hole, fit: Fit) -> bool:
     """Whether a sensor could have seen into a hole: no small one that is in the shade."""
-    if hole.light > OPEN:
-        return True
-    return hole.radius > LARGE_HOLE and fit.sees_shades(hole.light)
+    is_large = hole.radius > LARGE_HOLE
+    return hole.light > OPEN or (is_large and fit.sees_shades(hole.light))
 
 
 def lost_check(fit: Fit) -> Check:
@@ -340,7 +338,7 @@ def marks_check(n_cuts: int, n_bridges: int) -> Check:
         float(n),
         shown,
         is_good=not n,
-        error=ERROR_OF_CUT * math.sqrt(n),
+        error=ERROR_OF_CUT * n**0.5,
     )
 
 
@@ -355,10 +353,9 @@ def spectrum_checks(shape: Shape) -> list[Check]:
     )
     checks = []
     for surface in shape.surfaces[:1]:
-        if surface.mesh is None or surface.eigenpairs is None:
-            continue
-        vectors = surface.eigenpairs.eigenvectors[: len(surface.mesh.vertices)]
-        checks.append(body_check(neck(surface.mesh, vectors[:, 1:])))
+        if surface.mesh and surface.eigenpairs:
+            vectors = surface.eigenpairs.eigenvectors[: len(surface.mesh.vertices)]
+            checks.append(body_check(neck(surface.mesh, vectors[:, 1:])))
     if len(logs) > 1:
         apart = float(np.linalg.norm(logs[:, :N_COMPARED].std(axis=0, ddof=1)))
         shown = f"{apart:.2g} between the spectra of {len(logs)} surfaces"
@@ -399,13 +396,12 @@ def body_check(waist: Neck) -> Check:
         f"the line between its halves is {waist.length:.2g} of the root of the smaller one's area, "
         f"{percent(waist.creased)} in a crease, and {waist.sharpness:.2g} times as long beside it"
     )
-    error = NECK_ERROR if are_two else 0.0
     return graded(
         "One body",
         waist.length,
         shown,
         is_good=not are_two,
-        error=error,
+        error=NECK_ERROR * are_two,
         places=[waist.middle],
     )
 
@@ -424,6 +420,7 @@ def neck(mesh: TriangleMesh, eigenvectors: FloatArray) -> Neck:
     .. [1] J. Cheeger, "A lower bound for the smallest eigenvalue of the Laplacian", Problems in Analysis,
        1970.
     """
+    mesh, eigenvectors = _coarser(mesh, eigenvectors)
     leanings, in_crease = _creases(mesh)
     corners = _parting(mesh, leanings, eigenvectors)[mesh.faces]  # (m, 3)
     levels, shares = _levels(corners.mean(axis=1), mesh.face_areas)
@@ -447,6 +444,17 @@ def neck(mesh: TriangleMesh, eigenvectors: FloatArray) -> Neck:
         is_sharp=bool(is_sharp[at]),
         middle=pieces[line == at] @ (start + end)[line == at] / (2 * lengths[at]),
     )
+
+
+def _coarser(
+    mesh: TriangleMesh, eigenvectors: FloatArray
+) -> tuple[TriangleMesh, FloatArray]:
+    """A surface of at most `N_FACES` faces, and eigenfunctions (n, k) on it; unchanged, if it has defects."""
+    if len(mesh.faces) <= N_FACES or defects(mesh):
+        return mesh, eigenvectors
+    coarse = simplified(mesh, N_FACES)
+    _, near = nearest(mesh.vertices, coarse.vertices, 1)
+    return coarse, eigenvectors[near[:, 0]]
 
 
 def _creases(mesh: TriangleMesh) -> tuple[csr_array, Mask]:
@@ -551,4 +559,4 @@ def _level_lines(
 
 def _counted(n: int, name: str) -> str:
     """A number with its noun, such as "1 cut" and "2 cuts"."""
-    return f"{n} {name}" if n == 1 else f"{n} {name}s"
+    return f"{n} {name}{'s' * (n != 1)}"

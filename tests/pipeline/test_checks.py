@@ -14,9 +14,10 @@ import trimesh
 from benchmarks.bodies import Body, Mask, standing_places
 from benchmarks.sensors import SENSORS, left_by
 from benchmarks.simulation.bodies import POSES, body, make_subject
+from benchmarks.solids import machine_part
 from benchmarks.uniform import BODIES, points_of
 from shapes import icosphere
-from trimesh.remesh import subdivide_to_size
+from trimesh.remesh import subdivide, subdivide_to_size
 
 from pcretrieve import PointCloud, TriangleMesh
 from pcretrieve.checks import Check, findings_of
@@ -25,6 +26,7 @@ from pcretrieve.checks.fit import Fit, parts
 from pcretrieve.checks.grading import ENDS_OF_NOISE
 from pcretrieve.checks.layers import double_layers
 from pcretrieve.checks.stages import (
+    N_FACES,
     body_check,
     ends_check,
     hole_check,
@@ -352,6 +354,25 @@ def test_a_rod_between_two_balls_is_one_body_though_creases_run_round_its_ends(
     found = one_body(TriangleMesh(vertices * 0.05, faces))
     assert found.value is not None and found.value < 0.75, "as short as where balls touch"
     assert found.outcome == "passed"
+
+
+@pytest.mark.parametrize("seed", [1, 101, 108])
+def test_a_shaft_of_small_faces_is_one_body(seed: int) -> None:
+    # By all faces, lines beside its creases seemed to be long.
+    mesh = machine_part(np.random.default_rng(seed), 1)
+    assert len(mesh.faces) > 1.5 * N_FACES
+    assert one_body(mesh).outcome == "passed"
+
+
+@pytest.mark.parametrize("is_closed", [True, False])
+def test_balls_of_small_faces_that_touch_are_two_bodies(is_closed: bool) -> None:
+    pressed = pressed_balls(0.9)
+    fine = TriangleMesh(*subdivide(pressed.vertices, pressed.faces))  # type: ignore[no-untyped-call]
+    assert len(fine.faces) > 1.5 * N_FACES
+    kept = slice(None if is_closed else -1)
+    found = one_body(TriangleMesh(fine.vertices, fine.faces[kept]))
+    assert found.outcome != "passed"
+    assert abs(found.places[0][0]) < 0.05, "the place is between them"
 
 
 # --- limbs --------------------------------------------------------------------------------------------
