@@ -47,6 +47,10 @@ DEEPEST = np.radians(110)
 # head. A single hole that is smaller is no base: a body stands on two soles.
 LARGEST_DOME = 0.02
 
+# Largest area of a fair patch in a larger hole, relative to the flat one: 2 is half of a sphere. Under people
+# who sit it is 1.6 at most, or 2.1 and more where the rim curls in, and the patch swells to a ball.
+MOST_SWOLLEN = 1.8
+
 # A cap is flat if the norm of the sum of its area vectors, relative to its area, is at least this large. Two
 # caps are parallel if the cosine of the angle between their normals is.
 FLAT = 0.7
@@ -160,12 +164,15 @@ def _raised(
         return vertices, True
     rim = flat.vertices[with_ring(own, flat.faces) & ~own]
     tilt, steepness = slope_of(rim, axis, cloud.points, normals_of(cloud))
-    if tilt < DEEP and area < LARGEST_DOME * cloud.diagonal**2:
+    is_wide = area > LARGEST_DOME * cloud.diagonal**2
+    if tilt < DEEP and not is_wide:
         angle = min(float(np.arccos(tilt)), DEEPEST)
-        vertices = domed(vertices, flat.faces, own, axis, angle)
+        closed = domed(vertices, flat.faces, own, axis, angle)
     else:
-        vertices = faired(vertices, flat.faces, own)
-    return vertices, ends_a_part(tilt, steepness)
+        closed = faired(vertices, flat.faces, own)
+    is_swollen = TriangleMesh(closed, flat.faces[here]).area > MOST_SWOLLEN * area
+    is_end = ends_a_part(tilt, steepness)
+    return vertices if is_wide and is_swollen else closed, is_end
 
 
 def _on_points(

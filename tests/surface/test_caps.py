@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import shapes
 
+from pcretrieve.arrays import vertex_normals
 from pcretrieve.surface.caps import (
     DEEP,
     FARTHEST_GAP,
@@ -314,3 +315,17 @@ def test_a_balloon_whose_rim_is_nearest_to_one_point_is_no_hole() -> None:
     found = capped(shapes.icosphere(3), cloud, spacing=0.01)
     assert (found.cap != NO_CAP).any() and not found.base.any()
     np.testing.assert_array_equal(outwards_at_rims(found, cloud).normals, cloud.normals)
+
+
+def test_a_wide_hole_whose_rim_flares_does_not_swell_to_a_ball() -> None:
+    # As under somebody who sits: a fair patch would go on as the rim does, and hang below as half of a ball.
+    ball = shapes.icosphere(4)
+    low = np.clip((-0.35 - ball.vertices[:, 2:]) / 0.25, 0, 1)
+    mesh = TriangleMesh(ball.vertices * (1 + 1.5 * low**2 * [1, 1, 0]), ball.faces)
+    kept = ball.vertices[:, 2] > -0.6
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    cloud = PointCloud(mesh.vertices[kept], normals=normals[kept])
+    found = capped(mesh, cloud, spacing=0.05)
+    in_cap = found.cap != NO_CAP
+    flat = np.linalg.norm(found.surface.area_vectors[in_cap].sum(axis=0))
+    assert found.surface.face_areas[in_cap].sum() < 1.4 * flat
