@@ -73,8 +73,16 @@ ALONG_ROD = 0.03
 OUTSIDE = 0.1
 HARDLY_LONGER = 1.1
 
-# Least share of the area on the smaller side of a level line that may part two bodies, and of those nearby.
-LEAST_HALF = 0.2
+# Turned parts have creases, too, as a shaft at its flange, but these are circles: 4π times the area of their
+# opening is at least this share of their squared length (isoperimetric inequality). On one side of a circle
+# nearby a cylinder goes on: within this share of the area, openings differ by less than the last share.
+CIRCULAR = 0.95
+ASIDE = 0.03
+STRAIGHT = 0.001
+
+# A level line that may part two bodies has half of the area, within this share, on each side, and lines
+# nearby at least this share.
+FROM_HALF = 0.3
 LEAST_SIDE = 0.15
 
 # Number of level lines at equal steps of the area on one side, and of the function: the first pass over both
@@ -423,20 +431,19 @@ def neck(mesh: TriangleMesh, eigenvectors: FloatArray) -> Neck:
     mesh, eigenvectors = _coarser(mesh, eigenvectors)
     leanings, in_crease = _creases(mesh)
     corners = _parting(mesh, leanings, eigenvectors)[mesh.faces]  # (m, 3)
-    levels, shares = _levels(corners.mean(axis=1), mesh.face_areas)
+    levels, shares, openings = _levels(mesh, corners.mean(axis=1))
     line, face, start, end = _level_lines(mesh, corners, levels)
-    pieces = np.linalg.norm(end - start, axis=1)
+    pieces = np.linalg.norm(end - start, axis=1) / np.sqrt(mesh.area)
     lengths = np.bincount(line, pieces, len(levels)).clip(np.finfo(np.float64).tiny)
     creased = np.bincount(line, pieces * in_crease[face], len(levels)) / lengths
-    smaller = np.minimum(shares, 1 - shares)
-    relative = lengths / np.sqrt(smaller * mesh.area)
+    relative = lengths / np.sqrt(np.minimum(shares, 1 - shares))
     sharpness = _sharpness(lengths, shares)
-    is_sharp = sharpness > LEAST_SHARPNESS
-    is_sharp &= (creased > LEAST_CREASED) | (sharpness > SHARP)
+    is_sharp = sharpness > np.where(creased > LEAST_CREASED, LEAST_SHARPNESS, SHARP)
     is_sharp &= ~_is_of_rod(lengths, creased, shares)
+    is_sharp &= ~_is_turned(openings, lengths, shares)
     likeness = (CREASED_NECK - NECK) * creased - relative
     # Lines that part both halves come first, and of these the sharp ones.
-    at = int(np.lexsort((likeness, is_sharp, smaller > LEAST_HALF))[-1])
+    at = int(np.lexsort((likeness, is_sharp, np.abs(shares - 0.5) < FROM_HALF))[-1])
     return Neck(
         length=float(relative[at]),
         creased=float(creased[at]),
@@ -500,18 +507,26 @@ def _parting(
     return solved
 
 
-def _levels(values: FloatArray, areas: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(l,) levels of a function in ascending order, and the shares of the area below them.
+def _levels(
+    mesh: TriangleMesh, values: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(l,) levels of a function in ascending order, the shares of the area below them, and openings.
 
-    values, areas: (m,) of the faces.
+    values: (m,) of the faces.
+    Returns also (5, l, 3): area vectors of level lines, relative to the area of the surface, at five steps of
+        the area from `ASIDE` below each to as much above it.
     """
     order = np.argsort(values)
-    shares = np.cumsum(areas[order]) / areas.sum()
+    below = np.cumsum(mesh.face_areas[order]) / mesh.area
     steps = np.linspace(LEAST_SIDE, 1 - LEAST_SIDE, N_LEVELS)
-    by_area = values[order[np.searchsorted(shares, steps)]]
+    by_area = values[order[np.searchsorted(below, steps)]]
     by_value = np.linspace(by_area[0], by_area[-1], N_LEVELS)
     levels = np.sort(np.concatenate([by_area, by_value]))
-    return levels, shares[np.searchsorted(values[order], levels)]
+    shares = below[np.searchsorted(values[order], levels)]
+    beside = np.add.outer(np.linspace(-ASIDE, ASIDE, 5), shares)
+    # The area vectors of all faces below a closed line sum up to that of the line.
+    vectors = np.cumsum(mesh.area_vectors[order], axis=0) / mesh.area
+    return levels, shares, vectors[np.searchsorted(below, beside)]
 
 
 def _sharpness(lengths: FloatArray, shares: FloatArray) -> FloatArray:
@@ -527,6 +542,20 @@ def _is_of_rod(lengths: FloatArray, creased: FloatArray, shares: FloatArray) -> 
     is_near = np.abs(np.subtract.outer(shares, shares)) < ALONG_ROD
     shortest = np.where(is_near & is_outside, lengths, np.inf).min(axis=1)
     return np.asarray(~is_outside & (shortest < HARDLY_LONGER * lengths))
+
+
+def _is_turned(openings: FloatArray, lengths: FloatArray, shares: FloatArray) -> Mask:
+    """(l,) whether each level line is near a circle that is one end of a cylinder.
+
+    openings: as by `_levels`.
+    lengths: relative to the root of the area of the surface.
+    """
+    wide = np.einsum("ilj,lj->il", openings, unit_vectors(openings[2]))
+    lower, upper = np.abs(wide - wide[2])[[[0, 1], [3, 4]]].max(axis=1)
+    is_circle = 4 * np.pi * wide[2] > CIRCULAR * lengths**2
+    is_turned = is_circle & (np.minimum(lower, upper) < STRAIGHT)
+    is_near = np.abs(np.subtract.outer(shares, shares)) < ASIDE
+    return np.asarray((is_near & is_turned).any(axis=1))
 
 
 def _level_lines(
