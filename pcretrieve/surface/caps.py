@@ -48,7 +48,7 @@ DEEPEST = np.radians(110)
 LARGEST_DOME = 0.02
 
 # Largest area of a fair patch in a larger hole, relative to the flat one: 2 is half of a sphere. Under people
-# who sit it is 1.6 at most, or 2.1 and more where the rim curls in, and the patch swells to a ball.
+# who sit it is 1.6 at most, or 2.1 and more where the rim flares, and the patch swells to half of a ball.
 MOST_SWOLLEN = 1.8
 
 # A cap is flat if the norm of the sum of its area vectors, relative to its area, is at least this large. Two
