@@ -25,6 +25,7 @@ from pcretrieve import Catalogue
 from pcretrieve.catalogue.records import RECORDS, SCHEMA_VERSION, checksum
 from pcretrieve.errors import CatalogueError
 from pcretrieve.formats import read_scan, write_mesh
+from pcretrieve.options import NUMBERS_VERSION
 from pcretrieve.values import TriangleMesh
 
 N_SHAPES = 5
@@ -117,8 +118,8 @@ def test_catalogues_of_other_versions(path: Path, original: Path) -> None:
         ),
         (setting.format(SCHEMA_VERSION, "schema"), ""),
         (
-            setting.format(6, "numbers"),
-            r"whose numbers differ \(version 6 there, \d+ here\)",
+            setting.format(NUMBERS_VERSION + 1, "numbers"),
+            rf"whose numbers differ \(version {NUMBERS_VERSION + 1} there, {NUMBERS_VERSION} here\)",
         ),
     ):
         execute(path, change)
