@@ -67,17 +67,18 @@ LEAST_CREASED = 0.2
 SHARP = 1.5
 NECK_ERROR = 0.45
 
-# A rod between two thick ends has a crease at each: beside a level line in one of them, within this share of
-# the area, are lines outside of creases that are hardly longer. Where two bodies touch, there is one crease.
-ALONG_ROD = 0.03
+# Share of the area within which a rod or a cylinder goes on beside a level line.
+ALONG = 0.03
+
+# A rod between two thick ends has a crease at each: beside a level line in one of them are lines outside of
+# creases that are hardly longer. Where two bodies touch, there is one crease.
 OUTSIDE = 0.1
 HARDLY_LONGER = 1.1
 
 # Turned parts have creases, too, as a shaft at its flange, but these are circles: 4π times the area of their
-# opening is at least this share of their squared length (isoperimetric inequality). On one side of a circle
-# nearby a cylinder goes on: within this share of the area, openings differ by less than the last share.
+# opening is at least the first share of their squared length (isoperimetric inequality). On one side of a
+# circle nearby a cylinder goes on: the openings there differ by less than the second share of the area.
 CIRCULAR = 0.95
-ASIDE = 0.03
 STRAIGHT = 0.001
 
 # A level line that may part two bodies has half of the area, within this share, on each side, and lines
@@ -224,7 +225,7 @@ def surface_checks(mesh: TriangleMesh) -> list[Check]:
         found.boundary_edges + found.non_manifold_edges + found.inconsistent_edges
     )
     shown = str(found) if found else "no defects"
-    error = ERROR_OF_HOLES * bool(found)
+    error = ERROR_OF_HOLES if found else 0.0
     closed = graded("Closed surface", n_edges, shown, is_good=not found, error=error)
     if found:
         return [closed]
@@ -310,8 +311,9 @@ def hole_check(fit: Fit) -> Check:
 
 def _is_visible(hole: Hole, fit: Fit) -> bool:
     """Whether a sensor could have seen into a hole: no small one that is in the shade."""
-    is_large = hole.radius > LARGE_HOLE
-    return hole.light > OPEN or (is_large and fit.sees_shades(hole.light))
+    if hole.light > OPEN:
+        return True
+    return hole.radius > LARGE_HOLE and fit.sees_shades(hole.light)
 
 
 def lost_check(fit: Fit) -> Check:
@@ -404,12 +406,13 @@ def body_check(waist: Neck) -> Check:
         f"the line between its halves is {waist.length:.2g} of the root of the smaller one's area, "
         f"{percent(waist.creased)} in a crease, and {waist.sharpness:.2g} times as long beside it"
     )
+    error = NECK_ERROR if are_two else 0.0
     return graded(
         "One body",
         waist.length,
         shown,
         is_good=not are_two,
-        error=NECK_ERROR * are_two,
+        error=error,
         places=[waist.middle],
     )
 
@@ -514,7 +517,7 @@ def _levels(
 
     values: (m,) of the faces.
     Returns also (5, l, 3): area vectors of level lines, relative to the area of the surface, at five steps of
-        the area from `ASIDE` below each to as much above it.
+        the area from `ALONG` below each to as much above it.
     """
     order = np.argsort(values)
     below = np.cumsum(mesh.face_areas[order]) / mesh.area
@@ -523,7 +526,7 @@ def _levels(
     by_value = np.linspace(by_area[0], by_area[-1], N_LEVELS)
     levels = np.sort(np.concatenate([by_area, by_value]))
     shares = below[np.searchsorted(values[order], levels)]
-    beside = np.add.outer(np.linspace(-ASIDE, ASIDE, 5), shares)
+    beside = np.add.outer(np.linspace(-ALONG, ALONG, 5), shares)
     # The area vectors of all faces below a closed line sum up to that of the line.
     vectors = np.cumsum(mesh.area_vectors[order], axis=0) / mesh.area
     return levels, shares, vectors[np.searchsorted(below, beside)]
@@ -531,16 +534,16 @@ def _levels(
 
 def _sharpness(lengths: FloatArray, shares: FloatArray) -> FloatArray:
     """(l,) that of each level line of a `Neck`, by its length and the share of the area below it."""
-    is_near = np.abs(np.subtract.outer(shares, shares)) < NEARBY
-    below, above = (half(is_near * lengths).max(axis=1) for half in (np.tril, np.triu))
+    nearby = _within(NEARBY, shares) * lengths
+    below, above = (half(nearby).max(axis=1) for half in (np.tril, np.triu))
     return np.asarray(np.minimum(below, above) / lengths)
 
 
 def _is_of_rod(lengths: FloatArray, creased: FloatArray, shares: FloatArray) -> Mask:
     """(l,) whether each level line is in a crease at the end of a rod."""
     is_outside = creased < OUTSIDE
-    is_near = np.abs(np.subtract.outer(shares, shares)) < ALONG_ROD
-    shortest = np.where(is_near & is_outside, lengths, np.inf).min(axis=1)
+    is_beside = _within(ALONG, shares) & is_outside
+    shortest = np.where(is_beside, lengths, np.inf).min(axis=1)
     return np.asarray(~is_outside & (shortest < HARDLY_LONGER * lengths))
 
 
@@ -550,12 +553,19 @@ def _is_turned(openings: FloatArray, lengths: FloatArray, shares: FloatArray) ->
     openings: as by `_levels`.
     lengths: relative to the root of the area of the surface.
     """
-    wide = np.einsum("ilj,lj->il", openings, unit_vectors(openings[2]))
-    lower, upper = np.abs(wide - wide[2])[[[0, 1], [3, 4]]].max(axis=1)
-    is_circle = 4 * np.pi * wide[2] > CIRCULAR * lengths**2
-    is_turned = is_circle & (np.minimum(lower, upper) < STRAIGHT)
-    is_near = np.abs(np.subtract.outer(shares, shares)) < ASIDE
-    return np.asarray((is_near & is_turned).any(axis=1))
+    # Areas of openings, seen along the axis of the line in the middle.
+    seen = np.einsum("ilj,lj->il", openings, unit_vectors(openings[2]))
+    change = np.abs(seen - seen[2])
+    is_straight = (change[:2].max(axis=0) < STRAIGHT) | (
+        change[3:].max(axis=0) < STRAIGHT
+    )
+    is_circle = 4 * np.pi * seen[2] > CIRCULAR * lengths**2
+    return np.asarray((_within(ALONG, shares) & is_circle & is_straight).any(axis=1))
+
+
+def _within(reach: float, shares: FloatArray) -> Mask:
+    """(l, l) between which level lines there is less than this share of the area."""
+    return np.asarray(np.abs(np.subtract.outer(shares, shares)) < reach)
 
 
 def _level_lines(
@@ -588,4 +598,4 @@ def _level_lines(
 
 def _counted(n: int, name: str) -> str:
     """A number with its noun, such as "1 cut" and "2 cuts"."""
-    return f"{n} {name}{'s' * (n != 1)}"
+    return f"{n} {name}" if n == 1 else f"{n} {name}s"

@@ -170,9 +170,10 @@ def _raised(
         closed = domed(vertices, flat.faces, own, axis, angle)
     else:
         closed = faired(vertices, flat.faces, own)
-    is_swollen = TriangleMesh(closed, flat.faces[here]).area > MOST_SWOLLEN * area
-    is_end = ends_a_part(tilt, steepness)
-    return vertices if is_wide and is_swollen else closed, is_end
+    cap = TriangleMesh(closed, flat.faces[here])
+    if not is_wide or cap.area <= MOST_SWOLLEN * area:
+        vertices = closed
+    return vertices, ends_a_part(tilt, steepness)
 
 
 def _on_points(
