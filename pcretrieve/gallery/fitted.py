@@ -41,7 +41,7 @@ from pcretrieve.values import (
 logger = logging.getLogger(__name__)
 
 # Version of the arrays of an index, which is incremented when their meaning changes, or retrieval/people.npz.
-FORMAT = 23
+FORMAT = 24
 
 # Smallest number of shapes for which an index is stored, or a map. The scores of 600 shapes, with the import
 # of what fits them, would be two thirds of a query by id.

@@ -219,6 +219,10 @@ def neighbour_covariance(
 # for k = c − 1.
 MOST_NEIGHBORS = 12
 
+# Least share of the largest overlap of neighbourhoods that counts as equal to it: a few shapes decide which
+# is the largest. See docs/decisions.md, number of neighbours.
+AS_MUCH = 0.95
+
 # k₁, k₂ and λ of the re-ranking: smaller sets than for a query, because a wrong pair does more harm than a
 # missing one. See docs/decisions.md, K_RECIPROCAL.
 PAIRING = (8, 3, 0.3)
@@ -259,7 +263,7 @@ def neighbour_pairs(
     points = np.ascontiguousarray(logs[rows])
     lists = neighbour_lists(_blocks(np.ascontiguousarray(known[rows])), len(points))
     order = rerank(lists, parameters=PAIRING)
-    k = _number_of_neighbors(order, min(MOST_NEIGHBORS, order.shape[1] - 1))
+    k = _number_of_neighbors(order)
     near = nearest_matrix(order, k)
     overlap = triu(_jaccard(near).multiply(near.T), k=1).tocoo()
     lengths = np.linalg.norm(points[overlap.row] - points[overlap.col], axis=1)
@@ -271,21 +275,21 @@ def neighbour_pairs(
 
 def _jaccard(near: csr_array) -> csr_array:
     """For each edge of a graph of neighbours, the Jaccard index of the neighbourhoods of its ends."""
-    size = near.indptr[1] - near.indptr[0]
+    size = near.indptr[1]  # the same for all
     common: csr_array = (near @ near.T).multiply(near).tocsr()
     common.data = common.data / (2 * size - common.data)
     return common
 
 
-def _number_of_neighbors(order: Positions, most: int) -> int:
-    """The number of neighbours at which the neighbourhoods of neighbours overlap most."""
+def _number_of_neighbors(order: Positions) -> int:
+    """The largest number of neighbours at which neighbourhoods overlap about as much as at any other."""
     n = len(order)
     # Without the edges from each shape to itself, whose Jaccard index is 1.
     means = [
         (_jaccard(nearest_matrix(order, k)).sum() - n) / (n * k)
-        for k in range(1, most + 1)
+        for k in range(1, min(MOST_NEIGHBORS + 1, order.shape[1]))
     ]
-    return int(np.argmax(means)) + 1
+    return max(k for k, mean in enumerate(means, 1) if mean >= AS_MUCH * max(means))
 
 
 def _blocks(points: FloatArray) -> Iterator[DistanceBlock]:

@@ -229,6 +229,18 @@ def test_classes_that_overlap_by_pose_are_separated() -> None:
         assert precision(fit_whitening(kind, logs, labels).apply(logs)) > plain + 0.05
 
 
+def test_classes_of_two_poses_teach_what_differs_between_these() -> None:
+    """Neighbourhoods overlap as much within a pose, of 5 shapes, as within a class, of 10, which counts."""
+    rng = np.random.default_rng(0)
+    poses = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    centres = [10 * x + pose for x in np.eye(3) for pose in poses]
+    logs = np.repeat(centres, 5, axis=0) + 0.01 * rng.normal(size=(30, 3))
+    whitening = fit_whitening("neighbours", logs)
+    assert "each among the other's 9 nearest" in whitening.reason
+    *others, along_poses = np.diag(whitening.matrix)
+    assert along_poses < 0.7 * min(others)
+
+
 # --- people ---------------------------------------------------------------------------------------------
 
 
