@@ -275,21 +275,22 @@ def neighbour_pairs(
 
 def _jaccard(near: csr_array) -> csr_array:
     """For each edge of a graph of neighbours, the Jaccard index of the neighbourhoods of its ends."""
-    size = near.indptr[1]  # the same for all
+    size = near.indptr[1]  # of the first row, and of all
     common: csr_array = (near @ near.T).multiply(near).tocsr()
-    common.data = common.data / (2 * size - common.data)
+    common.data /= 2 * size - common.data
     return common
 
 
 def _number_of_neighbors(order: Positions) -> int:
     """The largest number of neighbours at which neighbourhoods overlap about as much as at any other."""
-    n = len(order)
+    n, length = order.shape
     # Without the edges from each shape to itself, whose Jaccard index is 1.
-    means = [
-        (_jaccard(nearest_matrix(order, k)).sum() - n) / (n * k)
-        for k in range(1, min(MOST_NEIGHBORS + 1, order.shape[1]))
-    ]
-    return max(k for k, mean in enumerate(means, 1) if mean >= AS_MUCH * max(means))
+    overlaps = {
+        k: (_jaccard(nearest_matrix(order, k)).sum() - n) / (n * k)
+        for k in range(1, min(MOST_NEIGHBORS + 1, length))
+    }
+    least = AS_MUCH * max(overlaps.values())
+    return max(k for k, overlap in overlaps.items() if overlap >= least)
 
 
 def _blocks(points: FloatArray) -> Iterator[DistanceBlock]:
